@@ -37,6 +37,7 @@ from bayesnet_track.journal.events.joint_beliefs import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.records import changed
 
 Steps = dict[str, Step[Posterior]]
 
@@ -92,7 +93,10 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     after = report_hidden(work.frame.index, metrics, after, events)
     after = report_carried(work.frame.index, metrics, carriers, after, events)
     work.charge("joins", started)
-    joined = {name: replace(one, step=steps[name], join=metrics.get(name)) for name, one in filtered.items()}
+    joined = {
+        name: changed(one, step=steps[name], join=metrics[name]) if name in metrics else one
+        for name, one in filtered.items()
+    }
     return JointBelief(joined, after, tuple(events))
 
 
@@ -112,7 +116,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
     pairs: dict[Pair, PairMemory] = {}
     for pair in work.net.joins:
         known = memory.pairs.get(pair, PairMemory())
-        pairs[pair] = replace(known, first_in_front=_predict_order(known, rules[pair]))
+        pairs[pair] = changed(known, first_in_front=_predict_order(known, rules[pair]))
     sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].reweights}
     tree, left_out = spanning_tree(sharing)
     flaws = {pair: PairFlaw() for pair in pairs if rules[pair].factor is not None}
@@ -176,7 +180,7 @@ def _update_pairs(
         if one.flawed != bool(flaw):
             events.append(PairFactorChanged(frame, *pair, flaw.undefined, flaw.pairs, flaw.ignored))
         in_front = orders.get(pair, one.first_in_front)
-        pairs[pair] = replace(one, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
+        pairs[pair] = changed(one, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
     return pairs, events
 
 

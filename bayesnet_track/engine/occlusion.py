@@ -31,8 +31,8 @@ def level_of(known: Level | None, one: Filtered) -> Level:
 def _half_way(one: Filtered) -> tuple[float, float]:
     """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
     log = log_seen(one.plan.factors, one.step.evidence)
-    best = float(np.max(log))
-    return (best + max(float(np.min(log)) - best, -DEEPEST) / 2, best) if np.isfinite(best) else (0.0, 0.0)
+    best = float(log.max())
+    return (best + max(float(log.min()) - best, -DEEPEST) / 2, best) if np.isfinite(best) else (0.0, 0.0)
 
 
 def levels_after(

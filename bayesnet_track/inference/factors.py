@@ -112,6 +112,8 @@ def log_prior_factor(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
 
 def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
     """(N,) log-likelihood of what was seen alone, without the factors that multiply the root's prior."""
+    if not steps:
+        return evidence.log_likelihood
     log = log_prior_factor(steps, evidence)
     return evidence.log_likelihood - np.where(np.isfinite(log), log, 0.0)
 

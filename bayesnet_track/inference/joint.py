@@ -31,13 +31,14 @@ go up and down once. Along pairs that would close a ring each is told what the o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from bayesnet_track.inference.joint_members import Edge, Member, Pair, weigh_all
 from bayesnet_track.inference.joint_messages import Message, Question, answer, shares_hidden, together
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 
 FARTHEST = 150.0
 """A log-likelihood further below the best counts as so far below it: their ratio has to stay a number."""
@@ -113,7 +114,7 @@ def joint_marginals(
 
 def _bound(one: Member) -> Member:
     best = one.log_likelihood.max()
-    return replace(one, log_likelihood=np.maximum(one.log_likelihood, best - FARTHEST))
+    return changed(one, log_likelihood=np.maximum(one.log_likelihood, best - FARTHEST))
 
 
 def _near(members: Iterable[str], edges: Iterable[Edge]) -> dict[str, dict[str, Edge]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.records import changed
 
 Pair = tuple[str, str]
 Hidden = tuple[float, float, float, float, int]
@@ -116,7 +117,7 @@ class Edge:
         """The same edge, seen from its second target."""
         factor = self.factor
         other = None if factor is None else lambda first, second: factor(second, first)
-        return replace(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
+        return changed(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
 
 
 def weigh_all(members: Iterable[Member]) -> None:

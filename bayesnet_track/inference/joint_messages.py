@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ class Message:
     hidden: Floats
     share: Floats
 
-    @property
+    @cached_property
     def free(self) -> Floats:
         """Where it hides nothing of them."""
         return self.in_front + self.untouched
@@ -66,13 +67,19 @@ class Question:
 
 def together(one: Member, speakers: Sequence[str], hearer: str, messages: Mapping[Pair, Message]) -> Said:
     """The product of what `speakers` say of one target, of which at most one may hide it."""
-    size = len(one.boxes)
-    free, taken = np.ones(size), np.zeros(size)
-    for speaker in speakers:
-        said = messages[speaker, hearer]
+    if not speakers:
+        return _nothing_said(len(one.boxes))
+    first, *others = (messages[speaker, hearer] for speaker in speakers)
+    free, taken = first.free, first.hidden
+    for said in others:
         own = said.free
         free, taken = free * own, taken * own + free * said.hidden
     return Said(free, taken)
+
+
+@lru_cache(maxsize=64)
+def _nothing_said(size: int) -> Said:
+    return Said(np.ones(size), np.zeros(size))
 
 
 def shares_hidden(

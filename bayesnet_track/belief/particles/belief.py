@@ -16,6 +16,7 @@ from bayesnet_track.belief.particles.weighted_sample import WeightedSample, prio
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.records import changed
 
 __all__ = ["Inputs", "ParticleFilter", "ParticleSet"]
 
@@ -114,12 +115,12 @@ def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[Parti
     """
     weights, total = step.prior.times(log_likelihood)
     _, own = step.prior.times(step.evidence.log_likelihood)
-    posterior = replace(step.posterior, weights=weights)
+    posterior = changed(step.posterior, weights=weights)
     find = step.find_map
-    return replace(
+    return changed(
         step,
         posterior=posterior,
         support=posterior,
         log_evidence=step.log_evidence + total - own,
-        find_map=replace(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
+        find_map=changed(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
     )

@@ -77,7 +77,7 @@ def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Float
             )
         ]
     )
-    room = np.clip(boxes[:, 2:] - states[:, 2:4], 0.0, None)
+    room = np.maximum(boxes[:, 2:] - states[:, 2:4], 0.0)
     states[:, :2] = boxes[:, :2] + room * (uniforms[1 + count :].reshape(size, 2) - 0.5)
     return states
 
