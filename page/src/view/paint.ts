@@ -4,7 +4,13 @@ import type { RunData, Track } from "../data/run";
 import type { Layer } from "../state";
 import { nameOf, short } from "./words";
 
-export const INK = { tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", cloud: "#6fd3ff", truth: "#ffffff" };
+/** The ink of a box: green says that it is on the target, which a score that was not fitted cannot tell. */
+export function inkOf(track: { calibrated: boolean }, status: string): string {
+  if (status === "tracking" && !track.calibrated) return INK.followed;
+  return INK[status as "tracking"] ?? INK.tracking;
+}
+
+export const INK = { followed: "#b9c7d8", tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", cloud: "#6fd3ff", truth: "#ffffff" };
 const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4] };
 const HALO = "rgba(10,14,20,.75)";
 
@@ -33,7 +39,7 @@ export class Painter {
   target(run: RunData, track: Track, row: number, layers: ReadonlySet<Layer>): void {
     const { g } = this;
     const status = track.status(row);
-    const ink = INK[status as "tracking"] ?? INK.tracking;
+    const ink = inkOf(track, status);
     if (layers.has("cloud")) this.cloud(track.cloud(row));
     if (layers.has("regions")) {
       this.region(track.values("region90", row), [5, 4]);
@@ -58,7 +64,7 @@ export class Painter {
   other(track: Track, row: number): void {
     const status = track.status(row);
     const box = track.values("box", row);
-    this.box(box, INK[status as "tracking"] ?? INK.tracking, 1.25, DASH[status] ?? []);
+    this.box(box, inkOf(track, status), 1.25, DASH[status] ?? []);
     this.g.font = "600 11px system-ui, sans-serif";
     this.label(track.id, box, "#e8edf3");
   }
