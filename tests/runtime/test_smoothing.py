@@ -115,6 +115,20 @@ def test_a_belief_of_nobody_is_refused(particle_run, tmp_path):
         smooth(open_run(tmp_path / "run"))
 
 
+@pytest.mark.parametrize("left", [0, 3])
+def test_beliefs_that_end_before_the_run_are_refused(left, particle_run, tmp_path):
+    shutil.copytree(particle_run.directory.path, tmp_path / "run")
+    path = tmp_path / "run/beliefs.jsonl"
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:left]))
+    with pytest.raises(KeptBeliefsError, match=f"frame {FRAMES - 1}; it was cut short"):
+        smooth(open_run(tmp_path / "run"))
+
+
+def test_an_unfinished_run_is_smoothed_as_far_as_it_goes(tmp_path):
+    run = tracked("two_squares", "two_squares", tmp_path / "run", stop=5, keep_beliefs=True)
+    assert len(smooth(run).metrics) == len(run.metrics) > 3
+
+
 def test_beliefs_go_on_where_a_run_is_resumed(particle_run, tmp_path):
     tracked("two_squares", "two_squares", tmp_path / "run", stop=5, keep_beliefs=True)
     list(resume(tmp_path / "run"))
