@@ -155,7 +155,7 @@ export function people(u: uPlot, targets: NonNullable<Panel["targets"]>, state: 
       if (lasts && track.status(row + 1) === status) continue;
       const [a, b] = [x(track.value("frame", from) - 0.5), x(track.value("frame", row) + 0.5)];
       const high = tall * (status === "lost" ? 0.9 : status === "uncertain" ? 0.7 : chosen ? 0.45 : 0.25);
-      g.fillStyle = statusColour(status);
+      g.fillStyle = statusColour(track, status);
       g.fillRect(a, middle - high / 2, Math.max(b - a, ratio), high);
       from = row + 1;
     }

@@ -11,8 +11,14 @@ export function agentColour(index: number): string {
   return colour(`agent-${index % AGENTS}`);
 }
 
-export function statusColour(status: string): string {
-  return colour(status === "lost" ? "lost" : status === "uncertain" ? "uncertain" : "tracking");
+/** Gray for what is followed without a fitted score: nothing says that it is on the target. */
+export function statusName(track: { calibrated: boolean }, status: string): string {
+  if (status === "lost" || status === "uncertain") return status;
+  return status === "tracking" && !track.calibrated ? "soft" : "tracking";
+}
+
+export function statusColour(track: { calibrated: boolean }, status: string): string {
+  return colour(statusName(track, status));
 }
 
 export function agentVariable(index: number): string {
