@@ -30,9 +30,9 @@ def test_the_picture_moves_against_the_camera(way):
     assert shift == pytest.approx([-way[0], -way[1]], abs=2.0)
 
 
-def test_it_is_told_per_frame_interval():
+def test_it_is_the_whole_way_over_missing_frames():
     then, now = view((120, 100), 1), view((140, 100), 3)
-    assert PanPlane().compute(FramePair(now, then), (), WHOLE) == pytest.approx([-10.0, 0.0], abs=1.0)
+    assert PanPlane().compute(FramePair(now, then), (), WHOLE) == pytest.approx([-20.0, 0.0], abs=1.0)
 
 
 def test_something_large_that_moves_in_front_is_no_pan():
@@ -49,8 +49,12 @@ def test_without_a_previous_frame_of_the_same_size_nothing_moved():
     other = Frame(1, 1.0, now.image[:-20])
     for then in (None, other, Frame(5, 5.0, now.image)):
         assert not PanPlane().compute(FramePair(now, then), (), WHOLE).any()
-    tiny = Frame(1, 1.0, now.image[:1]), Frame(2, 2.0, now.image[:1])
-    assert not PanPlane().compute(FramePair(tiny[1], tiny[0]), (), Region(0, 0, SIZE[1], 1)).any()
+
+
+@pytest.mark.parametrize("size", [(1, 320), (3, 640), (12, 1920), (1000, 3)])
+def test_a_picture_that_is_too_narrow_did_not_move(size):
+    tiny = [Frame(index, float(index), np.zeros((*size, 3), np.uint8)) for index in (1, 2)]
+    assert not PanPlane().compute(FramePair(tiny[1], tiny[0]), (), Region(0, 0, size[1], size[0])).any()
 
 
 def test_a_picture_that_is_replaced_did_not_move():

@@ -17,11 +17,12 @@ LEAST_RESPONSE = 0.1
 
 @dataclass(frozen=True)
 class PanPlane:
-    """Where most of the picture moved since the previous frame: (2,) float64 x, y, px per frame interval.
+    """Where most of the picture moved since the previous frame: (2,) float64 x, y, px.
 
     The peak of the phase correlation of the whole frames in gray, halved until no side exceeds 160 px. It
     follows moves of up to half the picture, which points that are tracked do not, and no turn or zoom. 0
-    without a previous frame, and where the peak holds less than LEAST_RESPONSE, as between different scenes.
+    without a previous frame, where the peak holds less than LEAST_RESPONSE, as between different scenes, and
+    in a picture so long that its other side shrinks to one pixel.
     """
 
     margin: ClassVar[None] = None
@@ -32,12 +33,13 @@ class PanPlane:
         """The shift, from the whole frames."""
         import cv2
 
-        interval = interval_of(frames)
-        if frames.previous is None or not interval > 0 or min(frames.current.image.shape[:2]) < 2:
+        if frames.previous is None or not interval_of(frames) > 0:
             return np.zeros(2)
         (now, scale), (then, _) = smaller_gray(frames.current), smaller_gray(frames.previous)
+        if min(now.width, now.height) < 2:
+            return np.zeros(2)
         window = cv2.createHanningWindow((now.width, now.height), cv2.CV_32F)
         shift, clear = cv2.phaseCorrelate(then.image.astype(np.float32), now.image.astype(np.float32), window)
         if clear < LEAST_RESPONSE:
             return np.zeros(2)
-        return np.asarray(shift, dtype=np.float64) * scale / interval
+        return np.asarray(shift, dtype=np.float64) * scale
