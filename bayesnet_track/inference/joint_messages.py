@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from bayesnet_track.inference.joint_members import Edge, Factor, Hidden, Member, Pair
 from bayesnet_track.numerics.arrays import Floats
 
-LEAST_LOG = -700.0
+MOST_LOG = 700.0
 """Densities of pairs are numbers up to e^700."""
+COMMON_LOG = 50.0
+"""A largest density beyond e^±50 is divided out, so that products of several messages stay numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,14 +178,14 @@ def _related(
 ) -> Message:
     """The mean over partners of their weight times the pair's factor; without it where it is 0 for all.
 
-    Of a factor that is tiny for all pairs it is the mean but for a constant, which all hypotheses share.
+    Of a factor that is tiny or huge it is the mean but for a constant, which all hypotheses share.
     """
     own = {name: values[None] for name, values in hearer.items()}
-    log = factor(own, {name: values[partners] for name, values in speaker.items()})
+    log = np.minimum(factor(own, {name: values[partners] for name, values in speaker.items()}), MOST_LOG)
     top = float(log.max())
     if top == -np.inf:
         density = np.ones(partners.shape)
     else:
-        density = np.exp(np.clip(log if top > LEAST_LOG else log - top, None, -LEAST_LOG))
+        density = np.exp(log - top if abs(top) > COMMON_LOG else log)
     nothing = np.zeros(partners.shape[1])
     return Message((weight[partners] * density).mean(axis=0), nothing, nothing, nothing)

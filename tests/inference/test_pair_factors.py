@@ -75,6 +75,22 @@ def test_a_chain_of_three_uses_no_evidence_twice():
     np.testing.assert_allclose(places(marginal_of(members["t"], found["t"])), exact, atol=0.015)
 
 
+@pytest.mark.parametrize("common", ["1e-300", "1e-200", "exp(400)"])
+def test_a_constant_of_all_pairs_changes_nothing_in_a_chain(common):
+    """Products of two messages would be 0, or infinite."""
+    text = "normal(b.x - a.x, 40, 6)"
+    found = []
+    for written in (text, f"{common} * {text}"):
+        rng = np.random.default_rng(4)
+        members = {name: member(rng, 100 + 45 * k, 20) for k, name in enumerate("stu")}
+        join = Join.model_validate({"between": ["s", "t"], "factor": written})
+        related = pair_factor(join, {}, FRAME)
+        edges = [Edge(pair, 0.5, pairings=16, factor=related) for pair in (("s", "t"), ("t", "u"))]
+        marginals, _ = joint_marginals(members, edges, stream)
+        found.append([marginal_of(members[name], marginals[name]) for name in "stu"])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("text", ["0", "0 / 0", "where(a.x > 1000, 1, 0)"])
 def test_a_factor_that_leaves_no_pair_says_nothing(text):
     rng = np.random.default_rng(5)
