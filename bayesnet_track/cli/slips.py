@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 from bayesnet_track.cli.overview import describe_commands
@@ -77,17 +77,24 @@ def suggest(parser: argparse.ArgumentParser, message: str) -> str:
     if unknown and "required" in message:
         return "; ".join([*unknown, message])
     if "required" in message and "--source" in message:
-        media = next((word for word in loose_words(parser) if Path(word).exists()), None)
+        media = next((word for word in loose_words(parser) if _may_be_media(word)), None)
         return message if media is None else f"{message}; write --source {media}"
     return message
 
 
 def loose_words(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """Words that stand behind no option."""
+    """Words that stand behind no option that takes a value."""
     given = getattr(parser, "given", ())
     for before, word in zip(("", *given), given, strict=False):
-        if not word.startswith("-") and not before.startswith("-"):
+        action = parser._option_string_actions.get(before)
+        takes = before.startswith("-") and "=" not in before and (action is None or action.nargs != 0)
+        if not word.startswith("-") and not takes:
             yield word
+
+
+def _may_be_media(word: str) -> bool:
+    """Whether it is there and no graph; a name that is too long is not there, and raises nothing."""
+    return os.path.exists(word) and not word.endswith((".yaml", ".yml"))  # noqa: PTH110
 
 
 def unknown_options(parser: argparse.ArgumentParser) -> Iterator[str]:

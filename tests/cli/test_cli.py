@@ -793,6 +793,11 @@ def test_a_name_too_long_for_a_run_to_look_at_is_a_run_that_cannot_be_read(cli):
         assert code == 4 and "File name too long" in err
 
 
+def test_a_graph_in_a_folder_whose_name_is_too_long_cannot_be_read(cli):
+    code, _, err = cli(f"validate {LONG}/g.yaml")
+    assert code == 3 and "cannot be read: File name too long" in err
+
+
 # ------------------------------------------------------------------------------------ graphs
 
 
@@ -1023,5 +1028,20 @@ def test_truth_of_another_length_is_asked_about(demo_run, tmp_path, capsys):
     assert "is it of this video" not in capsys.readouterr().err
 
 
+def test_truth_of_the_whole_video_suits_a_run_of_its_beginning(images, tmp_path, capsys):
+    line = f"run two_squares --source {images} --init {BOX} --end 4 --quiet --out {tmp_path / 'run'}"
+    assert main(shlex.split(line)) == 0
+    truth = tmp_path / "whole.txt"
+    truth.write_text("1,2,3,4\n" * 7)
+    main(["score", str(tmp_path / "run"), "--truth", str(truth)])
+    assert "is it of this video" not in capsys.readouterr().err
+
+
 def test_what_does_not_adapt_cannot_stop_adapting():
     assert not adapts(load_graph("general").spec) and adapts(load_graph("two_squares").spec)
+
+
+def test_what_if_a_net_did_not_adapt_is_refused_where_it_never_does(cli, images, tmp_path):
+    cli(f"run general --source {images} --init {BOX} --end 2 --quiet --out", tmp_path / "run")
+    code, _, err = cli(f"what-if {tmp_path / 'run'} --no-adaptation --out", tmp_path / "other")
+    assert code == 2 and "all its agents are always on" in err

@@ -79,8 +79,12 @@ def test_a_video_without_its_option_is_shown_with_it(tmp_path):
     video.touch()
     said = refused(["general", str(video), "--out", "runs/x"], "--source", "--out")
     assert f"write --source {video}\n" in said
-    # What stands behind another option is no source.
+    assert f"write --source {video}\n" in refused(["general", "--seed=1", str(video)], "--source", "--seed")
+    # What stands behind another option is no source, and a graph is none.
     assert "write" not in refused(["general", "--out", str(video)], "--source", "--out")
+    graph = tmp_path / "own.yaml"
+    graph.touch()
+    assert "write" not in refused([str(graph), "a" * 300], "--source")
 
 
 def test_truth_belongs_to_score():

@@ -13,6 +13,10 @@ ROOT = Path(bayesnet_track.__file__).parent
 KERNELS = [path for path in sorted(ROOT.rglob("*.py")) if "\n@compiled" in path.read_text()]
 
 
+def test_there_are_kernels():
+    assert len(KERNELS) > 20
+
+
 def test_a_row_is_filled_with_the_first_values():
     to = np.full(3, -1)
     copy_row(np.arange(5), to)
@@ -48,4 +52,8 @@ def _is_slice(target):
 def _is_number(value):
     """A number as it is written, a constant of a module, or a scalar type called."""
     is_scalar = isinstance(value, ast.Call) and ast.unparse(value.func) == "np.float32"
-    return is_scalar or isinstance(value, ast.Constant | ast.UnaryOp | ast.Attribute)
+    return (
+        is_scalar
+        or isinstance(value, ast.Constant | ast.UnaryOp)
+        or ast.unparse(value) in ("np.inf", "np.nan")
+    )

@@ -110,15 +110,26 @@ def score(options: argparse.Namespace) -> int:
 
 
 def _warn_of_rows(directory: RunDirectory, truth: Path) -> None:
-    """Say that the ground truth has another number of rows than a whole run has frames."""
+    """Say that the ground truth is shorter than the run, or longer than one of the whole source."""
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.journal.events.runs import RunEnded
     from bayesnet_track.journal.reader import read_events
 
     ended = [one for one in read_events(directory.journal) if isinstance(one, RunEnded)]
-    rows = len(read_truth(truth))
-    if ended and ended[-1].complete and rows != ended[-1].frames and _frames_read(directory) is None:
-        complain(f"{truth} has {rows} rows, the run {ended[-1].frames} frames: is it of this video?")
+    if not ended or not ended[-1].complete or _frames_read(directory) is not None:
+        return
+    rows, frames = len(read_truth(truth)), ended[-1].frames
+    if rows < frames or (rows > frames and _is_of_whole_source(directory)):
+        complain(f"{truth} has {rows} rows, the run {frames} frames: is it of this video?")
+
+
+def _is_of_whole_source(directory: RunDirectory) -> bool:
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+
+    if not directory.recipe.is_file():
+        return False
+    origin = Recipe.read(directory).origin
+    return origin.start is None and origin.end is None
 
 
 def _frames_read(directory: RunDirectory) -> set[int] | None:

@@ -62,9 +62,12 @@ def bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
 
 def _beside(path: FilePath | Traversable) -> str:
     """The graph file in the same folder whose name is nearest; empty where there is none."""
-    if not isinstance(path, FilePath) or not path.parent.is_dir():
+    if not isinstance(path, FilePath):
         return ""
-    near = nearest(path.name, [one.name for one in path.parent.glob("*.y*ml")])
+    try:
+        near = nearest(path.name, [one.name for one in path.parent.glob("*.y*ml")])
+    except OSError:  # a folder that cannot be read, or whose name is too long
+        return ""
     return str(path.parent / near) if near else ""
 
 
