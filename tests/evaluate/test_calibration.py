@@ -100,6 +100,7 @@ def test_both_regions_are_right_where_each_video_is_off_by_an_sd_of_its_own():
     videos = [sd * rng.normal(size=(400, 1, 2)) - own for sd, own in zip(sds, points, strict=True)]
     scores = [np.ones(400)] * len(sds)
     sd, _ = fit_localization_error(videos, scores)
+    # One tail for eight sds misses by a few percent; one Gaussian gives .795 instead of .9.
     off = np.array([np.abs(below_on_target(one, np.array([sd]))[0] - 0.5) for one in videos])
     assert np.mean(off <= 0.25) == pytest.approx(0.5, abs=0.06)
     assert np.mean(off <= 0.45) == pytest.approx(0.9, abs=0.045)
