@@ -94,6 +94,23 @@ klt, mean_shift, ... (8 more)
      |                                       ^
   hint: a cue of your own is given as --cue-file FILE, one of another package as --allow-plugins NAME""",
     ),
+    "        fuse: product": (
+        "        fuse product",
+        """\
+wrong.yaml:18:9: graph: not YAML: while scanning a simple key from line 17 could not find expected ':'
+  18 |         ud_fields: [x, y]            # UD counts the position; the size does not change here
+     |         ^
+  hint: in line 17, a key is followed by a colon and a space, as in bayesnet: 1""",
+    ),
+    "      color: {": (
+        "      - color: {",
+        """\
+wrong.yaml:25:7: graph: not YAML: while parsing a block mapping from line 13 expected <block end>, \
+but found '-'
+  25 |       - color: {parent: square, agent: {color_histogram: {floor: 0.003}}}
+     |       ^
+  hint: nodes and keys are no list: leave out the - at the beginning""",
+    ),
     "parent: square, ": (
         "",
         """\
