@@ -52,7 +52,7 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
     if not starts and not has_births(graph):
         raise StartError("no start box is given; at least one is needed, or `birth` in the graph")
     for name, mask in graph.masks.items():
-        rows, columns = mask.grey.shape
+        rows, columns = mask.gray.shape
         if (columns, rows) != (width, height):
             raise StartError(
                 f"mask {name}: {columns}x{rows} px, and the frames have {width}x{height} px; "

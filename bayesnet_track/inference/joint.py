@@ -9,7 +9,7 @@ for the one in front, and for the one behind what lies under the one in front, s
 both. Log-likelihoods do not add up over parts of a box, shares of it that do not match do. With the share
 s(L) at which a box loses as much as one of likelihood L has lost,
 
-    K log (1 + e^(16 s - 4)) / (1 + e^-4) = log L_top - log L         (K agents; thesis eq. 3.3, corrected)
+    K log [(1 + e^(16 s - 4)) / (1 + e^-4)] = log L_top - log L       (K agents; thesis eq. 3.3, corrected)
 
 what is left of a box behind, without the pixels of the one in front, is
 

@@ -1,4 +1,4 @@
-"""Masks: images whose grey values are likelihoods of a place."""
+"""Masks: images whose gray values are likelihoods of a place."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from bayesnet_track.observation.image_size import PictureError, read_pixels
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """The grey values of an image file.
+    """The gray values of an image file.
 
     Attributes:
         path: the file.
         sha256: of its bytes, in hexadecimal.
-        grey: (H, W) uint8.
+        gray: (H, W) uint8.
     """
 
     path: Path
     sha256: str
-    grey: NDArray[np.uint8]
+    gray: NDArray[np.uint8]
 
     def __str__(self) -> str:
         """File and size."""
-        rows, columns = self.grey.shape
+        rows, columns = self.gray.shape
         return f"{self.path.name}, {columns}x{rows} px"
 
     def __call__(self, x: Floats, y: Floats) -> Floats:
@@ -39,7 +39,7 @@ class Mask:
         Pixels have their centres at whole numbers; beyond the outermost ones counts the nearest point of the
         border. NaN where a coordinate is.
         """
-        rows, columns = self.grey.shape
+        rows, columns = self.gray.shape
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         known = ~(np.isnan(x) | np.isnan(y))
         x = np.clip(np.where(known, x, 0.0), 0.0, columns - 1.0)
@@ -47,13 +47,13 @@ class Mask:
         left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
         right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
         over, down = x - left, y - top
-        above = self.grey[top, left] * (1.0 - over) + self.grey[top, right] * over
-        below = self.grey[bottom, left] * (1.0 - over) + self.grey[bottom, right] * over
+        above = self.gray[top, left] * (1.0 - over) + self.gray[top, right] * over
+        below = self.gray[bottom, left] * (1.0 - over) + self.gray[bottom, right] * over
         return np.where(known, (above * (1.0 - down) + below * down) / 255.0, np.nan)
 
 
 def read_mask(path: Path) -> Mask:
-    """The mask in an image file: 8 bits, colour counts as its grey value.
+    """The mask in an image file: 8 bits, colour counts as its gray value.
 
     Raises:
         PictureError: it cannot be read, is no image, is cut off, or is too large (`image_size`).
@@ -66,11 +66,11 @@ def read_mask(path: Path) -> Mask:
     if image.dtype != np.uint8:
         raise PictureError(f"{path.name}: values of {8 * image.itemsize} bits; allowed: 8 bits")
     if image.ndim == 3 and image.shape[2] == 4:
-        raise PictureError(f"{path.name}: transparency; allowed: grey or colour without an alpha channel")
+        raise PictureError(f"{path.name}: transparency; allowed: gray or colour without an alpha channel")
     if image.ndim == 3 and image.shape[2] == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    grey = np.ascontiguousarray(image.reshape(image.shape[:2]), dtype=np.uint8)
-    return Mask(path, sha256(data).hexdigest(), grey)
+    gray = np.ascontiguousarray(image.reshape(image.shape[:2]), dtype=np.uint8)
+    return Mask(path, sha256(data).hexdigest(), gray)
 
 
 class AnyMask(Mapping[str, Mask]):

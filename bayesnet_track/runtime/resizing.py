@@ -107,7 +107,7 @@ class Resizing:
         if self.is_none or not graph.masks:
             return graph
         masks = {
-            name: replace(mask, grey=_smaller(mask.grey, self.tracked)) for name, mask in graph.masks.items()
+            name: replace(mask, gray=_smaller(mask.gray, self.tracked)) for name, mask in graph.masks.items()
         }
         return replace(graph, masks=masks)
 

@@ -153,14 +153,13 @@ def words_of(command: str, page: str) -> list[str]:
     if words[0] in ("run", "demo"):
         words += ["--quiet"] * ("--quiet" not in words)
         words += ["--end", "125" if page == "README.md" else "55"]
-    words = [word.replace("runs/mine", "runs/quiet") if "first_graph" in page else word for word in words]
     return [word for word in words if word]
 
 
 def make_way(code: str, folder: Path) -> None:
     """Remove what an earlier command of the page wrote, where this one writes again."""
     names = re.findall(r"(?:--(?:out|html|video|svg) |\bout=\")([\w./-]+)", code)
-    for name in [*names, "runs/mine-what-if", "runs/quiet-what-if"]:
+    for name in [*names, "runs/mine-what-if"]:
         path = folder / name
         if path.is_dir():
             shutil.rmtree(path)

@@ -35,13 +35,13 @@ CASES = [part.strip().split("\n") for part in TABLE.split("=== ")[1:]]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("graph")
-    grey = np.full((6, 8), 200, dtype=np.uint8)
-    cv2.imwrite(str(folder / "road.png"), grey)
+    gray = np.full((6, 8), 200, dtype=np.uint8)
+    cv2.imwrite(str(folder / "road.png"), gray)
     data = (folder / "road.png").read_bytes()
     (folder / "cut.png").write_bytes(data[:-12])
     (folder / "huge.png").write_bytes(data[:16] + struct.pack(">II", 20000, 20000) + data[24:])
-    cv2.imwrite(str(folder / "deep.png"), grey.astype(np.uint16) * 200)
-    cv2.imwrite(str(folder / "clear.png"), np.dstack([grey] * 4))
+    cv2.imwrite(str(folder / "deep.png"), gray.astype(np.uint16) * 200)
+    cv2.imwrite(str(folder / "clear.png"), np.dstack([gray] * 4))
     (folder / "text.png").write_text("road", encoding="utf-8")
     (folder / "folder").mkdir()
     return folder
@@ -62,7 +62,7 @@ def test_messages(folder, cues, case):
 
 def test_a_mask_alone_is_its_value_at_the_centre(folder, cues):
     graph = of(folder, "f: {parent: s, mask: road.png}", cues)
-    assert graph.masks["road.png"].grey.shape == (6, 8)
+    assert graph.masks["road.png"].gray.shape == (6, 8)
     assert graph.targets["t"].factors["f"].mask is graph.masks["road.png"]
     assert "f(s_t) = mask(x, y), mask: road.png, 8x6 px" in formula_text(graph.targets["t"])
     assert 'mask: "road.png"' in graph.text
@@ -91,6 +91,6 @@ def test_a_graph_in_python_has_its_mask_from_where_the_program_runs(folder, cues
 
 def test_known_masks_are_not_read_again():
     masks = masks_of(load_graph("road_mask").spec, Path("/nowhere"), AnyMask())
-    assert masks["road_mask.png"].grey.shape == (1, 1)
+    assert masks["road_mask.png"].gray.shape == (1, 1)
     graph = load_graph("road_mask")
     assert change_graph(graph.text, [], masks=graph.masks).masks == graph.masks

@@ -186,26 +186,26 @@ def test_a_factor_pulls_every_belief(fakes, belief):
 
 @pytest.fixture
 def ramp(tmp_path, monkeypatch):
-    """A mask as wide as the fakes' frames, brighter to the right: its file and its grey values."""
-    grey = np.round(255 * np.exp(-0.5 * ((np.arange(120) - 60.0) / 16) ** 2)).astype(np.uint8)
-    cv2.imwrite(str(tmp_path / "ramp.png"), np.tile(grey, (100, 1)))
+    """A mask as wide as the fakes' frames, brighter to the right: its file and its gray values."""
+    gray = np.round(255 * np.exp(-0.5 * ((np.arange(120) - 60.0) / 16) ** 2)).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "ramp.png"), np.tile(gray, (100, 1)))
     monkeypatch.chdir(tmp_path)
-    return {"parent": "s", "mask": "ramp.png"}, grey
+    return {"parent": "s", "mask": "ramp.png"}, gray
 
 
 def test_a_mask_is_a_factor_between_four_pixels(fakes, ramp):
-    node, grey = ramp
+    node, gray = ramp
     evidence, _, _ = asked(fakes, {"s": {}, "a": AGENT, "f": node}, boxes_at([30.0, 50.25]))
-    expected = [grey[30] / 255, (0.75 * grey[50] + 0.25 * grey[51]) / 255]
+    expected = [gray[30] / 255, (0.75 * gray[50] + 0.25 * gray[51]) / 255]
     np.testing.assert_allclose(np.exp(evidence.factors["f"]), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("belief", ["particles", "grid", "gaussian"])
 def test_a_mask_pulls_every_belief_as_by_enumeration(fakes, ramp, belief):
     """Prediction N(50, 8^2) times the mask, summed over the columns."""
-    node, grey = ramp
+    node, gray = ramp
     columns = np.arange(120.0)
-    weights = np.exp(-0.5 * ((columns - 50) / 8) ** 2) * grey
+    weights = np.exp(-0.5 * ((columns - 50) / 8) ** 2) * gray
     exact = columns @ weights / weights.sum()
     assert exact == pytest.approx(52, abs=0.05)
     engine, _ = fakes.engine({"s": {"belief": belief}, "a": AGENT, "f": node}, {"a": fakes.flat()})

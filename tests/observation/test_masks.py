@@ -41,7 +41,7 @@ def test_a_file_is_read_with_its_fingerprint_and_colour_as_grey(tmp_path):
     path = tmp_path / "m.png"
     cv2.imwrite(str(path), np.dstack([GREY, GREY, GREY]))
     mask = read_mask(path)
-    np.testing.assert_array_equal(mask.grey, GREY)
+    np.testing.assert_array_equal(mask.gray, GREY)
     assert mask.sha256 == sha256(path.read_bytes()).hexdigest()
     assert str(mask) == "m.png, 3x2 px"
 

@@ -223,10 +223,10 @@ def test_annotation_tracks_in_smaller_frames() -> None:
 def test_a_mask_has_the_size_of_the_source() -> None:
     graph = load_graph("road_mask")
     (mask,) = graph.masks.values()
-    rows, columns = mask.grey.shape
+    rows, columns = mask.gray.shape
     resizing = Resizing.to(columns, rows, columns // 2)
     (smaller,) = resizing.graph(graph).masks.values()
-    assert smaller.grey.shape == (round(rows / 2), columns // 2)
+    assert smaller.gray.shape == (round(rows / 2), columns // 2)
     image = np.zeros((rows, columns, 3), np.uint8)
     Tracker(graph, max_side=columns // 2).init(image + np.uint8(90), (20, 20, 30, 30))
     with pytest.raises(StartError, match="allowed: the frames' size"):

@@ -71,7 +71,7 @@ FUNCTIONS = {
     "cos": Function(("a",), "cosine of an angle in radians"),
     "atan2": Function(("a", "b"), "angle of the point (b, a), radians"),
     "hypot": Function(("a", "b"), "sqrt(a² + b²)"),
-    "mask": Function(("a", "b"), "grey value of the factor's mask in column `a`, row `b`: 0 to 1"),
+    "mask": Function(("a", "b"), "gray value of the factor's mask in column `a`, row `b`: 0 to 1"),
     **DENSITIES,
 }
 MASK = "mask"

@@ -156,7 +156,7 @@ class FactorNode(Model):
     )
     mask: Annotated[str, Field(min_length=1, max_length=1000)] | None = Field(
         default=None,
-        description="image file, a path from where the graph file is: grey value 0 to 255 of a place as its "
+        description="image file, a path from where the graph file is: gray value 0 to 255 of a place as its "
         "likelihood 0 to 1",
     )
 
