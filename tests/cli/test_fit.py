@@ -67,6 +67,23 @@ def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     assert not (data / "fitted.yaml.part").exists()
 
 
+def test_what_is_not_estimated_of_lost_is_kept(data, capsys):
+    """`relocalize: sudden` needs `found_fit`; without it the graph that was written would be refused."""
+    score = "score: {logistic: {bias: 1, log_fit: 1}}"
+    rules = f"{score}\n        lost: {{score_below: 0.2, frames: 4, found_fit: 0.3, scene_cut: 0.4}}"
+    motion = "relocalize: {share: 0.1, sudden: {below_fit: 0.2}}"
+    text = GRAPH.replace(
+        "motion: {random_walk: {sd_box: {x: 0.2, y: 0.2}}}  # moves",
+        f"motion: {{random_walk: {{sd_box: {{x: 0.2, y: 0.2}}, {motion}}}}}\n        {rules}",
+    )
+    (data / "g.yaml").write_text(text)
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    assert main([*arguments, "--out", str(data / "fitted.yaml")]) == 0
+    lost = load_graph(data / "fitted.yaml").targets["target"].inference("target").lost
+    assert (lost.frames, lost.found_fit, lost.scene_cut) == (4, 0.3, 0.4)
+    assert lost.score_below != 0.2
+
+
 POOLED = GRAPH.replace("# moves\n", "# moves\n        fuse: {pool: learned}  # dependent\n").replace(
     "agent: intensity}", "agent: intensity}\n      colors: {parent: target, agent: foreground_color}"
 )

@@ -106,6 +106,7 @@ def graph_text(graph: str) -> str:
 
 def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
     """The graph's text with what was estimated, each with a comment that says from what."""
+    from bayesnet_track.evaluate.calibration import HEAVY_TAIL
     from bayesnet_track.graph.text.edit import set_value
 
     name, plate = next(iter(graph.targets.items()))
@@ -141,14 +142,9 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
         put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
     if "localization_error" in what:
-        from bayesnet_track.evaluate.calibration import HEAVY_TAIL
-
         sd, lost_sd = (_short(value) for value in fitted.localization_error)
-        put(
-            ("localization_error",),
-            {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)},
-            f"regions hold 50 % and 90 %; {from_what}",
-        )
+        error = {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)}
+        put(("localization_error",), error, f"regions hold 50 % and 90 %; {from_what}")
     if "lost" in what and "score" in what:
         # A distractor puts the score at one half, which has to count as uncertain.
         least = 0.0 if spec.distractors is None else 0.51
@@ -156,7 +152,8 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
             "score_below": _short(fitted.levels.score_below),
             "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),
         }
-        kept = {} if spec.lost is None else {"fit_below": spec.lost.fit_below, "frames": spec.lost.frames}
+        set_here = {"above", *levels}
+        kept = {} if spec.lost is None else spec.lost.model_dump(exclude_none=True, exclude=set_here)
         said = f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
         put(("lost",), {**levels, **kept}, said)
     return text
