@@ -108,7 +108,7 @@ def _types(decisions: Iterable[Decision]) -> set[str]:
 def _effect(event: Decision, named: bool) -> tuple[object, ...]:
     """What a decision changes, whatever its numbers.
 
-    The name of a type (`named`) tells targets apart only where a run has several types.
+    The name of a type (`named`) distinguishes targets only where a run has several types.
     """
     if isinstance(event, StatusChanged):
         return type(event), event.status
