@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from bayesnet_track.cli.options.video import add_video_option
+from bayesnet_track.cli.options.runs import add_video_option
 from bayesnet_track.cli.slips import Parser, boxes_in_words, nearest, suggest
 
 

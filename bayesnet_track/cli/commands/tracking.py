@@ -18,17 +18,19 @@ from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.changes import add_set_option, set_values
-from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
-from bayesnet_track.cli.options.rerun import add_rerun_option
-from bayesnet_track.cli.options.runs import add_run_options
+from bayesnet_track.cli.options.runs import (
+    add_outside_options,
+    add_rerun_option,
+    add_run_options,
+    add_video_option,
+)
 from bayesnet_track.cli.options.sources import (
     add_depth_options,
     add_size_option,
     add_window_options,
     open_given,
 )
-from bayesnet_track.cli.options.video import add_video_option
 from bayesnet_track.cli.options.view import add_view_options
 
 if TYPE_CHECKING:
