@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
-from bayesnet_track.cli.commands.annotate import annotate
 from bayesnet_track.cli.commands.answer import (
     BAD_GRAPH,
     BAD_OUTPUT,
@@ -15,27 +14,7 @@ from bayesnet_track.cli.commands.answer import (
     complain,
     words,
 )
-from bayesnet_track.cli.commands.batch import batch
-from bayesnet_track.cli.commands.calibrate import calibrate
-from bayesnet_track.cli.commands.compare import compare
-from bayesnet_track.cli.commands.completion import completion
-from bayesnet_track.cli.commands.demo import demo
-from bayesnet_track.cli.commands.detect import detect
-from bayesnet_track.cli.commands.export import export
-from bayesnet_track.cli.commands.graphs import graph, list_installed, schema, validate
-from bayesnet_track.cli.commands.init import init
-from bayesnet_track.cli.commands.learn_shape import learn_shape
-from bayesnet_track.cli.commands.learn_stereo import learn_stereo
-from bayesnet_track.cli.commands.report import report
-from bayesnet_track.cli.commands.resume import resume
-from bayesnet_track.cli.commands.review import log, score
-from bayesnet_track.cli.commands.simulate import simulate
-from bayesnet_track.cli.commands.smooth import smooth
-from bayesnet_track.cli.commands.tracking import run
-from bayesnet_track.cli.commands.verify import verify
-from bayesnet_track.cli.commands.what_if import what_if
-from bayesnet_track.cli.diagnose.command import diagnose
-from bayesnet_track.cli.fitting.fit import fit
+from bayesnet_track.cli.parser import COMMANDS as DECLARED
 from bayesnet_track.graph.text.excerpt import describe_error
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH
@@ -46,34 +25,8 @@ LOOKS_BACK = ("log", "score", "report", "compare", "diagnose", "export")
 SILENT = ("quiet", "log_json", "json")
 """Options with which nothing is said of it: somebody reads by program, or does not want to know."""
 
-COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
-    "annotate": annotate,
-    "demo": demo,
-    "run": run,
-    "validate": validate,
-    "graph": graph,
-    "schema": schema,
-    "list": list_installed,
-    "log": log,
-    "calibrate": calibrate,
-    "compare": compare,
-    "completion": completion,
-    "detect": detect,
-    "diagnose": diagnose,
-    "export": export,
-    "fit": fit,
-    "report": report,
-    "resume": resume,
-    "batch": batch,
-    "init": init,
-    "score": score,
-    "simulate": simulate,
-    "smooth": smooth,
-    "learn-shape": learn_shape,
-    "learn-stereo": learn_stereo,
-    "verify": verify,
-    "what-if": what_if,
-}
+COMMANDS = {name: action for name, (_, action) in DECLARED.items() if action is not None}
+"""Command -> what it does."""
 
 
 def call(options: argparse.Namespace) -> int:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, say, users_mistake, writing
+from bayesnet_track.cli.options.arguments import metres
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,3 +75,16 @@ def read_all(text: str) -> list[NDArray[np.uint8]]:
                 "take out what is damaged, in both eyes",
             )
     return [item.image for item in items if isinstance(item, Frame)]
+
+
+def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    calibrate = commands.add_parser("calibrate", help="calibrate a stereo pair from images of a chessboard")
+    calibrate.add_argument("left", metavar="LEFT", help="images of the left camera: folder, glob or video")
+    calibrate.add_argument("right", metavar="RIGHT", help="those of the right camera, in the same order")
+    calibrate.add_argument("--board", required=True, metavar="CxR", help="inner corners across and down: 9x6")
+    calibrate.add_argument(
+        "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
+    )
+    calibrate.add_argument("-o", "--out", required=True, metavar="FILE", help="calibration file to write")
+    calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
-from bayesnet_track.graph.text.excerpt import describe_error
+from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 def validate(options: argparse.Namespace) -> int:
     """Check graph files; all errors of all files."""
+    from bayesnet_track.graph.text.excerpt import describe_error
     from bayesnet_track.graph.text.load import load_graph
 
     code = OK
@@ -162,3 +163,34 @@ def list_installed(options: argparse.Namespace) -> int:
         for name, package in found.items():
             say(f"  {name:21} {package}")
     return OK
+
+
+def add_validate(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    validate = commands.add_parser("validate", help="check graph files; every error with line and column")
+    validate.add_argument("graphs", nargs="+", metavar="GRAPH", help="path of a YAML file, or name")
+    add_plugins(validate)
+
+
+def add_graph(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    graph = commands.add_parser("graph", help="show what a graph compiles to")
+    graph.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
+    graph.add_argument(
+        "--target", metavar="NAME", help="the plate to show (default: all; of a drawing, the first)"
+    )
+    graph.add_argument("--formula", action="store_true", help="print the density that the net stands for")
+    graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
+    graph.add_argument("--svg", metavar="FILE", help="draw the net")
+    graph.add_argument("--png", metavar="FILE", help="draw the net")
+    add_plugins(graph)
+
+
+def add_schema(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    add_plugins(commands.add_parser("schema", help="print the JSON Schema of graph files, for editors"))
+
+
+def add_list(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    add_plugins(commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes"))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import (
     INCOMPLETE,
@@ -17,10 +15,14 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
     writing,
 )
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.cli.options.arguments import cells, gradient, share, whole_number
+from bayesnet_track.cli.slips import add_former_name
 
 if TYPE_CHECKING:
+    from bayesnet_track.numerics.arrays import Floats
     from bayesnet_track.vision.shape.shape_model import ShapeModel
+
+    Examples = list[tuple[str, Floats, float]]  # name, shape vector and support of each
 
 
 SHOWN = 5
@@ -29,6 +31,8 @@ SHOWN = 5
 
 def learn_shape(options: argparse.Namespace) -> int:
     """Learn a model from the silhouettes of masks or boxes, write it, and say what it holds."""
+    import numpy as np
+
     from bayesnet_track.vision.shape.shape_model import learn_model
 
     if (options.source is None) != (options.truth is None):
@@ -53,10 +57,6 @@ def learn_shape(options: argparse.Namespace) -> int:
     return code
 
 
-Examples = list[tuple[str, Floats, float]]
-"""Name, shape vector and support of each."""
-
-
 def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.sources.images import read_image
     from bayesnet_track.sources.paths import IMAGE_SUFFIXES, natural_key
@@ -77,6 +77,8 @@ def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
 
 
 def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
+    import numpy as np
+
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.observation.planes import Frame
@@ -107,3 +109,37 @@ def _write(path: Path, model: ShapeModel) -> None:
 
     with writing(path):
         save_model(path, model)
+
+
+def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    shape = commands.add_parser("learn-shape", help="learn a shape model from masks, or boxes on a video")
+    shape.add_argument("out", metavar="MODEL", help="model file to write (.npz)")
+    examples = shape.add_mutually_exclusive_group(required=True)
+    examples.add_argument("--masks", metavar="DIR", help="folder of mask images: the target is not black")
+    examples.add_argument("--source", help="video file, folder of images, or glob")
+    shape.add_argument("--truth", metavar="FILE", help="ground-truth file of the boxes in --source")
+    add_former_name(shape, "--boxes", "--truth")
+    shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
+    shape.add_argument("--grid", type=cells, default=16, metavar="G", help="cells per side (default 16)")
+    shape.add_argument(
+        "--keep",
+        type=share,
+        default=0.95,
+        metavar="SHARE",
+        help="variance that the modes keep (default .95)",
+    )
+    shape.add_argument(
+        "--min-support",
+        type=share,
+        default=0.5,
+        metavar="SHARE",
+        help="leave out silhouettes with a smaller share on edges (default .5)",
+    )
+    shape.add_argument(
+        "--edge-gray",
+        type=gradient,
+        default=8.0,
+        metavar="G",
+        help="gradient where an edge starts, gray levels per pixel (default 8)",
+    )

@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake
 from bayesnet_track.cli.commands.detect import read_parameters
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_depth
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from bayesnet_track.numerics.arrays import Floats
     from bayesnet_track.sources.frames import Source
 
 
@@ -28,6 +30,8 @@ LEAST_SHARE = 0.01
 
 def learn_stereo(options: argparse.Namespace) -> int:
     """Collect the features at the true boxes, estimate how much they vary, print the agent for a graph."""
+    import numpy as np
+
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.observation.cue import installed_cues
@@ -44,7 +48,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
     end = len(boxes) if options.end is None else min(options.end, len(boxes))
     if options.start >= end:
         raise UsageError(f"{options.truth}: no box from frame {options.start} on, of {end}")
-    with _open(options, end) as source:
+    with open_depth(options, end) as source:
         frames, features = _examples(declaration.make(parameters), source, boxes, options.every)
     groups = np.zeros(len(frames), np.int64) if options.within is None else frames // options.within
     default = np.array([getattr(parameters, name) for name in ESTIMATED])
@@ -68,23 +72,10 @@ def learn_stereo(options: argparse.Namespace) -> int:
     return OK
 
 
-def _open(options: argparse.Namespace, end: int) -> Source:
-    from bayesnet_track.sources.stereo_source import open_stereo_source
-
-    window = (options.source, options.start, end, options.allow_network, options.on_resize)
-    return open_stereo_source(
-        *window,
-        right=options.right,
-        depth=options.depth,
-        side_by_side=options.stereo is not None,
-        calibration=options.calibration,
-        stride=options.stride,
-        isolate_decoder=options.isolate_decoder,
-    )
-
-
 def _examples(cue: Any, source: Source, boxes: Floats, every: int) -> tuple[NDArray[np.int64], Floats]:
     """(n,) frames with a blob in the true box, and (n, K) its features there."""
+    import numpy as np
+
     from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 
     frames, features, empty = [], [], []
@@ -115,3 +106,32 @@ def _yaml(value: Any) -> str:
 
     text: str = yaml.safe_dump(value, default_flow_style=True)
     return text.removesuffix("\n").removesuffix("\n...")
+
+
+def add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    stereo = commands.add_parser("learn-stereo", help="learn how much a target's depth features vary")
+    stereo.add_argument("--source", required=True, help="video file, folder of images, or glob")
+    add_depth_options(stereo)
+    stereo.add_argument(
+        "--truth", required=True, metavar="FILE", help="ground-truth file of the boxes in the left image"
+    )
+    stereo.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
+    stereo.add_argument(
+        "--within",
+        type=whole_number(2),
+        metavar="N",
+        help="measure the variation within N frames, about as many as the reference takes to follow "
+        "(default: the whole video)",
+    )
+    stereo.add_argument(
+        "--prior",
+        type=whole_number(0),
+        default=10,
+        metavar="N",
+        help="examples that the default counts for (default 10)",
+    )
+    stereo.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"
+    )
+    add_window_options(stereo)

@@ -6,9 +6,10 @@ import argparse
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake
+from bayesnet_track.cli.options.arguments import pixels, whole_number
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event
@@ -155,3 +156,43 @@ def _score_several(
         result = score_mot_files(tracks, truth, cutoff, options.trajectories, frames)
     say(result.json() if options.json else result.text(explained=True))
     return OK
+
+
+def add_log(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    log = commands.add_parser(
+        "log", help="print every reconfiguration of a run as a sentence, with its reason"
+    )
+    log.add_argument("run", metavar="RUN", help="run directory")
+    log.add_argument("--target", metavar="ID", help="only the history of one target")
+    log.add_argument("--node", help="only this node")
+    log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
+    log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")
+    log.add_argument("--why", type=whole_number(0), metavar="N", help="what was active in frame N, and why")
+    log.add_argument("--json", action="store_true", help="print the events as they are in the journal")
+
+
+def add_score(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    score = commands.add_parser("score", help="score a run against ground truth")
+    score.add_argument("run", metavar="RUN", help="run directory, or a file of tracks (MOT)")
+    score.add_argument(
+        "--truth",
+        help="ground-truth file: one box per line, or MOT to score all targets together (default: the "
+        "run's own truth.txt)",
+    )
+    score.add_argument(
+        "--target", metavar="ID", help="which target, if the run has several and the ground truth one"
+    )
+    score.add_argument(
+        "--cutoff",
+        type=pixels,
+        metavar="PX",
+        help="several targets: the cut-off c of GOSPA, OSPA(2) and SIAP (default: 50)",
+    )
+    score.add_argument(
+        "--trajectories",
+        action="store_true",
+        help="several targets: also trajectory GOSPA; slow if many cross",
+    )
+    score.add_argument("--json", action="store_true", help="print the scores as JSON")

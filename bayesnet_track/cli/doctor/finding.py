@@ -69,3 +69,10 @@ def try_code(code: str, *arguments: str, timeout_s: float = 60.0) -> Trial:
 
 def _path() -> list[str]:
     return [folder for folder in sys.path if folder]
+
+
+def judge(check: str, trial: Trial, works: str, cure: str, broken: str = "") -> Finding:
+    """`works` where the trial did; else its error after `broken`, and the cure."""
+    if trial.error:
+        return Finding(check, "broken", broken + trial.error, cure)
+    return Finding(check, "ok", works)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.cli.doctor.finding import Finding, Trial, try_code
+from bayesnet_track.cli.doctor.finding import Finding, Trial, judge, try_code
 from bayesnet_track.cli.doctor.packages import WHEEL
 
 NEEDED_OF_OPENCV = (
@@ -72,11 +72,7 @@ def check_numpy() -> Iterator[Finding]:
     trial = try_code(
         "import numpy; print(numpy.__version__); assert (numpy.eye(2) @ numpy.ones(2)).sum() == 2"
     )
-    if trial.error:
-        cure = "python -m pip install --force-reinstall numpy"
-        yield Finding("numpy", "broken", trial.error, cure)
-    else:
-        yield Finding("numpy", "ok", f"{trial.out} computes")
+    yield judge("numpy", trial, f"{trial.out} computes", "python -m pip install --force-reinstall numpy")
 
 
 def check_opencv() -> Iterator[Finding]:
@@ -109,13 +105,10 @@ def _cure_of_opencv(trial: Trial) -> str:
 def check_numba() -> Iterator[Finding]:
     """Numba can be imported, and compiles."""
     trial = try_code(_NUMBA)
-    if trial.error:
-        cure = "python -m pip install --upgrade --force-reinstall numba numpy"
-        if "Numba needs NumPy" in trial.error:
-            cure = f"{trial.error.removeprefix('ImportError: ')}: python -m pip install --upgrade numba numpy"
-        yield Finding("numba", "broken", trial.error, cure)
-    else:
-        yield Finding("numba", "ok", f"{trial.out} compiles")
+    cure = "python -m pip install --upgrade --force-reinstall numba numpy"
+    if "Numba needs NumPy" in trial.error:
+        cure = f"{trial.error.removeprefix('ImportError: ')}: python -m pip install --upgrade numba numpy"
+    yield judge("numba", trial, f"{trial.out} compiles", cure)
 
 
 def check_av() -> Iterator[Finding]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.cli.doctor.finding import Finding, try_code
+from bayesnet_track.cli.doctor.finding import Finding, judge, try_code
 
 _VIDEO = """
 import tempfile
@@ -81,12 +81,10 @@ if __name__ == "__main__":
 def check_video() -> Iterator[Finding]:
     """A short MP4 is written by the program's writer and read by its opener."""
     trial = try_code(_VIDEO)
-    if trial.error:
-        text = f"a short MP4 cannot be written and read: {trial.error}"
-        cure = "install the versions that are allowed: python -m pip install --upgrade --force-reinstall av"
-        yield Finding("mp4", "broken", text, f"{cure}   (`versions` above says which)")
-    else:
-        yield Finding("mp4", "ok", f"{trial.out} frames written and read")
+    cure = "install the versions that are allowed: python -m pip install --upgrade --force-reinstall av"
+    cure += "   (`versions` above says which)"
+    broken = "a short MP4 cannot be written and read: "
+    yield judge("mp4", trial, f"{trial.out} frames written and read", cure, broken)
 
 
 def check_kernel() -> Iterator[Finding]:
@@ -95,29 +93,21 @@ def check_kernel() -> Iterator[Finding]:
 
     with tempfile.TemporaryDirectory() as folder:
         trial = try_code(_KERNEL, folder)
-    if trial.error:
-        cure = "python -m pip install --upgrade --force-reinstall numba numpy"
-        yield Finding("kernel", "broken", f"cannot be compiled: {trial.error}", cure)
-    else:
-        yield Finding("kernel", "ok", f"one compiled in {trial.out} s")
+    cure = "python -m pip install --upgrade --force-reinstall numba numpy"
+    yield judge("kernel", trial, f"one compiled in {trial.out} s", cure, "cannot be compiled: ")
 
 
 def check_cue() -> Iterator[Finding]:
     """A cue learns a target in a frame and scores it above what is beside it."""
     trial = try_code(_CUE, timeout_s=120.0)
-    if trial.error:
-        cure = "mend what is above; else please report this"
-        yield Finding("cue", "broken", f"cannot score a frame: {trial.error}", cure)
-    else:
-        summary = f"color_histogram scores a target {trial.out} nats above what is beside it"
-        yield Finding("cue", "ok", summary)
+    works = f"color_histogram scores a target {trial.out} nats above what is beside it"
+    cure = "mend what is above; else please report this"
+    yield judge("cue", trial, works, cure, "cannot score a frame: ")
 
 
 def check_worker() -> Iterator[Finding]:
     """Four frames with the agents in a worker process give what they give without."""
     trial = try_code(_WORKER, timeout_s=300.0)
-    if trial.error:
-        text = f"agents cannot work in processes: {trial.error}"
-        yield Finding("worker", "broken", text, "mend what is above; `--executor threads` does without")
-    else:
-        yield Finding("worker", "ok", f"{trial.out} frames, the same with agents in a process of their own")
+    works = f"{trial.out} frames, the same with agents in a process of their own"
+    cure = "mend what is above; `--executor threads` does without"
+    yield judge("worker", trial, works, cure, "agents cannot work in processes: ")

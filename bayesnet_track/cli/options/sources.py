@@ -67,15 +67,25 @@ def add_window_options(parser: argparse.ArgumentParser) -> None:
 def open_given(options: argparse.Namespace) -> Source:
     """The source, with depth where the options name a second eye or another sensor."""
     from bayesnet_track.sources.sources import open_source
+
+    if options.right is not None or options.stereo is not None or options.depth is not None:
+        return open_depth(options, options.end)
+    if options.calibration is not None:
+        raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
+    window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
+    return open_source(*window, options.isolate_decoder, options.stride)
+
+
+def open_depth(options: argparse.Namespace, end: int | None) -> Source:
+    """The source up to frame `end`, with depth by the options of `add_depth_options`."""
     from bayesnet_track.sources.stereo_source import open_stereo_source
 
-    window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
-    if options.right is None and options.stereo is None and options.depth is None:
-        if options.calibration is not None:
-            raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(*window, options.isolate_decoder, options.stride)
     return open_stereo_source(
-        *window,
+        options.source,
+        options.start,
+        end,
+        options.allow_network,
+        options.on_resize,
         right=options.right,
         depth=options.depth,
         side_by_side=options.stereo is not None,
