@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -16,42 +17,9 @@ from bayesnet_track.evaluate.identity import identity
 from bayesnet_track.evaluate.mot_files import read_mot_tracks, read_mot_truth
 from bayesnet_track.evaluate.mot_pairs import Tracks, pair
 from bayesnet_track.evaluate.ospa2 import ospa2
+from bayesnet_track.evaluate.scores import meanings
 from bayesnet_track.evaluate.siap import siap
 from bayesnet_track.evaluate.trajectory_gospa import trajectory_gospa
-
-MEANINGS: Mapping[str, str] = {
-    "frames": "up to the last that has a box",
-    "true_ids": "targets",
-    "true_boxes": "their boxes",
-    "track_ids": "tracks",
-    "track_boxes": "their boxes",
-    "mota": "1 - (fn + fp + idsw) / true boxes",
-    "motp": "mean IoU of the matched boxes",
-    "fp": "tracked boxes that match no true one",
-    "fn": "true boxes that no tracked one matches",
-    "idsw": "identity switches",
-    "idf1": "2 x boxes on the target's own track / all boxes, true and tracked",
-    "idp": "share of the tracked boxes that are on their own target",
-    "idr": "share of the true boxes that are on their own track",
-    "hota": "sqrt(deta x assa), mean over IoU from .05, .1 .. .95, as are the three below",
-    "deta": "detection: matched / (matched + missed + false)",
-    "assa": "association: how much of its target and its track a matched pair has in common",
-    "loca": "mean IoU of the matched boxes",
-    "cutoff_px": "px: c of the figures below, the distance of box centres from which on none match",
-    "gospa": "px: root mean square GOSPA of the frames, p = 2, alpha = 2; squares of its parts add up",
-    "gospa_loc": "px: its part from distances of matched boxes",
-    "gospa_missed": "px: its part from missed targets",
-    "gospa_false": "px: its part from false tracks",
-    "ospa2": "px, 0 to c: OSPA(2) of whole trajectories (p = 2)",
-    "siap_complete": "SIAP completeness: share of the true boxes on which a track is",
-    "siap_ambiguity": "SIAP ambiguity: tracks on each of these",
-    "siap_spurious": "SIAP spuriousness: share of the tracked boxes on no target",
-    "siap_px": "SIAP positional accuracy: mean distance of track and target, px",
-    "siap_breaks": "SIAP rate of track number changes, per frame tracked",
-    "siap_longest": "SIAP longest track segment: share of the targets' lifetimes",
-    "tgospa": "px: GOSPA of whole trajectories; like gospa, and a switch costs as much as a missed box",
-    "tgospa_switch": "px: its part from switches",
-}
 
 
 @dataclass(frozen=True)
@@ -97,37 +65,44 @@ class MotScore:
         loca_at: LocA at each; 1 where nothing matches.
     """
 
-    frames: int
-    true_ids: int
-    true_boxes: int
-    track_ids: int
-    track_boxes: int
-    mota: float
-    motp: float
-    fp: int
-    fn: int
-    idsw: int
-    idf1: float
-    idp: float
-    idr: float
-    hota: float
-    deta: float
-    assa: float
-    loca: float
-    cutoff_px: float
-    gospa: float
-    gospa_loc: float
-    gospa_missed: float
-    gospa_false: float
-    ospa2: float
-    siap_complete: float
-    siap_ambiguity: float
-    siap_spurious: float
-    siap_px: float
-    siap_breaks: float
-    siap_longest: float
-    tgospa: float | None
-    tgospa_switch: float | None
+    frames: Annotated[int, "up to the last that has a box"]
+    true_ids: Annotated[int, "targets"]
+    true_boxes: Annotated[int, "their boxes"]
+    track_ids: Annotated[int, "tracks"]
+    track_boxes: Annotated[int, "their boxes"]
+    mota: Annotated[float, "1 - (fn + fp + idsw) / true boxes"]
+    motp: Annotated[float, "mean IoU of the matched boxes"]
+    fp: Annotated[int, "tracked boxes that match no true one"]
+    fn: Annotated[int, "true boxes that no tracked one matches"]
+    idsw: Annotated[int, "identity switches"]
+    idf1: Annotated[float, "2 x boxes on the target's own track / all boxes, true and tracked"]
+    idp: Annotated[float, "share of the tracked boxes that are on their own target"]
+    idr: Annotated[float, "share of the true boxes that are on their own track"]
+    hota: Annotated[float, "sqrt(deta x assa), mean over IoU from .05, .1 .. .95, as are the three below"]
+    deta: Annotated[float, "detection: matched / (matched + missed + false)"]
+    assa: Annotated[float, "association: how much of its target and its track a matched pair has in common"]
+    loca: Annotated[float, "mean IoU of the matched boxes"]
+    cutoff_px: Annotated[
+        float, "px: c of the figures below, the distance of box centres from which on none match"
+    ]
+    gospa: Annotated[
+        float, "px: root mean square GOSPA of the frames, p = 2, alpha = 2; squares of its parts add up"
+    ]
+    gospa_loc: Annotated[float, "px: its part from distances of matched boxes"]
+    gospa_missed: Annotated[float, "px: its part from missed targets"]
+    gospa_false: Annotated[float, "px: its part from false tracks"]
+    ospa2: Annotated[float, "px, 0 to c: OSPA(2) of whole trajectories (p = 2)"]
+    siap_complete: Annotated[float, "SIAP completeness: share of the true boxes on which a track is"]
+    siap_ambiguity: Annotated[float, "SIAP ambiguity: tracks on each of these"]
+    siap_spurious: Annotated[float, "SIAP spuriousness: share of the tracked boxes on no target"]
+    siap_px: Annotated[float, "SIAP positional accuracy: mean distance of track and target, px"]
+    siap_breaks: Annotated[float, "SIAP rate of track number changes, per frame tracked"]
+    siap_longest: Annotated[float, "SIAP longest track segment: share of the targets' lifetimes"]
+    tgospa: Annotated[
+        float | None,
+        "px: GOSPA of whole trajectories; like gospa, and a switch costs as much as a missed box",
+    ]
+    tgospa_switch: Annotated[float | None, "px: its part from switches"]
     alphas: tuple[float, ...]
     hota_at: tuple[float, ...]
     deta_at: tuple[float, ...]
@@ -137,7 +112,7 @@ class MotScore:
     def text(self, explained: bool = False) -> str:
         """One figure a line, the curves left out: its name and value, and with `explained` what it says."""
         lines = []
-        for name, meaning in MEANINGS.items():
+        for name, meaning in meanings(MotScore).items():
             value = getattr(self, name)
             if value is None:
                 continue

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,29 +17,6 @@ from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 THRESHOLDS = np.linspace(0.0, 1.0, 21)
 PRECISION_PX = 20.0
 EPISODE_FRAMES = 5
-
-
-MEANINGS: Mapping[str, str] = {
-    "frames": "",
-    "scored_frames": "frames with ground truth",
-    "auc": "OTB success: share of frames whose IoU is above 0, 0.05 .. 1, on average",
-    "auc_strict": "the same, with IoU 0 where the target was reported as lost",
-    "precision20": "share of frames whose centre is within 20 px",
-    "mean_iou": "mean overlap with the true box",
-    "lost_episodes": "stretches of 5 frames or more without any overlap",
-    "first_lost": "frame in which the first one begins",
-    "reported_lost": "frames in which the target was reported as lost",
-    "lost_when_off": "share of the frames without overlap that were reported as lost",
-    "lost_when_on": "share of the frames with overlap that were reported as lost",
-    "fps": "frames per second of tracking alone: decoding, drawing and writing left out",
-    "mean_active": "agents per frame",
-    "coverage50": "share of frames with the true centre in the 50 % region, in x and in y",
-    "coverage90": "the same for the 90 % region",
-    "long_precision": "VOT-LT: mean overlap where the score is high enough, 0 while absent",
-    "long_recall": "VOT-LT: mean overlap where the target is present, 0 at lower scores",
-    "long_f": "their harmonic mean, at the score where it is largest",
-    "long_f_at": "that score",
-}
 
 
 @dataclass(frozen=True)
@@ -69,25 +47,33 @@ class Score:
         long_f_at: that score.
     """
 
-    frames: int
-    scored_frames: int
-    auc: float
-    auc_strict: float
-    precision20: float
-    mean_iou: float
-    lost_episodes: int
-    first_lost: int | None
-    reported_lost: int
-    lost_when_off: float | None
-    lost_when_on: float | None
-    fps: float | None = None
-    mean_active: float | None = None
-    coverage50: tuple[float, float] | None = None
-    coverage90: tuple[float, float] | None = None
-    long_precision: float | None = None
-    long_recall: float | None = None
-    long_f: float | None = None
-    long_f_at: float | None = None
+    frames: Annotated[int, ""]
+    scored_frames: Annotated[int, "frames with ground truth"]
+    auc: Annotated[float, "OTB success: share of frames whose IoU is above 0, 0.05 .. 1, on average"]
+    auc_strict: Annotated[float, "the same, with IoU 0 where the target was reported as lost"]
+    precision20: Annotated[float, "share of frames whose centre is within 20 px"]
+    mean_iou: Annotated[float, "mean overlap with the true box"]
+    lost_episodes: Annotated[int, "stretches of 5 frames or more without any overlap"]
+    first_lost: Annotated[int | None, "frame in which the first one begins"]
+    reported_lost: Annotated[int, "frames in which the target was reported as lost"]
+    lost_when_off: Annotated[float | None, "share of the frames without overlap that were reported as lost"]
+    lost_when_on: Annotated[float | None, "share of the frames with overlap that were reported as lost"]
+    fps: Annotated[
+        float | None, "frames per second of tracking alone: decoding, drawing and writing left out"
+    ] = None
+    mean_active: Annotated[float | None, "agents per frame"] = None
+    coverage50: Annotated[
+        tuple[float, float] | None, "share of frames with the true centre in the 50 % region, in x and in y"
+    ] = None
+    coverage90: Annotated[tuple[float, float] | None, "the same for the 90 % region"] = None
+    long_precision: Annotated[
+        float | None, "VOT-LT: mean overlap where the score is high enough, 0 while absent"
+    ] = None
+    long_recall: Annotated[
+        float | None, "VOT-LT: mean overlap where the target is present, 0 at lower scores"
+    ] = None
+    long_f: Annotated[float | None, "their harmonic mean, at the score where it is largest"] = None
+    long_f_at: Annotated[float | None, "that score"] = None
 
     def text(self, explained: bool = False) -> str:
         """One figure a line: its name and value, and with `explained` what it says.
@@ -95,16 +81,22 @@ class Score:
         The figures of long-term tracking are left out where the target is never absent.
         """
         lines = []
-        for field in fields(self):
-            if field.name.startswith("long_") and self.long_f is None:
+        for name, meaning in meanings(Score).items():
+            if name.startswith("long_") and self.long_f is None:
                 continue
-            line = f"{field.name:<14} {_show(getattr(self, field.name))}"
-            lines.append(f"{line:<26} {MEANINGS[field.name]}".rstrip() if explained else line)
+            line = f"{name:<14} {_show(getattr(self, name))}"
+            lines.append(f"{line:<26} {meaning}".rstrip() if explained else line)
         return "\n".join(lines)
 
     def json(self) -> str:
         """One JSON object, keys in the order of the class."""
         return json.dumps(asdict(self))
+
+
+def meanings(kind: Any) -> Mapping[str, str]:
+    """What the figures of a class of scores say: field -> the text of its annotation, in order."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
 
 
 def score(

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.evaluate.mot import MEANINGS, score_mot
+from bayesnet_track.evaluate.mot import MotScore, score_mot
 from bayesnet_track.evaluate.mot_pairs import Tracks
+from bayesnet_track.evaluate.scores import meanings
 
 
 def tracks(*rows):
@@ -255,7 +256,7 @@ def test_text_and_json_say_the_same():
     score = score_mot(*generated(1, 20, 4000, 20), trajectories=True)
     shown, lines = json.loads(score.json()), score.text(explained=True).splitlines()
     assert shown == json.loads(json.dumps(asdict(score)))
-    assert [line.split()[0] for line in lines] == list(MEANINGS)
+    assert [line.split()[0] for line in lines] == list(meanings(MotScore))
     assert all(float(line.split()[1]) == round(shown[line.split()[0]], 4) for line in lines)
     assert len(shown["alphas"]) == len(shown["hota_at"]) == 19
 
