@@ -18,9 +18,9 @@ from bayesnet_track.observation.shared import shown
 from bayesnet_track.runtime.executors.questions import (
     LEARN_AND_BLEND,
     Answer,
+    Call,
     EncodedReference,
     Foreign,
-    Question,
     Received,
 )
 
@@ -31,7 +31,7 @@ CACHES = 2
 class AgentHost:
     """Cues by agent, the planes of the current frames, and the references that were told.
 
-    `frame_of` fetches a frame from where `Question.frames` says that it lies; `is_limited` says that memory
+    `frame_of` fetches a frame from where `Call.frames` says that it lies; `is_limited` says that memory
     is, so that running out of it is nothing that the cue does everywhere.
     """
 
@@ -49,7 +49,7 @@ class AgentHost:
         """Drop the cue of an agent."""
         self._cues.pop(agent, None)
 
-    def answer(self, question: Question) -> Answer:
+    def answer(self, question: Call) -> Answer:
         """What the cue says; whatever it raises is told, not raised."""
         started = time.perf_counter()
         try:
@@ -61,7 +61,7 @@ class AgentHost:
                 return Answer(out_of_memory=True, seconds=seconds)
             return Answer(raised=(type(error).__name__, text_of(error)), seconds=seconds)
 
-    def _ask(self, question: Question) -> Any:
+    def _ask(self, question: Call) -> Any:
         received = self._received
         received.forget(question.forget)
         cue: Any = self._cues[question.agent]

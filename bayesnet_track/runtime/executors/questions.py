@@ -31,30 +31,14 @@ class EncodedReference:
 
 
 class Call(NamedTuple):
-    """One call of a cue's method, as the engine makes it.
+    """One call of a cue's method, as the engine makes it; with the last two, as a worker is told of it.
 
     Attributes:
         agent: whose cue.
         method: such as "log_likelihood".
         frames: where the current frame and the one before lie; None for a method that sees none.
         region: of the planes.
-        arguments: those behind the planes; references are mappings of arrays.
-    """
-
-    agent: str
-    method: str
-    frames: tuple[Any, Any] | None
-    region: Region | None
-    arguments: tuple[Any, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """A `Call`, as a worker is told of it.
-
-    Attributes:
-        agent, method, frames, region: those of the call.
-        arguments: those of the call, references as `EncodedReference`.
+        arguments: those behind the planes; references are mappings of arrays, to a worker `EncodedReference`.
         next_number: of the first array of the answer that is kept.
         forget: numbers of arrays that are kept no longer.
     """
@@ -101,12 +85,12 @@ class Sent:
         self._by_number: dict[int, Array] = {}
         self._bytes = 0
 
-    def question(self, call: Call) -> Question:
+    def question(self, call: Call) -> Call:
         """The question, references in its arguments told."""
         # First: an array that this question tells or refers to must outlast it.
         forget = self._forgotten()
         encoded = tuple(self.encode(part) if isinstance(part, Mapping) else part for part in call.arguments)
-        return Question(*call[:4], encoded, self.next_number, forget)
+        return Call(*call[:4], encoded, self.next_number, forget)
 
     def encode(self, reference: Mapping[str, Any]) -> EncodedReference:
         """The reference, without the arrays that the worker has."""

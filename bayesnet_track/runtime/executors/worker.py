@@ -125,7 +125,7 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
     from bayesnet_track.observation.planes import Region
     from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame, whole_of
     from bayesnet_track.runtime.executors.host import AgentHost
-    from bayesnet_track.runtime.executors.questions import Question
+    from bayesnet_track.runtime.executors.questions import Call
     from bayesnet_track.runtime.executors.wire import DISMISS, EMPLOY, receive, send
 
     host = AgentHost(FrameView(frames).get, is_limited)
@@ -150,7 +150,7 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
                     del known_frames[number]
         both = None if numbers is None else (known_frames[numbers[0]], known_frames[numbers[1]])
         region = None if where is None else Region(*where)
-        question = Question(agent, method, both, region, tuple(values), next_number, forget)
+        question = Call(agent, method, both, region, tuple(values), next_number, forget)
         answer = host.answer(question)
         try:
             send(channel, (answer.raised, answer.out_of_memory, answer.seconds), answer.value)

@@ -94,7 +94,7 @@ class Worker:
     def ask(self, call: Call) -> None:
         """Send it a question; raises WorkerLost."""
         question = self._sent.question(call)
-        agent, method, frames, region, _ = call
+        agent, method, frames, region = call[:4]
         is_first = (agent, method) not in self._known
         self._patience_s = (
             max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
