@@ -1,7 +1,8 @@
 """The specification: a graph as data, with the same words in Python as in YAML.
 
 Every model is frozen and refuses unknown keys. A *choice* (`Fuse`, `Motion`, ...) is written as a bare word
-(``fuse: product``) or as one key with its settings (``fuse: {pool: equal}``).
+(``fuse: product``) or as one key with its settings (``fuse: {pool: equal}``). All names of
+`settings` can be imported from here.
 """
 
 from __future__ import annotations
@@ -95,91 +96,6 @@ from bayesnet_track.graph.settings.scores import (
 )
 
 LANGUAGE_VERSION = 1
-
-__all__ = [
-    "LANGUAGE_VERSION",
-    "Activate",
-    "Adapt",
-    "AdaptiveSize",
-    "AgentChoice",
-    "AgentNode",
-    "Alarm",
-    "Attachment",
-    "Belief",
-    "BinnedSize",
-    "Birth",
-    "BoxSd",
-    "BoxVelocity",
-    "ByExpressions",
-    "Choice",
-    "Concentrated",
-    "Condition",
-    "Confirm",
-    "ConstantAcceleration",
-    "ConstantVelocity",
-    "DampedVelocity",
-    "Deactivate",
-    "Death",
-    "DetectorChoice",
-    "Distractors",
-    "Empty",
-    "EssBelow",
-    "Estimate",
-    "Exclusion",
-    "Existence",
-    "FactorNode",
-    "Fuse",
-    "Gaussian",
-    "Given",
-    "GraphSpec",
-    "Grid",
-    "Guarantee",
-    "Guard",
-    "HeavyTail",
-    "Hidden",
-    "InferenceNode",
-    "Inflate",
-    "Information",
-    "Join",
-    "Latent",
-    "Learn",
-    "Level",
-    "LikelihoodSize",
-    "Localization",
-    "LogSd",
-    "Logistic",
-    "LookedFor",
-    "Lost",
-    "MergeDuplicates",
-    "Mode",
-    "Model",
-    "Motion",
-    "Moving",
-    "Name",
-    "Nearest",
-    "Node",
-    "Noise",
-    "NormalSize",
-    "Occlusion",
-    "OffsetBox",
-    "OwnField",
-    "Particles",
-    "PixelSd",
-    "Probes",
-    "RandomWalk",
-    "Reidentify",
-    "Relocalize",
-    "Reset",
-    "Score",
-    "SelfCheck",
-    "SizeBox",
-    "SizeReversion",
-    "Sudden",
-    "Target",
-    "Together",
-    "Unscented",
-    "Window",
-]
 
 
 class Target(Model):
