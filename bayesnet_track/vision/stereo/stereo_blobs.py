@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.depth import NoDepth
@@ -58,6 +57,8 @@ def detect_stereo_blobs(frame: Frame, settings: StereoBlobSettings | None = None
     Raises:
         NoDepth: the frame has neither a second eye nor a point map.
     """
+    from scipy.ndimage import find_objects
+
     from bayesnet_track.vision.kernels.disparity_kernels import label_regions
 
     if frame.depth is None:
@@ -69,7 +70,7 @@ def detect_stereo_blobs(frame: Frame, settings: StereoBlobSettings | None = None
     depth = np.ascontiguousarray(points[..., 2])
     count = label_regions(depth, wanted.range.step_share, wanted.range.min_pixels, labels)
     rows = np.zeros((count, 8))
-    for number, window in enumerate(_windows(labels, count)):
+    for number, window in enumerate(find_objects(labels, count)):
         inside = labels[window] == number + 1
         low, high = (edge(points[window][inside], axis=0) for edge in (np.min, np.max))
         top, left, (tall, wide) = window[0].start, window[1].start, inside.shape
@@ -79,15 +80,3 @@ def detect_stereo_blobs(frame: Frame, settings: StereoBlobSettings | None = None
     rows = rows[(height >= wanted.min_height_m) & (height <= wanted.max_height_m)]
     rows = rows[np.argsort(-rows[:, 4], kind="stable")][: wanted.max_blobs]
     return StereoBlobs(rows[:, :4], rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 7])
-
-
-def _windows(labels: NDArray[np.int32], count: int) -> list[tuple[slice, slice]]:
-    """Rows and columns that each label spans."""
-    edges = []
-    for axis in (0, 1):
-        at = np.broadcast_to(np.expand_dims(np.arange(labels.shape[axis]), 1 - axis), labels.shape)
-        low, high = np.full(count + 1, labels.size), np.full(count + 1, -1)
-        np.minimum.at(low, labels, at)
-        np.maximum.at(high, labels, at)
-        edges.append([slice(int(a), int(b) + 1) for a, b in zip(low[1:], high[1:], strict=True)])
-    return list(zip(*edges, strict=True))
