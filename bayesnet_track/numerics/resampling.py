@@ -42,31 +42,22 @@ def resample(scheme: str, weights: Floats, count: int, rng: np.random.Generator)
 
 def systematic(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
     """One uniform draw shifts a comb: each hypothesis is drawn ``count * w`` times, rounded up or down."""
-    return _look_up_even(weights, rng.random(), count)
+    from bayesnet_track.numerics.kernels.resampling_kernels import (
+        look_up_even,  # a graph is validated without
+    )
+
+    return look_up_even(weights, rng.random(), count)
 
 
 def multinomial(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
     """Independent draws (tracking chapter, Algorithm 1, its index kept in range)."""
+    from bayesnet_track.numerics.kernels.resampling_kernels import look_up
+
     # Normalised sums of exponential draws are sorted uniform draws, without sorting.
     gaps = np.cumsum(rng.standard_exponential(count + 1))
-    return _look_up(weights, gaps[:-1] / gaps[-1])
+    return look_up(weights, gaps[:-1] / gaps[-1])
 
 
 SCHEMES: Mapping[str, Callable[[Floats, int, np.random.Generator], Ancestors]] = MappingProxyType(
     {"systematic": systematic, "multinomial": multinomial}
 )
-
-
-# The kernels are imported when first used: a graph is validated without compiling anything.
-
-
-def _look_up(weights: Floats, positions: Floats) -> Ancestors:
-    from bayesnet_track.numerics.kernels.resampling_kernels import look_up
-
-    return look_up(weights, positions)
-
-
-def _look_up_even(weights: Floats, shift: float, count: int) -> Ancestors:
-    from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
-
-    return look_up_even(weights, shift, count)

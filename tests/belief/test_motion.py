@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.models import linear_gaussian, log_noise_density, make_motion, sample_noise
-from bayesnet_track.belief.motion.noise import LOG_SIZE_LIMIT
+from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
+from bayesnet_track.belief.motion.noise import LOG_SIZE_LIMIT, log_noise_density, sample_noise
 from bayesnet_track.graph import spec
 
 BOX = np.array([160.0, 120.0, 60.0, 40.0])

@@ -34,22 +34,10 @@ from bayesnet_track.belief.motion.noise import (
     component_variances,
     is_log,
     is_same_everywhere,
-    log_noise_density,
     noisy,
-    sample_noise,
 )
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
-
-__all__ = [
-    "KinematicMotion",
-    "Transition",
-    "linear_gaussian",
-    "log_noise_density",
-    "make_motion",
-    "sample_noise",
-]
-
 
 DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
 
