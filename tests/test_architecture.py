@@ -213,3 +213,24 @@ def test_each_room_has_a_row_in_the_page_on_architecture():
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
     missing = [name for name in MAY_IMPORT if not name.startswith("__") and f"| `{name}` |" not in page]
     assert missing == []
+
+
+def test_the_page_on_architecture_says_where_the_lines_are():
+    """To a tenth, or 60 lines: `python benchmarks/house.py` counts them."""
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([\d,]+) \| (.*) \|$", page, re.MULTILINE)
+    assert {name for name, *_ in rows} == {name for name in MAY_IMPORT if not name.startswith("__")} - set(
+        MAPPED
+    )
+    wrong = []
+    for name, lines_of_room, parts in rows:
+        said = {name: lines_of_room} | {
+            f"{name}/{part}": n for part, n in re.findall(r"`(\w+)` ([\d,]+)", parts)
+        }
+        for folder, number in said.items():
+            found = sum(
+                len(path.read_text("utf-8").splitlines()) for path in (ROOT / PACKAGE / folder).rglob("*.py")
+            )
+            if abs(int(number.replace(",", "")) - found) > max(60, found / 10):
+                wrong.append(f"{folder}: {found} lines, {number} in the table")
+    assert wrong == []
