@@ -77,7 +77,7 @@ class Elsewhere:
     """Filters of another environment, asked for one run at a time."""
 
     def __init__(self, python: str) -> None:
-        script = __file__.replace("filter.py", "filter_peers.py")
+        script = __file__.replace("filter.py", "filter_libraries.py")
         self.process = subprocess.Popen(
             [python, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
