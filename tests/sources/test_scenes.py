@@ -5,8 +5,12 @@ import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.sources.scenes import make_scene, random_geometry, scene_names, two_squares
+from bayesnet_track.sources.scenes.carried import carried_box
+from bayesnet_track.sources.scenes.children import ball_between_children
 from bayesnet_track.sources.scenes.occluder import occluder
+from bayesnet_track.sources.scenes.parts import person_parts
 from bayesnet_track.sources.scenes.scene import visible_share
+from bayesnet_track.sources.scenes.silhouettes import person_and_board
 from bayesnet_track.sources.scenes.squares import bouncing
 
 
@@ -38,6 +42,13 @@ def test_every_scene_is_whole_and_reproducible(name):
     # The truth is a corner box: it lies inside the picture, whose columns are 0 .. width - 1.
     assert (scene.truth[:, :2] >= -1e-9).all()
     assert (scene.truth[:, :2] + scene.truth[:, 2:] <= [scene.width + 1e-9, scene.height + 1e-9]).all()
+
+
+@pytest.mark.parametrize("make", [ball_between_children, carried_box, person_and_board, person_parts])
+def test_a_scene_has_the_name_of_what_makes_it(make):
+    named, made = make_scene(make.__name__, 3), make(3)
+    np.testing.assert_array_equal(named.truth, made.truth)
+    np.testing.assert_array_equal(named.frames[5], made.frames[5])
 
 
 def test_the_two_squares_meet_when_stated():

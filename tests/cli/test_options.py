@@ -1,0 +1,118 @@
+"""Options that several commands share: what they take, and what they refuse in which words."""
+
+import argparse
+
+import pytest
+
+from bayesnet_track.cli.batch.table import csv_text, result
+from bayesnet_track.cli.batch.work import ROW
+from bayesnet_track.cli.commands.answer import UsageError
+from bayesnet_track.cli.commands.calibrate import parse_board
+from bayesnet_track.cli.commands.detect import read_parameters
+from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
+from bayesnet_track.cli.options.changes import set_values
+from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_given
+from bayesnet_track.cli.options.view import add_view_options
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.observation.detector import installed_detectors
+
+
+def parsed(add, line):
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    for one in add if isinstance(add, tuple) else (add,):
+        one(parser)
+    return parser.parse_args(line.split())
+
+
+def test_plugins_are_named_one_by_one_or_by_commas():
+    options = parsed(add_plugins, "--allow-plugins a,b --allow-plugins c --cue-file x.py --cue-file y.py")
+    assert options.allow_plugins == [["a", "b"], ["c"]] and options.cue_file == ["x.py", "y.py"]
+    assert parsed(add_plugins, "").allow_plugins == []
+
+
+@pytest.mark.parametrize(("line", "port"), [("", None), ("--view", 0), ("--view 8080", 8080)])
+def test_a_view_has_a_free_port_or_that_which_is_given(line, port):
+    assert parsed(add_view_options, line).view == port
+
+
+@pytest.mark.parametrize("port", ["80", "65536", "x", "٨٠٨٠"])
+def test_other_ports_are_refused(port):
+    with pytest.raises(argparse.ArgumentError, match="a port from 1024 to 65535 is needed"):
+        parsed(add_view_options, f"--view {port}")
+
+
+def test_a_calibration_belongs_to_a_pair():
+    options = parsed((add_depth_options, add_window_options), "--calibration pair.yaml")
+    options.source = "video.mp4"
+    with pytest.raises(UsageError, match="of a pair: give --right, --stereo or --depth, too"):
+        open_given(options)
+
+
+def test_a_value_is_set_in_a_graph_by_its_path():
+    graph = load_graph("two_squares")
+    changed = set_values(graph.text, ["square.belief.particles.size=77"])
+    assert changed.spec.targets["square"].nodes["square"].belief.particles.size == 77
+    with pytest.raises(UsageError, match="--set 'size': PATH=VALUE is needed"):
+        set_values(graph.text, ["size"])
+    with pytest.raises(GraphError, match="unknown key 'sise'; allowed: size"):
+        set_values(graph.text, ["square.belief.particles.sise=77"])
+
+
+@pytest.mark.parametrize(
+    ("text", "plate", "box"),
+    [("1,2,3,4", None, (1, 2, 3, 4)), ("ball:-1,.5,3e1,4", "ball", (-1, 0.5, 30, 4))],
+)
+def test_start_boxes_name_their_plate_or_none(text, plate, box):
+    start = parse_start(text)
+    assert (start.plate, start.box) == (plate, box)
+    with pytest.raises(UsageError, match="four numbers X,Y,W,H are needed"):
+        parse_start(f"{text},5")
+
+
+def test_a_start_box_is_that_of_its_frame(tmp_path):
+    truth = tmp_path / "truth.txt"
+    truth.write_text("1,2,3,4\nnan,nan,nan,nan\n")
+    assert read_start(truth, 0).box == (1, 2, 3, 4)
+    for frame, what in ((1, "the target is absent in frame 1"), (2, "it has boxes for frames 0 to 1")):
+        with pytest.raises(UsageError, match=what):
+            read_start(truth, frame)
+
+
+def test_a_run_is_a_folder_not_a_video():
+    assert str(run_folder("runs/mine")) == "runs/mine"
+    with pytest.raises(UsageError, match=r"--out runs/mine --video mp4 writes runs/mine/video\.mp4"):
+        run_folder("runs/mine.mp4")
+
+
+def test_a_board_has_two_numbers_of_inner_corners():
+    assert parse_board("9x6") == (9, 6)
+    for text in ("9", "9x", "x6", "2x6", "9x101", "9×6"):
+        with pytest.raises(UsageError, match="--board"):
+            parse_board(text)
+
+
+def test_parameters_are_checked_and_the_nearest_is_named():
+    motion = installed_detectors()["motion"]
+    assert read_parameters(motion, ["min_score=0.5"]).min_score == 0.5
+    for settings, what in (
+        (["min_scor=0.5"], "did you mean min_score"),
+        (["min_score=0.5", "min_score=0.6"], "is given twice"),
+        (["min_score"], "key=value is needed"),
+        (["min_score=2"], "min_score: "),
+        (["min_score=[1"], "is no value"),
+    ):
+        with pytest.raises(UsageError, match=what):
+            read_parameters(motion, settings)
+
+
+def test_the_table_of_a_batch_leaves_empty_what_is_not_known():
+    row = dict.fromkeys(ROW) | {"video": "a", "seed": 0, "status": "finished", "frames": 9, "lost_frames": 2}
+    header, line = csv_text([row]).splitlines()
+    assert header.split(",") == list(ROW) and line.startswith("a,0,finished,9,,2,")
+    assert (
+        result(row) == "9 frames, lost in 2"
+        and result(row | {"auc": 0.5}) == "9 frames, auc 0.500, lost in 2"
+    )
+    assert result(row | {"status": "failed", "reason": "no disk"}) == "failed: no disk"
