@@ -53,23 +53,7 @@ _HOMES = {
     "track": "bayesnet_track.runtime.session",
 }
 
-__all__ = [
-    "CueDeclaration",
-    "CueParameters",
-    "Detections",
-    "DetectionsTracker",
-    "GraphSpec",
-    "GrayPlane",
-    "Result",
-    "Run",
-    "Start",
-    "Tracker",
-    "box_means",
-    "floored",
-    "load_graph",
-    "open_run",
-    "track",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats
-from bayesnet_track.vision.opencv_errors import reason_of
+from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
 
 Embed = Callable[[Bytes], Floats]
 """(n, height, width, 3) uint8 BGR crops -> (n, D) vectors."""
@@ -62,12 +62,7 @@ def network(model: str, wanted: Input) -> Embed:
 
     if absent := missing_model(model):
         raise EmbeddingError(absent)
-    try:
-        net = cv2.dnn.readNetFromONNX(model)
-    except cv2.error as error:
-        raise EmbeddingError(
-            f"{model}: OpenCV cannot read it as an ONNX model: {reason_of(error)}"
-        ) from error
+    net = read_onnx(model, EmbeddingError)
 
     def embed(crops: Bytes) -> Floats:
         # One by one: many networks have a fixed batch of 1, and a vector must not depend on its company.

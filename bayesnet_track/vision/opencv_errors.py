@@ -1,4 +1,9 @@
-"""What OpenCV says of an error."""
+"""What OpenCV says of an error, such as one of a file that is no network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 
 def reason_of(error: Exception) -> str:
@@ -8,3 +13,13 @@ def reason_of(error: Exception) -> str:
     '(-215) no such layer'
     """
     return " ".join(str(error).split("error: ", 1)[-1].split())[:200]
+
+
+def read_onnx(path: str, fault: Callable[[str], Exception]) -> Any:
+    """OpenCV's network of an ONNX file; raises what `fault` makes of the text that says what is wrong."""
+    import cv2
+
+    try:
+        return cv2.dnn.readNetFromONNX(path)
+    except cv2.error as error:
+        raise fault(f"{path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}") from error

@@ -22,7 +22,7 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting
 from bayesnet_track.vision.detectors.selection import select
-from bayesnet_track.vision.opencv_errors import reason_of
+from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
 
 
 class OnnxParameters(DetectorParameters):
@@ -156,10 +156,7 @@ def _make(parameters: OnnxParameters) -> Detector:
         raise DetectorError(
             f"{path}: no such model file; the key model of the detector onnx takes the path of an ONNX file"
         )
-    try:
-        network = cv2.dnn.readNetFromONNX(str(path))
-    except cv2.error as error:
-        raise DetectorError(f"{path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}") from error
+    network = read_onnx(str(path), DetectorError)
     size = f"{parameters.input_width}x{parameters.input_height}"
 
     def forward(blob: Any) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.capabilities import CueError
-from bayesnet_track.vision.opencv_errors import reason_of
+from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
 
 TEMPLATE = 127
 """Side of the template's crop, px of the network."""
@@ -111,16 +111,9 @@ def _shape(array: Singles) -> str:
 
 
 def _read(key: str, path: str) -> Any:
-    import cv2
-
     if absent := missing_file(key, path):
         raise SiameseError(absent)
-    try:
-        return cv2.dnn.readNetFromONNX(path)
-    except cv2.error as error:
-        raise SiameseError(
-            f"{key}: {path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}"
-        ) from error
+    return read_onnx(path, lambda text: SiameseError(f"{key}: {text}"))
 
 
 def _try_out(networks: Networks, backbone: str, head: str) -> None:
