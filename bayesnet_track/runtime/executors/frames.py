@@ -12,7 +12,6 @@ import os
 import tempfile
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -46,24 +45,6 @@ class SharedFrame:
     image: Block
     depth: Block | None
     geometry: StereoGeometry | None
-
-
-def parts_of(shared: SharedFrame) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """What `whole_of` makes it from: plain values, and others."""
-    blocks = tuple(
-        None if block is None else (block.offset, block.shape, block.dtype)
-        for block in (shared.image, shared.depth)
-    )
-    others = shared.index, shared.time, shared.time_s, shared.has_color, shared.geometry
-    return (shared.number, *blocks), others
-
-
-def whole_of(plain: tuple[Any, ...], others: tuple[Any, ...]) -> SharedFrame:
-    """The frame that was taken apart."""
-    number, image, depth = plain
-    index, time, time_s, has_color, geometry = others
-    other = None if depth is None else Block(*depth)
-    return SharedFrame(number, index, time, time_s, has_color, Block(*image), other, geometry)
 
 
 class FrameStore:

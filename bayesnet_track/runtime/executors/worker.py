@@ -123,7 +123,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
 
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
     from bayesnet_track.observation.planes import Region
-    from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame, whole_of
+    from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame
     from bayesnet_track.runtime.executors.host import AgentHost
     from bayesnet_track.runtime.executors.questions import Call
     from bayesnet_track.runtime.executors.wire import DISMISS, EMPLOY, receive, send
@@ -142,8 +142,7 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
             host.unassign(agent)
             continue
         method, numbers, where, next_number, forget, new = plain
-        for known in reversed(new):
-            frame = whole_of(known, values.pop())
+        for frame in [values.pop() for _ in range(new)]:
             known_frames[frame.number] = frame
             if len(known_frames) > 4 * SLOTS:
                 for number in [n for n in known_frames if n is not None and n <= frame.number - SLOTS]:

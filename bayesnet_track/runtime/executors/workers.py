@@ -11,7 +11,7 @@ from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.runtime.executors.fork_server import ForkServer
-from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
+from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
 from bayesnet_track.runtime.executors.questions import Answer, Call, EncodedReference, Sent
 from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
 from bayesnet_track.sources.child import cut
@@ -104,11 +104,10 @@ class Worker:
         numbers, new = None, []
         if frames is not None:
             numbers = tuple([None if one is None else one.number for one in frames])
-            new = [parts_of(one) for one in frames if one is not None and self._is_new(one)]
+            new = [one for one in frames if one is not None and self._is_new(one)]
         where = None if region is None else (region.x0, region.y0, region.x1, region.y1)
-        new_frames = [plain for plain, _ in new]
-        plain = ASK, agent, method, numbers, where, question.next_number, question.forget, new_frames
-        self._send(plain, *question.arguments, *[others for _, others in new])
+        plain = ASK, agent, method, numbers, where, question.next_number, question.forget, len(new)
+        self._send(plain, *question.arguments, *new)
 
     def answer(self) -> Answer:
         """Its answer, which is there; references told in it are understood.
