@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.journal.codec import JournalError
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS, Row, track_rows
+from bayesnet_track.runtime.recording.tracks import mot_line
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.run_reader import Run
@@ -19,12 +21,7 @@ if TYPE_CHECKING:
 def as_mot(run: Run, lost: bool = False) -> str:
     """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``, frames and ids from 1."""
     numbers = _numbers(run)
-    return "".join(
-        f"{_whole(row['frame']) + 1},{numbers[str(row['target'])]},"
-        + ",".join(_fix(row[name], 3) for name in "xywh")
-        + f",{_fix(row['score'], 6)},-1,-1,-1\n"
-        for row in _rows(run, lost)
-    )
+    return "".join(f"{mot_line(line, numbers[line.target])}\n" for line in _lines(run, lost))
 
 
 def as_csv(run: Run, lost: bool = True) -> str:
@@ -61,16 +58,16 @@ def as_coco(run: Run, lost: bool = False) -> str:
     annotations = [
         {
             "id": number,
-            "image_id": _whole(row["frame"]) + 1,
-            "category_id": plates[str(row["kind"])],
-            "track_id": numbers[str(row["target"])],
-            "bbox": [_round(row[name]) for name in "xywh"],
-            "area": _round(_number(row["w"]) * _number(row["h"])),
+            "image_id": line.frame + 1,
+            "category_id": plates[run.kinds[line.target]],
+            "track_id": numbers[line.target],
+            "bbox": [_round(float(value)) for value in line.xywh],
+            "area": _round(float(line.xywh[2]) * float(line.xywh[3])),
             "iscrowd": 0,
-            "score": _round(row["score"], 6),
-            "status": row["status"],
+            "score": _round(line.score, 6),
+            "status": line.status,
         }
-        for number, row in enumerate(_rows(run, lost), 1)
+        for number, line in enumerate(_lines(run, lost), 1)
     ]
     content = {
         "info": {"description": f"tracks of {started.graph} on {started.source}", "version": "1"},
@@ -104,7 +101,11 @@ FORMATS: Mapping[str, Callable[[Run, bool], str]] = {
 
 
 def _rows(run: Run, lost: bool) -> list[Row]:
-    return track_rows((line for line in run.metrics if lost or line.status != "lost"), run.kinds)
+    return track_rows(_lines(run, lost), run.kinds)
+
+
+def _lines(run: Run, lost: bool) -> list[FrameMetrics]:
+    return [line for line in run.metrics if lost or line.status != "lost"]
 
 
 def _numbers(run: Run) -> dict[str, int]:
@@ -112,22 +113,8 @@ def _numbers(run: Run) -> dict[str, int]:
     return {target: number for number, target in enumerate(run.targets, 1)}
 
 
-def _number(value: object) -> float:
-    assert isinstance(value, int | float)
-    return float(value)
-
-
-def _whole(value: object) -> int:
-    assert isinstance(value, int)
-    return value
-
-
-def _round(value: object, digits: int = 3) -> float:
-    return round(_number(value), digits) + 0.0
-
-
-def _fix(value: object, digits: int) -> str:
-    return f"{_round(value, digits):.{digits}f}"
+def _round(value: float, digits: int = 3) -> float:
+    return round(value, digits) + 0.0
 
 
 def _finite(value: object) -> object:

@@ -65,7 +65,7 @@ class Detections:
             xyxy=xyxy_from_centre(centres),
             confidence=np.array([line.score for line in lines], dtype=np.float64),
             class_id=np.array([numbers.get(plate, 0) for plate in plates], dtype=np.int64),
-            tracker_id=np.array([_number(line.target) for line in lines], dtype=np.int64),
+            tracker_id=np.array([int(line.target) for line in lines], dtype=np.int64),
             data={name: np.array(column, dtype=kind) for name, (column, kind) in columns.items()},
         )
 
@@ -105,12 +105,3 @@ class Detections:
                 int(self.tracker_id[k]),
                 data,
             )
-
-
-def _number(target: str) -> int:
-    """Ids are counted: "1", "2", ...
-
-    >>> _number("12")
-    12
-    """
-    return int(target)

@@ -15,6 +15,12 @@ NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
 
 
+def mot_line(metrics: FrameMetrics, number: int) -> str:
+    """``frame, id, left, top, width, height, score, -1, -1, -1`` of a target with that number."""
+    box = ",".join(_corner(metrics))
+    return f"{metrics.frame + 1},{number},{box},{_fix(metrics.score, 6)},-1,-1,-1"
+
+
 class MotWriter(LineFile):
     """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``.
 
@@ -36,8 +42,7 @@ class MotWriter(LineFile):
         number = self.ids.setdefault(metrics.target, len(self.ids) + 1)
         if metrics.status == "lost" and not self._lost:
             return
-        box = ",".join(_corner(metrics))
-        self.append(f"{metrics.frame + 1},{number},{box},{_fix(metrics.score, 6)},-1,-1,-1")
+        self.append(mot_line(metrics, number))
 
 
 class CsvWriter(LineFile):
