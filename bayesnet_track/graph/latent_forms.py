@@ -49,12 +49,13 @@ def _asks_for_parent(target: CheckedTarget, node: str) -> bool:
 
 
 def _state_above(target: CheckedTarget, node: str | None) -> str | None:
-    while node is not None and not _has_a_state(target, node):
+    while node is not None and not is_latent(target, node):
         node = target.parent[node]
     return node
 
 
-def _has_a_state(target: CheckedTarget, node: str) -> bool:
+def is_latent(target: CheckedTarget, node: str) -> bool:
+    """Whether an inference node has a state of its own beside the root's."""
     fuse = target.inference(node).fuse
     return fuse is not None and fuse.latent is not None
 
@@ -73,7 +74,7 @@ def _is_measured(target: CheckedTarget, node: str, measuring: Container[str]) ->
         if child not in target.children:
             if child not in measuring or child in target.measures:
                 return False
-        elif _has_a_state(target, child):
+        elif is_latent(target, child):
             if form_of(target, child, measuring) != "gaussian":
                 return False
         elif not _is_measured(target, child, measuring):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.expressions.write import text_of
-from bayesnet_track.graph.latent_forms import Form, form_of
+from bayesnet_track.graph.latent_forms import Form, form_of, is_latent
 from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
@@ -194,17 +194,12 @@ def _list_drawn(target: CheckedTarget, messengers: frozenset[str]) -> list[str]:
         is_part = fuse is not None and fuse.latent is not None and fuse.latent.given.is_part
         if name in messengers or is_part or any(child in drawn for child in target.children[name]):
             drawn.add(name)
-    return [name for name in target.order if name in drawn and _is_latent(target, name)]
-
-
-def _is_latent(target: CheckedTarget, node: str) -> bool:
-    fuse = target.inference(node).fuse
-    return fuse is not None and fuse.latent is not None
+    return [name for name in target.order if name in drawn and is_latent(target, name)]
 
 
 def _hypotheses_of(target: CheckedTarget, node: str | None) -> str:
     """The root, or the nearest latent node at or above `node`: whose hypotheses are seen there."""
-    while node is not None and node != target.root and not _is_latent(target, node):
+    while node is not None and node != target.root and not is_latent(target, node):
         node = target.parent[node]
     return node or target.root
 
@@ -224,12 +219,12 @@ def _moves(target: CheckedTarget, node: str) -> bool:
 def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
     node: str | None = factor.parent
     at = _hypotheses_of(target, node)
-    above = target.parent[at] if _is_latent(target, at) else None
+    above = target.parent[at] if is_latent(target, at) else None
     is_prior = True
     while node is not None:
         fuse = target.inference(node).fuse
         is_prior = is_prior and (fuse is None or fuse.product is not None or node == factor.parent)
-        is_prior = is_prior and not _is_latent(target, node)
+        is_prior = is_prior and not is_latent(target, node)
         node = target.parent[node]
     given_from = at if above is None else _hypotheses_of(target, above)
     return Weigh(name, at, given_from, factor.term, factor.constants, is_prior, factor.mask)

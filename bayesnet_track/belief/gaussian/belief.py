@@ -91,7 +91,7 @@ class GaussianFilter:
         if self.settings.filter == "kalman":
             require_linear(motion)
         mean, covariance = motion.start_moments(np.asarray(box, dtype=np.float64))
-        return GaussianPosterior(mean, covariance, motion.fields, self._size(len(mean)))
+        return GaussianPosterior(mean, covariance, motion.fields, draws_of(self.settings, len(mean)))
 
     def predict(
         self, prior: GaussianPosterior, motion: MotionModel, dt: float, rng: np.random.Generator
@@ -138,10 +138,12 @@ class GaussianFilter:
         )
         return replace(stepped, predicted=predicted)
 
-    def _size(self, width: int) -> int:
-        if self.settings.likelihood == "sigma_points":
-            return 2 * width + 1
-        return max(self.settings.samples, 2 * (width + 1))
+
+def draws_of(settings: spec.Gaussian, width: int) -> int:
+    """At how many hypotheses a likelihood is asked for a state of `width` fields."""
+    if settings.likelihood == "sigma_points":
+        return 2 * width + 1
+    return max(settings.samples, 2 * (width + 1))
 
 
 def _posterior(mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int) -> GaussianPosterior:

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
-from bayesnet_track.belief.gaussian.belief import GaussianPosterior, report_gated
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draws_of, report_gated
 from bayesnet_track.belief.gaussian.mixture import ModalPosterior, mix
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
 from bayesnet_track.belief.gaussian.update import (
@@ -51,7 +51,7 @@ class ModalFilter:
             for part in modal.parts:
                 require_linear(part)
         mean, covariance = modal.start_moments(np.asarray(box, dtype=np.float64))
-        one = GaussianPosterior(mean, covariance, modal.motions[0].fields, self._size(len(mean)))
+        one = GaussianPosterior(mean, covariance, modal.motions[0].fields, draws_of(self.settings, len(mean)))
         return ModalPosterior((one,) * len(self.modes), self.modes.start())
 
     def predict(
@@ -160,11 +160,6 @@ class ModalFilter:
         odds = np.log(self.modes.missed) - np.log1p(-self.modes.missed)
         total = sum(float(evidence.messages[one.agent][at]) + odds for one in gated)
         return np.where(self.modes.hidden, 0.0, total)
-
-    def _size(self, width: int) -> int:
-        if self.settings.likelihood == "sigma_points":
-            return 2 * width + 1
-        return max(self.settings.samples, 2 * (width + 1))
 
 
 def _modal(motion: MotionModel) -> Modal:
