@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -68,10 +69,8 @@ class LineFile:
         self._lines: list[str] = []
         self._size = 0
         self._digest = hashlib.sha256()
-        try:
+        with writing(path):
             self._file = disk.open_raw(path, "wb" if after is None else "r+b")
-        except OSError as error:
-            raise output_error(path, error) from error
         if after is not None:
             try:
                 self._continue(after)
@@ -97,10 +96,8 @@ class LineFile:
 
     def sync(self) -> None:
         """Let the disk have what was flushed."""
-        try:
+        with writing(self.path):
             disk.sync(self._file)
-        except OSError as error:
-            raise output_error(self.path, error) from error
 
     def check(self) -> None:
         """Refuse to go on where something else removed, replaced or changed the file.
@@ -108,10 +105,8 @@ class LineFile:
         Raises:
             OutputError: it did; says what.
         """
-        try:
+        with writing(self.path):
             disk.check_held(self._file, self._place, self._size)
-        except OSError as error:
-            raise output_error(self.path, error) from error
 
     def append(self, line: str) -> None:
         """Add a line (without its newline) to the next flush."""
@@ -161,6 +156,15 @@ class JournalWriter(LineFile):
             JournalError: a value of the event is not of its field's type.
         """
         self.append(to_json(event))
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system refuses inside it is about an output: `OutputError`, which names it."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(path, error) from error
 
 
 def output_error(path: Path, error: OSError) -> OutputError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TextIO
 
@@ -29,15 +29,11 @@ def users_mistake() -> Iterator[None]:
         raise UsageError(words(error)) from error
 
 
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path) -> AbstractContextManager[None]:
     """What the system refuses inside it is about an output: `OutputError`, which names it."""
-    from bayesnet_track.journal.writer import output_error
+    from bayesnet_track.journal import writer
 
-    try:
-        yield
-    except OSError as error:
-        raise output_error(path, error) from error
+    return writer.writing(path)
 
 
 def check_free(path: Path, overwrite: bool) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
-from bayesnet_track.journal.writer import Position, output_error, read_position
+from bayesnet_track.journal.writer import Position, read_position, writing
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 
@@ -102,11 +102,9 @@ def finish(directory: RunDirectory, written: Mapping[str, Position]) -> None:
     held = dict(written)
     for key in ("recipe", "graph", "truth"):
         path = directory.path / FILES[key]
-        try:
+        with writing(path):
             if path.exists():
                 held[key] = read_position(path)
-        except OSError as error:
-            raise output_error(path, error) from error
     # With it the disk has the entries of the folder, too.
     write_atomically(directory.manifest, Manifest(held).text().encode("ascii"))
     tidy(directory)
@@ -126,10 +124,8 @@ def add_output(directory: RunDirectory, key: str) -> None:
         manifest = read_manifest(directory.manifest)
         if manifest is not None:
             path = directory.path / FILES[key]
-            try:
+            with writing(path):
                 outputs = {**manifest.outputs, key: read_position(path)}
-            except OSError as error:
-                raise output_error(path, error) from error
             write_atomically(directory.manifest, Manifest(outputs).text().encode("ascii"))
 
 
@@ -139,13 +135,11 @@ def tidy(directory: RunDirectory) -> None:
     Raises:
         OutputError: it cannot be removed.
     """
-    try:
+    with writing(directory.path):
         held = {entry.name for entry in directory.path.iterdir()}
         for name in sorted(held & passing()):
             disk.unlink(directory.path / name)
         disk.sync_folder(directory.path)
-    except OSError as error:
-        raise output_error(directory.path, error) from error
 
 
 def passing() -> set[str]:

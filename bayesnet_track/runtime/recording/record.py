@@ -23,8 +23,8 @@ from bayesnet_track.journal.writer import (
     LineFile,
     OutputError,
     Position,
-    output_error,
     read_position,
+    writing,
 )
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
@@ -128,10 +128,8 @@ class Recorder:
         """Let the disk have all that is written, but for the video, and every file's name."""
         for file in self._lines().values():
             file.sync()
-        try:
+        with writing(self._directory.path):
             disk.sync_folder(self._directory.path)
-        except OSError as error:
-            raise output_error(self._directory.path, error) from error
 
     def finish(self) -> dict[str, Position]:
         """Close every file and wait until the disk has it; key in `rundir.FILES` -> how far it is written.
@@ -235,7 +233,5 @@ class Recorder:
 
 
 def _read(path: Path) -> Position:
-    try:
+    with writing(path):
         return read_position(path)
-    except OSError as error:
-        raise output_error(path, error) from error

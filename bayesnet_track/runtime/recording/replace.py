@@ -17,7 +17,7 @@ from pathlib import Path
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
-from bayesnet_track.journal.writer import output_error
+from bayesnet_track.journal.writer import writing
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, REPLACING, STAGED, RunDirectory
 
@@ -30,7 +30,7 @@ def replace_run(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
     """
     settle(directory)
     staged = directory.path / STAGED
-    try:
+    with writing(staged):
         disk.make_folder(staged)
         for key, data in files.items():
             with closing(disk.open_raw(staged / FILES[key], "wb")) as file:
@@ -39,8 +39,6 @@ def replace_run(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
         disk.sync_folder(staged)
         disk.replace(staged, directory.path / REPLACING)
         disk.sync_folder(directory.path)
-    except OSError as error:
-        raise output_error(staged, error) from error
     settle(directory)
 
 
@@ -50,12 +48,10 @@ def settle(directory: RunDirectory) -> None:
     Raises:
         OutputError: it cannot be done; the next start tries again.
     """
-    try:
+    with writing(directory.path):
         if (directory.path / REPLACING).is_dir():
             _complete(directory)
         _remove(directory.path / STAGED)
-    except OSError as error:
-        raise output_error(directory.path, error) from error
 
 
 def settle_broken(directory: RunDirectory) -> None:
