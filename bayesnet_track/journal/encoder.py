@@ -11,6 +11,7 @@ import operator
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
+from itertools import chain
 from json.encoder import encode_basestring_ascii
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -118,6 +119,8 @@ def _of_union(inner: tuple[Any, ...], where: str) -> Encoder:
 def _of_list(item: Any, where: str) -> Encoder:
     if item is int:
         return _ints
+    if item == tuple[int, ...]:
+        return _int_lists
     encode_item = _encoder_of(item, where)
 
     def encode(value: Any) -> str:
@@ -164,6 +167,13 @@ def _ints(value: Any) -> str:
     if {*map(type, numbers)} <= {int}:
         return repr(numbers)
     return f"[{', '.join(map(_int, numbers))}]"
+
+
+def _int_lists(value: Any) -> str:
+    """A cloud has hundreds of numbers: they are written at once where all are Python's own."""
+    if {*map(type, value)} <= {tuple} and {*map(type, chain.from_iterable(value))} <= {int}:
+        return repr([*map(list, value)])
+    return f"[{', '.join(map(_ints, value))}]"
 
 
 def _bool(value: Any) -> str:

@@ -45,18 +45,27 @@ def root(covariance: Floats) -> Floats:
     >>> root(np.diag([4.0, 0.0])).tolist()
     [[2.0], [0.0]]
     """
-    sds = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    size = len(sds)
+    return roots(covariance[None])[0]
+
+
+def roots(covariances: Floats) -> list[Floats]:
+    """(T,) arrays (D, K), as `root` of each covariance (T, D, D).
+
+    >>> [lower.shape for lower in roots(np.array([np.eye(2), np.diag([4.0, 0.0])]))]
+    [(2, 2), (2, 1)]
+    """
+    sds = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     # Of the correlations: px and px per frame may differ by orders of magnitude.
     scale = np.where(sds > 0, sds, 1.0)
-    rest = covariance / np.outer(scale, scale)
-    columns = []
-    for k in range(size):
-        if rest[k, k] > ALONE:
-            columns.append(rest[:, k] / math.sqrt(rest[k, k]))
-            rest = rest - np.outer(columns[-1], columns[-1])
-    lower = np.array(columns).reshape(-1, size).T
-    return np.asarray(scale[:, None] * lower)
+    rest = covariances / (scale[:, :, None] * scale[:, None, :])
+    columns, kept = np.empty_like(rest), np.empty(sds.shape, dtype=np.bool_)  # (T, K, D), (T, K)
+    for k in range(sds.shape[1]):
+        has = rest[:, k, k] > ALONE
+        by = np.sqrt(np.where(has, rest[:, k, k], np.inf))
+        columns[:, k], kept[:, k] = rest[:, :, k] / by[:, None], has
+        rest = rest - columns[:, k, :, None] * columns[:, k, None, :]
+    columns *= scale[:, None, :]
+    return [one[own].T for one, own in zip(columns, kept, strict=True)]
 
 
 def linear_update(

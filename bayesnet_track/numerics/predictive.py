@@ -40,19 +40,19 @@ def p_value(value: Floats, weights: Floats, means: Floats, covariances: Floats) 
     return round(float(chdtrc(len(value), squared)), DIGITS)
 
 
-def p_after(value: Floats, noise: Floats, mean: Floats, covariance: Floats) -> float:
-    """As `p_value`, from the Gaussian of the measured fields after a Kalman update by `value` alone.
+def p_after(values: Floats, noises: Floats, means: Floats, covariances: Floats) -> Floats:
+    """(T,) as `p_value`, from the Gaussians of the measured fields after Kalman updates by one value each.
 
     With r = value - mean, d^2 = r' (R - P)^-1 r is the squared distance of the innovation before the update.
 
     Args:
-        value: (K,).
-        noise: (K, K) R.
-        mean: (K,) after.
-        covariance: (K, K) P, after.
+        values: (T, K).
+        noises: (T, K, K) R.
+        means: (T, K) after.
+        covariances: (T, K, K) P, after.
     """
     from scipy.special import chdtrc
 
-    residual = value - mean
-    d2 = residual @ np.linalg.solve(noise - covariance, residual)
-    return round(float(chdtrc(len(value), max(float(d2), 0.0))), DIGITS)
+    residual = values - means
+    d2 = np.einsum("tk,tk->t", residual, np.linalg.solve(noises - covariances, residual[..., None])[..., 0])
+    return np.asarray(np.round(chdtrc(values.shape[1], np.maximum(d2, 0.0)), DIGITS))

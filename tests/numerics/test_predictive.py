@@ -41,4 +41,5 @@ def test_the_update_tells_what_was_predicted():
     value = np.array([4.0, 0.0])
     after = linear_update(mean, spread, value - mean, np.eye(2), noise)
     before = p_value(value, np.ones(1), mean[None], (spread + noise)[None])
-    np.testing.assert_allclose(p_after(value, noise, after.mean, after.covariance), before, atol=2e-6)
+    found = p_after(value[None], noise[None], after.mean[None], after.covariance[None])
+    np.testing.assert_allclose(found, [before], atol=2e-6)

@@ -70,10 +70,14 @@ class GaussianPosterior:
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes; widths and heights at least 1 px."""
-        lower = root(self.covariance[:4, :4])
-        boxes = self.mean[:4] + rng.standard_normal((size, lower.shape[1])) @ lower.T
-        np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
-        return np.asarray(boxes)
+        return draw_boxes(self.mean, root(self.covariance[:4, :4]), size, rng)
+
+
+def draw_boxes(mean: Floats, lower: Floats, size: int, rng: np.random.Generator) -> Floats:
+    """(size, 4) draws of a Gaussian of `mean` (D,) and the root (4, K); widths and heights at least 1 px."""
+    boxes = mean[:4] + rng.standard_normal((size, lower.shape[1])) @ lower.T
+    np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+    return np.asarray(boxes)
 
 
 @dataclass(frozen=True)

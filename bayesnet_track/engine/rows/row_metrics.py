@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from statistics import NormalDist
 from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.belief.gaussian.belief import draw_boxes
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import roots
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
 from bayesnet_track.numerics.predictive import p_after
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.planes import Frame
+
+Cloud = tuple[tuple[int, ...], ...]
 
 LEAST = np.array([0.0, 0.0, 1.0, 1.0])
 """Least centre and sides of an estimate, px (`engine.state.inside_frame`)."""
@@ -100,18 +103,16 @@ class RowMetrics(Sequence[FrameMetrics]):
 
     def _lines(self) -> tuple[FrameMetrics, ...]:
         if self._made is None:
-            regions = zip(self._region(0.5).tolist(), self._region(0.9).tolist(), strict=True)
-            lines = (self._line(row, *both) for row, both in enumerate(regions))
-            self._made = (*lines, *self.born)
+            regions = self._region(0.5).tolist(), self._region(0.9).tolist()
+            columns = zip(*regions, self._clouds(), self._p_values(), strict=True)
+            self._made = (*map(self._line, range(len(self.rows.ids)), columns), *self.born)
         return self._made
 
-    def _line(self, row: int, region50: list[float], region90: list[float]) -> FrameMetrics:
+    def _line(self, row: int, drawn: tuple[list[float], list[float], Cloud, float | None]) -> FrameMetrics:
         rule, target, now = self.rows.rule, self.rows.ids[row], self.rows.columns
         log_evidence, nats, ess, size, agent_ud, ud, _, _ = self.measured.numbers[row].tolist()
         quiet = float(self.measured.quiet[row])
-        stream = partial(self._streams.of, target, rule.root, self._index)
-        belief = self.rows.state(row).belief
-        cloud = np.rint(belief.draw(CLOUD_SIZE, stream("cloud"))).astype(np.int64).tolist()
+        region50, region90, cloud, p_value = drawn
         return FrameMetrics(
             frame=self._index,
             time_s=self._time_s,
@@ -136,21 +137,33 @@ class RowMetrics(Sequence[FrameMetrics]):
             learn_rate=0.0,
             region50=tuple(region50),
             region90=tuple(region90),
-            cloud=tuple(map(tuple, cloud)),
+            cloud=cloud,
             silent=() if now.given[row] == GIVEN else (rule.agent,),
             existence=None if rule.crowd is None else float(now.existence[row]),
-            p_values=self._p_values(row),
+            p_values={} if p_value is None else {rule.agent: p_value},
         )
 
-    def _p_values(self, row: int) -> dict[str, float]:
-        """How well the row's detection was predicted; nothing of one that several targets share."""
+    def _clouds(self) -> list[Cloud]:
+        """Hypotheses drawn from the belief of each row."""
+        now, root = self.rows.columns, self.rows.rule.root
+        clouds = np.empty((len(self.rows.ids), CLOUD_SIZE, 4))
+        for row, lower in enumerate(roots(now.covariance[:, :4, :4])):
+            rng = self._streams.of(self.rows.ids[row], root, self._index, "cloud")
+            clouds[row] = draw_boxes(now.mean[row], lower, CLOUD_SIZE, rng)
+        return [tuple(map(tuple, cloud)) for cloud in np.rint(clouds).astype(np.int64).tolist()]
+
+    def _p_values(self) -> list[float | None]:
+        """How well each row's detection was predicted; None of one that several targets share."""
         rule, now = self.rows.rule, self.rows.columns
         is_shared = rule.crowd is not None and rule.crowd.is_marginal
-        if is_shared or now.given[row] != GIVEN:
-            return {}
-        box = now.own[row, :4]
-        noise = np.diag(rule.association.variances(box) * rule.temperature)
-        return {rule.agent: p_after(box, noise, now.mean[row, :4], now.covariance[row, :4, :4])}
+        found: list[float | None] = [None] * len(self.rows.ids)
+        own = np.flatnonzero((now.given == GIVEN) & (not is_shared))
+        boxes = now.own[own, :4]
+        noise = (rule.association.variances(boxes) * rule.temperature)[:, :, None] * np.eye(4)
+        values = p_after(boxes, noise, now.mean[own, :4], now.covariance[own, :4, :4])
+        for row, value in zip(own.tolist(), values.tolist(), strict=True):
+            found[row] = value
+        return found
 
     @overload
     def __getitem__(self, at: int) -> FrameMetrics: ...
