@@ -114,7 +114,7 @@ class KinematicMotion:
         F is exact. Q is exact for noise in px; relative noise is taken at the state's own size after the
         drift, noise of log w and log h to first order, and `heavy_tail` by its total variance.
         """
-        transition, covariance = _kinematics(self, dt)
+        transition, covariance = (known.copy() for known in _kinematics(self, dt))
         box = (transition @ state)[None, :4]
         variances = np.tensordot(
             np.exp(component_log_shares(self.noise)), component_variances(self.noise, box, dt), 1
@@ -253,6 +253,7 @@ def _same_sds(motion: KinematicMotion, dt: float) -> Floats | None:
     return _sds(motion, np.ones((1, 4)), dt) if is_same_everywhere(motion.noise) else None
 
 
+@lru_cache(maxsize=256)
 def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
     """F and the kinematic part of Q, each (D, D)."""
     moves, covariance = steps(motion.dynamics, motion.diffusion, dt)

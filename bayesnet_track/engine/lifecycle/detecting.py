@@ -106,13 +106,15 @@ def _ask(
     found, after = detector.detect(pair, now)
     found = check_detections(found)
     best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
-    return Detections(found.boxes[best], found.scores[best], tuple(found.labels[k] for k in best)), after
+    return Detections(found.boxes[best], found.scores[best], tuple([found.labels[k] for k in best.tolist()])), after
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
     rules = engine.plates[plate].lifecycle
     labels = () if rules is None or rules.birth is None else rules.birth.labels
-    keep = np.array([not labels or label in labels for label in found.labels], dtype=bool)
+    if not labels:
+        return Found(found.boxes, found.scores)
+    keep = np.array([label in labels for label in found.labels], dtype=bool)
     return Found(found.boxes[keep], found.scores[keep])
 
 

@@ -143,7 +143,7 @@ def select(
     from bayesnet_track.numerics.kernels.box_kernels import keep_best
 
     boxes, scores = np.asarray(boxes, dtype=np.float64), np.clip(scores, 0.0, 1.0)
-    names = np.array([""] * len(boxes) if labels is None else labels, dtype=object)
+    names = [""] * len(boxes) if labels is None else labels
     with np.errstate(invalid="ignore", over="ignore"):
         centre, sides = boxes[:, :2], boxes[:, 2:]
         area = np.prod(sides, axis=1)
@@ -159,4 +159,4 @@ def select(
     chosen = left[keep_best(plain(boxes[left]), parameters.max_overlap, parameters.max_count)]
     if not len(chosen):
         return NOTHING
-    return Detections(boxes[chosen], scores[chosen], tuple(str(names[k]) for k in chosen))
+    return Detections(boxes[chosen], scores[chosen], tuple([str(names[k]) for k in chosen.tolist()]))
