@@ -33,9 +33,10 @@ def compare(
     )
     if not frame.has_color:
         agents = tuple(agent for agent in agents if agent not in compiled.color_agents)
-    stream = work.stream(known.target, compiled.plate.root)
-    random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
+    appearance = np.zeros(len(boxes))
     if agents:
+        stream = work.stream(known.target, compiled.plate.root)
+        random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
         observer = Observer(
             work.cache,
             compiled.cues,
@@ -49,8 +50,6 @@ def compare(
         evidence = evaluate(plan, observer, Hypotheses(states), prior)
         values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
         agents = tuple(agent for agent in agents if agent in observer.answered)
-    else:
-        values = np.zeros(len(boxes) + len(random) + len(others))
-    own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
-    appearance = weigh_appearance(boxes, own, [(random, there), (others, theirs)])
+        own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
+        appearance = weigh_appearance(boxes, own, [(random, there), (others, theirs)])
     return Compared(known, frame.time - known.time, distance, fading, place, appearance, agents)

@@ -100,9 +100,8 @@ class RowTable:
 
     def held(self, plate: str) -> list[str]:
         """Its live targets that are not lost."""
-        if not self.rows.columns.is_lost.any():
-            return self.of_plate(plate)
-        return [target for target in self.of_plate(plate) if self.net.targets[target].status != "lost"]
+        lost = {*compress(self.rows.ids, self.rows.columns.is_lost)} - self.born.keys()
+        return [target for target in self.of_plate(plate) if target not in lost]
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
