@@ -106,7 +106,9 @@ def _ask(
     found, after = detector.detect(pair, now)
     found = check_detections(found)
     best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
-    return Detections(found.boxes[best], found.scores[best], tuple([found.labels[k] for k in best.tolist()])), after
+    return Detections(
+        found.boxes[best], found.scores[best], tuple([found.labels[k] for k in best.tolist()])
+    ), after
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
