@@ -19,7 +19,8 @@ def compiled(function: Kernel) -> Kernel:
     """`function` compiled in no-Python mode, serial, releasing the interpreter lock.
 
     Where the cache on disk cannot be written (read-only, full) or read (damaged), it compiles in memory. It
-    is compiled anew when something that it refers to has changed, in this file or in another.
+    is compiled anew when something that it refers to has changed, in this file or in another. A division by
+    zero is infinite or NaN, of whole numbers 0; none raises.
     """
     return _compiled(function, False)
 
@@ -45,7 +46,12 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
         return function
     # A kernel that another one calls exists twice, alone and within the caller, and sums of the two may be
     # ordered differently. Which of them is called depends on what came from the cache, unless it is inlined.
-    settings: dict[str, Any] = {"nogil": True, "fastmath": relaxed, "forceinline": True}
+    settings: dict[str, Any] = {
+        "nogil": True,
+        "fastmath": relaxed,
+        "forceinline": True,
+        "error_model": "numpy",  # a division that may raise keeps its loop from vector instructions
+    }
     try:
         kernel: Any = numba.njit(cache=True, **settings)(function)
     except RuntimeError:  # Numba found no folder that it may write

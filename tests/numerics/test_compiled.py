@@ -16,6 +16,10 @@ from bayesnet_track.numerics.compiled import compiled, compiled_summing
 def double(x):
     return 2.0 * x
 
+@compiled
+def shared(x, parts):
+    return x / parts
+
 @compiled_summing
 def total(values):
     sum_ = 0.0
@@ -161,6 +165,11 @@ def test_a_kernel_is_compiled_anew_with_other_settings(call):
     changed = KERNEL_AND_OTHER_FILE["between.py"].replace("compiled", "compiled_summing")
     changed = changed.replace("numerics.compiled_summing", "numerics.compiled")
     assert call(between=changed) == (4.0, False)
+
+
+def test_a_division_by_zero_is_infinite_and_raises_nothing(load):
+    """A check for zero would keep every loop with a division from taking several values at once."""
+    assert load().shared(1.0, 0.0) == float("inf")
 
 
 def test_with_the_jit_off_kernels_stay_plain_python(load, monkeypatch):
