@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.gradient_kernels import TRUNCATED, normalised_cells, oriented_gradients
+from bayesnet_track.vision.kernels.gradient_kernels import (
+    TRUNCATED,
+    cell_means,
+    normalised_cells,
+    oriented_gradients,
+)
 
 SIGNED = 8
 SIDE = 48
@@ -86,3 +91,17 @@ def test_without_signs_are_the_same_features_without_the_others() -> None:
     normalised_cells(histograms_of(gray), half, 400.0, every)
     normalised_cells(histograms_of(gray, half), half, 400.0, alike)
     np.testing.assert_allclose(alike, every[SIGNED:], rtol=1e-5)  # sums of float32 in another order
+
+
+def test_means_of_cells_are_those_of_an_exact_division_rounded_to_even() -> None:
+    pixels = np.random.default_rng(5).integers(0, 256, (4 * 9, 4 * 7, 3), dtype=np.uint8)
+    pixels[:4, :4] = 10
+    pixels[0, :2, 0] = 14  # 168 / 16 = 10.5, which is rounded to 10
+    pixels[4:8, :4] = 11
+    pixels[4, :2, 0] = 15  # 184 / 16 = 11.5, which is rounded to 12
+    means = np.empty((9, 7, 3), np.uint8)
+    cell_means(pixels.reshape(36, -1), means.reshape(9, -1))
+    exact = pixels.reshape(9, 4, 7, 4, 3).mean(axis=(1, 3))
+    np.testing.assert_array_equal(means, np.rint(exact))
+    assert means[0, 0, 0] == 10
+    assert means[1, 0, 0] == 12

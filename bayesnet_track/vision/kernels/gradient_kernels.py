@@ -32,6 +32,9 @@ def oriented_gradients(gray: Bytes, half: int, histograms: Singles) -> None:
     height, width = gray.shape
     rows, columns, count = histograms.shape
     share = np.array([0.625, 0.875, 0.875, 0.625], np.float32)  # of the own cell; the rest is the neighbour's
+    directions = np.empty((half, 2), np.float32)
+    for k in range(half):
+        directions[k, 0], directions[k, 1] = np.cos(np.pi * k / half), np.sin(np.pi * k / half)
     pooled = np.zeros((rows, count, width), np.float32)
     gx, gy, per = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
     for y in range(1, height - 1):
@@ -49,7 +52,7 @@ def oriented_gradients(gray: Bytes, half: int, histograms: Singles) -> None:
         if other < 0 or other >= rows:
             other, theirs = own, np.float32(0.0)
         for k in range(half):
-            across, down = np.float32(np.cos(np.pi * k / half)), np.float32(np.sin(np.pi * k / half))
+            across, down = directions[k, 0], directions[k, 1]
             if count == half:
                 alike, alike_beside = pooled[own, k], pooled[other, k]
                 for x in range(width):
@@ -106,20 +109,45 @@ def normalised_cells(histograms: Singles, half: int, noise: float, features: Sin
                     both += histograms[j, i, k + half]
                 total += both * both
             energy[j, i] = total
+    scale = np.empty(columns, np.float32)
+    quarter, middle = np.float32(0.25), np.float32(0.5)
     for j in range(rows):
+        above, own, below = energy[j], energy[j + 1], energy[j + 2]
         for i in range(columns):
-            around = np.float32(noise)
-            for dj in range(3):
-                for di in range(3):
-                    weight = np.float32((2 - abs(dj - 1)) * (2 - abs(di - 1)) * 0.25)
-                    around += weight * energy[j + dj, i + di]
-            scale = np.float32(1.0) / np.sqrt(around)
-            for k in range(half):
-                one = histograms[j + 1, i + 1, k] * scale
+            around = np.float32(noise) + quarter * above[i] + middle * above[i + 1] + quarter * above[i + 2]
+            around += middle * own[i]
+            around += own[i + 1]
+            around += middle * own[i + 2]
+            around += quarter * below[i]
+            around += middle * below[i + 1]
+            around += quarter * below[i + 2]
+            scale[i] = np.float32(1.0) / np.sqrt(around)
+        for k in range(half):
+            for i in range(columns):
+                one = histograms[j + 1, i + 1, k] * scale[i]
                 if count == half:
                     features[k, j, i] = min(one, TRUNCATED)
                     continue
-                other = histograms[j + 1, i + 1, k + half] * scale
+                other = histograms[j + 1, i + 1, k + half] * scale[i]
                 features[k, j, i] = min(one, TRUNCATED)
                 features[k + half, j, i] = min(other, TRUNCATED)
                 features[k + count, j, i] = min(one + other, TRUNCATED)
+
+
+@compiled
+def cell_means(pixels: Bytes, means: Bytes) -> None:
+    """Fill `means` (R, 3 K) uint8 with the means over cells of `pixels` (4 R, 12 K), three channels a pixel.
+
+    Rounded to the nearest, halves to the even one, as OpenCV does.
+    """
+    width = pixels.shape[1]
+    sums = np.empty(width, np.int32)
+    for j in range(means.shape[0]):
+        a, b, c, d = pixels[4 * j], pixels[4 * j + 1], pixels[4 * j + 2], pixels[4 * j + 3]
+        for x in range(width):
+            sums[x] = np.int32(a[x]) + np.int32(b[x]) + np.int32(c[x]) + np.int32(d[x])
+        for i in range(width // 12):
+            for channel in range(3):
+                x = 12 * i + channel
+                total = sums[x] + sums[x + 3] + sums[x + 6] + sums[x + 9]
+                means[j, 3 * i + channel] = (total + 7 + ((total >> 4) & 1)) >> 4

@@ -139,14 +139,19 @@ def _features(resized: Bytes, cells: int, signed: bool) -> Singles:
     """(C, cells, cells) of a square of `cells` + 2 cells."""
     import cv2
 
-    from bayesnet_track.vision.kernels.gradient_kernels import normalised_cells, oriented_gradients
+    from bayesnet_track.vision.kernels.gradient_kernels import (
+        cell_means,
+        normalised_cells,
+        oriented_gradients,
+    )
 
     around, half = cells + 2, ORIENTATIONS // 2
     histograms = np.empty((around, around, ORIENTATIONS if signed else half), np.float32)
     oriented_gradients(cv2.cvtColor(resized, cv2.COLOR_BGR2GRAY), half, histograms)
     features = np.empty((CHANNELS if signed else UNSIGNED_CHANNELS, cells, cells), np.float32)
     normalised_cells(histograms, half, NOISE, features)
-    means = cv2.resize(resized, (around, around), interpolation=cv2.INTER_AREA)
+    means = np.empty((around, around, 3), np.uint8)
+    cell_means(resized.reshape(len(resized), -1), means.reshape(around, -1))
     mixed = cv2.transform(means[1:-1, 1:-1].astype(np.float32), _MIXES)
     features[-3:] = np.moveaxis(mixed, 2, 0)
     return features
