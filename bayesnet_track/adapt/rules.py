@@ -15,7 +15,14 @@ from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
-from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud, read_ud_beside_more
+from bayesnet_track.adapt.situation import (
+    Situation,
+    active_below,
+    count_left_out,
+    quiet_level,
+    read_ud,
+    read_ud_beside_more,
+)
 from bayesnet_track.adapt.status import judge_status
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Adapt, Condition, Level
@@ -160,7 +167,7 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
             down = memory.deactivate.get(node, down).then(found.below, found.value, frames)
         if found is not None and down.count >= frames and not fired:
             index = _drop_index(now, memory, node, rules.deactivate.drop, decisions)
-            left = len(index) + _count_held_on(now, node)
+            left = len(index) + _count_held_on(now, node) + _count_left_out_on(now, node, decisions)
             agent = _choose_drop(now, memory, node, rules, index) if index and left > rules.keep else None
             if agent is not None:
                 cause = found.cause_below(frames, down.values)
@@ -252,6 +259,12 @@ def _drop_index(
 def _count_held_on(now: Situation, node: str) -> int:
     """How many governed agents work because a person switched them on."""
     return sum(now.plate.governor[agent] == node and agent in now.net.active for agent in now.net.by_hand)
+
+
+def _count_left_out_on(now: Situation, node: str, decisions: list[Decision]) -> int:
+    """How many agents stay on that the node's rules may not switch."""
+    stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
+    return count_left_out(now.plate, now.net.active - stopped, node)
 
 
 def _choose_drop(

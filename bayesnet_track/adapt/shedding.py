@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 
 from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.situation import count_left_out
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
 from bayesnet_track.journal.net.net import Decision
@@ -140,9 +141,11 @@ def _can_go(one: Running, agent: str, gone: set[str]) -> bool:
     """Whether the node that governs it keeps enough others."""
     governor = one.plate.governor[agent]
     rules = None if governor is None else one.plate.inference(governor).adapt
-    left = [name for name in one.net.active - gone if one.plate.governor[name] == governor]
-    everywhere = len(one.net.active - gone)
-    return len(left) > (0 if rules is None else rules.keep) and everywhere > 1
+    working = one.net.active - gone
+    left = sum(one.plate.governor[name] == governor for name in working)
+    if governor is not None:
+        left += count_left_out(one.plate, working, governor)
+    return left > (0 if rules is None else rules.keep) and len(working) > 1
 
 
 def _fewer(notice: LateFrame, running: Mapping[str, Running], spent: float, frame: int) -> list[Decision]:

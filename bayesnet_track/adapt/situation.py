@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
@@ -72,3 +73,12 @@ def read_ud_beside_more(now: Situation, memory: Memory, node: str, level: Level)
 def active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
     """The active agents below an inference node."""
     return plate.below[node] & net.active
+
+
+def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) -> int:
+    """How many of the active agents below an inference node its `adapt.agents` leaves out."""
+    adapt = plate.inference(node).adapt
+    if adapt is None or adapt.agents is None:
+        return 0
+    below = plate.below[node]
+    return sum(plate.governor[agent] not in (node, *below) for agent in active & below)

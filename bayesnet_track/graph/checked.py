@@ -69,7 +69,7 @@ class CheckedTarget:
         parent: node -> its parent (None for the root).
         children: inference node -> its children in file order.
         parameters: agent -> its cue's typed parameters.
-        governor: agent -> the nearest inference node above it that has `adapt` rules, or None.
+        governor: agent -> the nearest inference node above it whose `adapt` rules may switch it, or None.
         factors: factor node -> its expression, in file order.
         constants: numbers that expressions use by name.
         givens: latent node -> its distribution by expressions, of those that have one.

@@ -45,6 +45,35 @@ def on_off(on=200.0, on_frames=3, off=130.0, off_frames=5, unit="ud_px2", **more
 # ------------------------------------------------------------------------------------ activation
 
 
+def test_rules_switch_the_agents_that_they_name_and_no_other(drive):
+    nodes = net(on_off(off_frames=2, agents=["b"]), agents="abc")
+    kl = {"a": 9.0, "b": 1.0, "c": 5.0}
+    done = drive(nodes, [100, 100, 100, 100, 201, 201, 201], kl=kl)
+    assert [(d.frame, d.node) for d in done.of(Deactivated)] == [(2, "b")]
+    assert [(d.frame, d.node) for d in done.of(Activated)] == [(7, "b")]
+    off = drive(nodes, [201] * 4, active="a")
+    assert [d.node for d in off.of(Activated)] == ["b"], "c was off, and is left as it is"
+
+
+def test_agents_that_rules_do_not_name_count_as_kept(drive):
+    nodes = net(on_off(off_frames=1, agents=["b"], keep=2), agents="abc")
+    assert drive(nodes, [100] * 4).frames(Deactivated) == [1]
+    assert drive(nodes, [100] * 4, active="ab").frames(Deactivated) == []
+
+
+def test_agents_left_out_go_to_the_rules_further_up(drive):
+    part = {
+        "fuse": {"latent": {"given": {"sd_px": {"x": 2.0}}}},
+        "parent": "root",
+        "adapt": on_off(off_frames=1, agents=["b"]),
+    }
+    nodes = net(on_off(off_frames=1), agents="") | {"part": part}
+    nodes |= {name: {"parent": "part", "agent": name} for name in "ab"}
+    nodes |= {"c": {"parent": "root", "agent": "c"}}
+    by = {d.node: d.governor for d in drive(nodes, [100] * 3, kl={"a": 2.0}).of(Deactivated)}
+    assert by == {"a": "root", "b": "part"}
+
+
 @pytest.mark.parametrize(
     ("uds", "on"),
     [

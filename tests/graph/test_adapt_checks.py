@@ -61,6 +61,43 @@ CASES = [
         "allowed: which: information_per_ms, or no exploration",
     ),
     (
+        "  adapt: {agents: [a, a, bb], deactivate: {when: concentrated}}",
+        "5:23: s: agents names 'a' twice; allowed: b\n"
+        "5:26: s: agents names 'bb', which is no agent below s; allowed: b; nearest: b",
+    ),
+    (
+        "  adapt: {agents: [s], deactivate: {when: concentrated}}",
+        "5:20: s: agents names 's', which is no agent below s; allowed: a, b",
+    ),
+    (
+        "  adapt: {agents: [], deactivate: {when: concentrated}}",
+        "5:19: s: agents is empty; allowed: at least one",
+    ),
+    (
+        "  adapt: {agents: [a], deactivate: {when: concentrated}, keep: 2}",
+        "5:24: s: deactivate can never fire: keep is 2 of 2 agents; "
+        "allowed: more agents, a smaller keep, or no such rule",
+    ),
+    (
+        "  adapt: {agents: [a], activate: {above: {ud_px2: 9}}}",
+        "5:24: s: activate can never fire: every agent here is on, and nothing switches one off; "
+        "allowed: a deactivate rule, a self_check, active: false, or no such rule",
+    ),
+    (
+        "  adapt: {agents: [a], deactivate: {when: concentrated}}},\n"
+        "  part: {parent: s, fuse: {latent: {given: {sd_px: {x: 1}}}}, adapt: {agents: [c, a],\n"
+        "    deactivate: {when: concentrated}, keep: 1}}, c: {parent: part, agent: texture},\n"
+        "  d: {parent: part, agent: shape",
+        "6:83: part: agents names 'a', which is no agent below part; allowed: d",
+    ),
+    (
+        "  adapt: {agents: [a, c], deactivate: {when: concentrated}}},\n"
+        "  part: {parent: s, fuse: {latent: {given: {sd_px: {x: 1}}}}, adapt: {agents: [c],\n"
+        "    deactivate: {when: concentrated}}}, c: {parent: part, agent: texture},\n"
+        "  d: {parent: part, agent: shape",
+        "5:23: s: agents names 'c', which the rules of part switch; allowed: b, d",
+    ),
+    (
         "  learn: {below: {ud_px2: 9}, guard: {apart_nats: 0, pull: 2}}",
         "5:51: s: apart_nats is 0; allowed: a number above 0\n"
         "5:60: s: pull is 2; allowed: a number at least 0, at most 1",
@@ -85,6 +122,7 @@ def test_each_message(text, said):
         "    deactivate: {when: {concentrated: {share: 0.95, within_box: 0.2}}}, information: "
         "{exploration: 0.3}}",
         "  learn: {below: {ud_px2: 9}, guard: {}}",
+        "  adapt: {agents: [a], deactivate: {when: concentrated}}",
     ],
 )
 def test_what_is_accepted(text):

@@ -9,6 +9,25 @@ from bayesnet_track.graph.settings.adapt import Concentrated, Information
 from bayesnet_track.graph.text.messages import GraphMessage
 
 
+def named_agents_are_governed(plate: Plate) -> Iterator[GraphMessage]:
+    """Each of `adapt.agents` is an agent below the node, named once, that no rule nearer by switches."""
+    for name, node in plate.inference.items():
+        named = () if node.adapt is None else node.adapt.agents or ()
+        left = plate.left_to(name)
+        for number, agent in enumerate(named):
+            if agent in named[:number]:
+                found = f"agents names {agent!r} twice"
+            elif agent not in plate.agents or agent not in plate.below(name):
+                found = f"agents names {agent!r}, which is no agent below {name}"
+            elif agent not in left:
+                found = f"agents names {agent!r}, which the rules of {plate.governor[agent]} switch"
+            else:
+                continue
+            allowed = [agent for agent in left if agent not in named]
+            path = ("adapt", "agents", number)
+            yield plate.message(name, found, allowed or "each once", key=path, word=agent)
+
+
 def tests_in_order(plate: Plate) -> Iterator[GraphMessage]:
     """`deactivate` asks for no less concentration than `activate`, or both could hold at once."""
     for name, node in plate.inference.items():
@@ -73,4 +92,9 @@ def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
 
 
-ADAPT_CHECKS: tuple[Check, ...] = (tests_in_order, information_has_effect, dispensable_by_levels)
+ADAPT_CHECKS: tuple[Check, ...] = (
+    named_agents_are_governed,
+    tests_in_order,
+    information_has_effect,
+    dispensable_by_levels,
+)

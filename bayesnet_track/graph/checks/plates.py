@@ -73,13 +73,32 @@ class Plate:
 
     @cached_property
     def governor(self) -> dict[str, str | None]:
-        """Agent -> the nearest inference node above it with `adapt` rules (for a valid tree)."""
-        nearest: dict[str | None, str | None] = {None: None}
+        """Agent -> the nearest inference node above it whose `adapt` may switch it (for a valid tree)."""
+        return {name: self._governor(name) for name in self.order if name in self.agents}
+
+    def _governor(self, agent: str) -> str | None:
+        above = self.spec.nodes[agent].parent
+        while above is not None:
+            node = self.spec.nodes[above]
+            adapt = node.adapt if isinstance(node, InferenceNode) else None
+            if adapt is not None and (adapt.agents is None or agent in adapt.agents):
+                return above
+            above = node.parent
+        return None
+
+    def below(self, node: str) -> list[str]:
+        """The nodes below an inference node, at any depth (for a valid tree)."""
+        found = [node]
         for name in self.order:
-            node = self.spec.nodes[name]
-            adapts = isinstance(node, InferenceNode) and node.adapt is not None
-            nearest[name] = name if adapts else nearest[node.parent]
-        return {name: nearest[name] for name in self.order if name in self.agents}
+            found += [name] if self.spec.nodes[name].parent in found else []
+        return found[1:]
+
+    def left_to(self, node: str) -> list[str]:
+        """The agents below a node that no rule nearer by switches; `adapt.agents` may leave some out."""
+        below = self.below(node)
+        return [
+            agent for agent, governor in self.governor.items() if agent in below and governor not in below
+        ]
 
     def governed(self, node: str) -> list[str]:
         """The agents whose rules are those of `node`."""

@@ -122,17 +122,19 @@ def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
         adapt = node.adapt
         if adapt is None:
             continue
-        agents = plate.governed(name)
+        agents, count = plate.governed(name), len(plate.left_to(name))
+        if not agents and adapt.agents is not None:
+            continue  # its names are wrong, as another check says
         if not agents:
             found = "adapt governs no agent: every agent below has rules of its own nearer by"
             yield plate.message(name, found, key=("adapt",), on_key=True)
         elif adapt.activate is None and adapt.deactivate is None:
             yield plate.message(name, "adapt without a rule", ["activate", "deactivate"], key=("adapt",))
-        elif adapt.keep > len(agents):
-            found = f"keep is {adapt.keep}, and {len(agents)} agents are governed here"
-            yield plate.message(name, found, f"at most {len(agents)}", key=("adapt", "keep"))
-        elif adapt.deactivate is not None and adapt.keep == len(agents):
-            found = f"deactivate can never fire: keep is {adapt.keep} of {len(agents)} agents"
+        elif adapt.keep > count:
+            found = f"keep is {adapt.keep}, and {count} agents are governed here"
+            yield plate.message(name, found, f"at most {count}", key=("adapt", "keep"))
+        elif adapt.deactivate is not None and adapt.keep == count:
+            found = f"deactivate can never fire: keep is {adapt.keep} of {count} agents"
             allowed = "more agents, a smaller keep, or no such rule"
             yield plate.message(name, found, allowed, key=("adapt", "deactivate"), on_key=True)
         elif adapt.deactivate is None and all(_stays_on(plate, agent) for agent in agents):

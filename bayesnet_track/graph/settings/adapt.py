@@ -6,7 +6,16 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNegative, Number, Positive, Whole
+from bayesnet_track.graph.settings.base import (
+    Choice,
+    FrameCount,
+    Model,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Whole,
+)
 
 
 class Level(Choice):
@@ -114,7 +123,14 @@ class Adapt(Model):
 
     activate: Activate | None = Field(default=None, description="when agents are switched on")
     deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")
-    keep: Annotated[Whole, Field(ge=1)] = Field(default=1, description="agents that always stay active")
+    agents: Annotated[tuple[Name, ...], Field(min_length=1)] | None = Field(
+        default=None,
+        description="the agents below that these rules may switch; others are left to the rules of a node "
+        "further up, or as they are; default: all that no rule nearer by switches",
+    )
+    keep: Annotated[Whole, Field(ge=1)] = Field(
+        default=1, description="agents that always stay active, counting those that `agents` leaves out"
+    )
     information: Information = Field(
         default=Information(), description="memory of `information_per_ms` and `min_information_per_ms`"
     )
