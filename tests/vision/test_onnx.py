@@ -7,6 +7,7 @@ import pytest
 
 from bayesnet_track.observation.detector import DetectorError
 from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.vision.detectors.onnx import Onnx, OnnxParameters
 from bayesnet_track.vision.detectors.onnx_layouts import LAYOUTS, LayoutError
 
 INPUT = {"input_width": 32, "input_height": 32}
@@ -38,6 +39,19 @@ def test_every_layout_gives_the_bright_cell(bench, network, kind, parameters, la
     assert state == {} and found.labels == (label,)
     assert found.boxes[0] == pytest.approx([19.5, 11.5, 8.0, 8.0], abs=1e-4)  # columns 16 to 23, rows 8 to 15
     assert found.scores[0] == pytest.approx(0.9 if label == "b" else 1.0, abs=1e-3)
+
+
+def test_yolox_gives_boxes_in_cells_of_three_grids():
+    rows = np.zeros((16 + 4 + 1, 7))  # 32 x 32 px: 4 x 4 cells of 8 px, 2 x 2 of 16, one of 32
+    rows[6] = [0.5, 0.25, 0.0, np.log(2), 0.8, 0.1, 0.5]  # column 2 and row 1 of the first grid
+    rows[17] = [0.0, 1.0, np.log(0.5), 0.0, 1.0, 0.9, 0.0]  # column 1 and row 0 of the second
+    settings = OnnxParameters(model="x.onnx", layout="yolox", **INPUT, min_score=0.3)
+    detector = Onnx(settings, lambda blob: [rows[None]])
+    found, _ = detector.detect(one_bright(32, 32, slice(0), slice(0)), {})
+    assert found.boxes == pytest.approx(np.array([[15.5, 15.5, 8, 16], [19.5, 9.5, 8, 16]]))
+    assert found.labels == ("0", "1") and found.scores == pytest.approx([0.9, 0.4])
+    with pytest.raises(DetectorError, match="gives 20 rows; the layout wants 21, one for each cell"):
+        Onnx(settings, lambda blob: [rows[None, :20]]).check()
 
 
 def test_boxes_are_brought_back_to_the_frame(bench, network):

@@ -20,7 +20,7 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting
+from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting, from_grids
 from bayesnet_track.vision.detectors.selection import select
 from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
 
@@ -41,11 +41,12 @@ class OnnxParameters(DetectorParameters):
         default=(0.0, 0.0, 0.0), description="Taken off the channels in the network's order (gray levels)."
     )
     channels: Literal["rgb", "bgr"] = Field(default="rgb", description="Order of the network's channels.")
-    layout: Literal["rows", "yolo", "yolo_objectness", "yolo_end_to_end", "ssd"] = Field(
+    layout: Literal["rows", "yolo", "yolo_objectness", "yolox", "yolo_end_to_end", "ssd"] = Field(
         default="rows",
         description="Output: `rows` of x, y, w, h, score; `yolo` of x, y, w, h, score of each class; "
-        "`yolo_objectness` with one more score before these, which multiplies them; `yolo_end_to_end` of x0, "
-        "y0, x1, y1, score, class; `ssd` of image, class, score, x0, y0, x1, y1. x, y are centres.",
+        "`yolo_objectness` with one more score before these, which multiplies them; `yolox` the same, with "
+        "boxes in cells of its grids; `yolo_end_to_end` of x0, y0, x1, y1, score, class; `ssd` of image, "
+        "class, score, x0, y0, x1, y1. x, y are centres.",
     )
     units: Literal["px", "share"] = Field(
         default="px", description="Boxes are in pixels of the input, or in shares of it."
@@ -133,11 +134,15 @@ class Onnx:
                 raise DetectorError(f"`keep` has {label!r}; names of classes: {known[:300]}{numbers}")
 
     def _found(self, outputs: Any) -> Found:
+        settings = self.parameters
         try:
             arrays = [np.asarray(output, dtype=np.float64) for output in outputs]
-            return fitting(arrays, self.parameters.layout)
+            found = fitting(arrays, settings.layout)
+            if settings.layout == "yolox":
+                found = from_grids(found, settings.input_width, settings.input_height)
+            return found
         except LayoutError as error:
-            raise DetectorError(f"{self.parameters.model}: {error}") from error
+            raise DetectorError(f"{settings.model}: {error}") from error
 
     def _label(self, number: int) -> str:
         names = self.parameters.classes

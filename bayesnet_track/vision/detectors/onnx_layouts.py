@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -50,6 +50,32 @@ def yolo_objectness(output: Floats) -> Found:
     return _best(np.concatenate([table[:, :4], table[:, 5:] * table[:, 4:5]], axis=1))
 
 
+STRIDES = (8, 16, 32)
+"""Pixels of the input between the cells of each of YOLOX's grids, in the order of its rows."""
+
+
+def from_grids(found: Found, width: int, height: int) -> Found:
+    """Boxes of YOLOX in pixels of the input: given from their cell, in cells, the sides as logarithms.
+
+    Raises:
+        LayoutError: there are more or fewer rows than cells.
+    """
+    cells = []
+    for stride in STRIDES:
+        y, x = np.mgrid[: height // stride, : width // stride]
+        cells.append(np.stack([x, y, np.full_like(x, stride)], axis=-1).reshape(-1, 3))
+    grid = np.concatenate(cells).astype(np.float64)
+    if len(grid) != len(found.boxes):
+        raise LayoutError(
+            f"gives {len(found.boxes)} rows; the layout wants {len(grid)}, one for each cell of an input of "
+            f"{width}x{height} px with strides {', '.join(map(str, STRIDES))}"
+        )
+    side = grid[:, 2:]
+    sides = np.exp(np.minimum(found.boxes[:, 2:], 20.0)) * side
+    boxes = np.concatenate([(found.boxes[:, :2] + grid[:, :2]) * side, sides], axis=1)
+    return replace(found, boxes=boxes)
+
+
 def yolo_end_to_end(output: Floats) -> Found:
     """(N, 6) x0, y0, x1, y1, score, class: what is left after the network's own suppression."""
     table = _table(output, 6, 6, "rows of x0, y0, x1, y1, score, class")
@@ -69,6 +95,7 @@ LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
         "rows": rows,
         "yolo": yolo,
         "yolo_objectness": yolo_objectness,
+        "yolox": yolo_objectness,
         "yolo_end_to_end": yolo_end_to_end,
         "ssd": ssd,
     }
