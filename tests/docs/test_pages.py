@@ -72,6 +72,17 @@ def test_every_link_between_pages_leads_somewhere(page):
             assert (page.parent / target).exists(), f"{name_of(page)}: {target}"
 
 
+def test_each_integration_names_a_test_that_exists():
+    text = (ROOT / "docs" / "integrations.md").read_text("utf-8")
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| ")][1:]
+    named = [re.search(r"`(tests/[\w/]+\.py)::(\w+)`", row[4]) for row in rows]
+    assert len(rows) >= 15
+    for row, found in zip(rows, named, strict=True):
+        assert found, f"{row[0]} names no test"
+        file = ROOT / found[1]
+        assert file.is_file() and f"\ndef {found[2]}(" in file.read_text("utf-8"), found[0]
+
+
 WRITE_A_CUE = ROOT / "docs" / "write_a_cue.md"
 
 
