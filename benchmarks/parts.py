@@ -61,6 +61,20 @@ def with_parts(noise: float = 1.0) -> GraphSpec:
     return GraphSpec.model_validate(written)
 
 
+def held_as(represented: str, hypotheses: int = 300) -> GraphSpec:
+    """The library graph, its parts as one draw each, by the kernel, as a grid or as a Gaussian."""
+    written = load_graph("person_parts").spec.model_dump(exclude_none=True)
+    nodes = written["targets"]["person"]["nodes"]
+    nodes["person"]["belief"] = {"particles": {"size": hypotheses}}
+    for name in ("head", "torso"):
+        if represented in ("one", "kernel"):
+            nodes[name]["fuse"]["latent"]["draw"] = represented
+        else:
+            del nodes[name]["fuse"]["latent"]["draw"]
+            nodes[name]["belief"] = {represented: {}}
+    return GraphSpec.model_validate(written)
+
+
 def with_levels(moving: bool = True) -> GraphSpec:
     """The library graph of three levels; its parts remember where they are, or are drawn anew."""
     written = load_graph("person_levels").spec.model_dump(exclude_none=True)
@@ -177,6 +191,12 @@ def main() -> None:
         "three levels that move": with_levels(),
         "three levels, drawn anew": with_levels(moving=False),
     }
+    graphs |= {
+        f"300 hypotheses, each part as {text}": held_as(kind)
+        for text, kind in {
+            "one draw each": "one", "by the kernel": "kernel", "a grid": "grid", "a Gaussian": "gaussian",
+        }.items()
+    }  # fmt: skip
     rows = [row(text, one, options.seeds) for text, one in graphs.items() if options.only in text]
     head = [
         "",
