@@ -2,6 +2,7 @@
 
     python benchmarks/annotate.py DATA_FOLDER [--max-frames 150] [--kept FOLDER]
                                   [--peers-python PYTHON --models FOLDER] [--only PATTERN]
+                                  [--half A --why TEXT]
 
 DATA_FOLDER is as for `real_video.py`. A simulated annotator answers with the true box ("correct" where the
 box shown has IoU >= .7 with it, "gone" where there is none), and every answer counts as a question, the first
@@ -34,6 +35,8 @@ from annotate_curves import CHOSEN_HEAD, HEAD, Done, annotator, best_lines, chos
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 from real_video import Elsewhere, digest
+from real_video_coin import HALVES
+from real_video_halves import note
 from sequences import Sequence, find_sequences
 
 from bayesnet_track.graph.text.load import load_graph
@@ -42,12 +45,12 @@ from bayesnet_track.runtime.annotation.asking import Asking, annotate
 from bayesnet_track.runtime.annotation.tracked import Found, TrackerRuns
 
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
-PATIENCES = (1, 3, 10)
-EVERY = (16, 8, 4, 2)
+PATIENCES = (10, 20)
+EVERY = (32, 16, 8, 4, 2)
 """Frames between two boxes; each a multiple of the next, so that what was found is used again."""
 
 ASKS_EVERY = (16, 4)
-OWN_SCORES = {"CSRT": 0.5, "NanoTrack": 0.8}
+OWN_SCORES = {"CSRT": (0.5,), "NanoTrack": (0.8, 0.9, 0.95)}
 
 
 @dataclass
@@ -112,10 +115,13 @@ def own_runs(sequence: Sequence, graph: str, folder: Path | None) -> Kept:
 
 
 def peer_runs(sequence: Sequence, name: str, elsewhere: Elsewhere, folder: Path | None) -> Kept:
-    """Those of a peer, forward; for more of one it has to begin anew."""
+    """Those of a peer, forward."""
+    begun: set[tuple[int, Box]] = set()
 
     def find(start: int, box: Box, needed: int, step: int) -> list[Found]:
-        end = start + needed + 1
+        ahead = 2 * needed if (start, box) in begun else needed  # to go on it begins anew
+        begun.add((start, box))
+        end = start + ahead + 1
         answer = elsewhere.find(name, sequence.files[start:end:step], box)
         rows = zip(answer["boxes"], answer["lost"], answer["scores"], strict=True)
         return [
@@ -180,7 +186,7 @@ def methods_of(elsewhere: Elsewhere | None) -> dict[str, dict[str, Any]]:
             continue
         found[f"{name} every k"] = {f"k {k}": (name, k, 0.0) for k in EVERY}
         found[f"{name} asks"] = {
-            f"score {OWN_SCORES[name]:g}, k {k}": (name, k, OWN_SCORES[name]) for k in ASKS_EVERY
+            f"score {own:g}, k {k}": (name, k, own) for own in OWN_SCORES[name] for k in ASKS_EVERY
         }
     return found
 
@@ -209,9 +215,17 @@ def main() -> None:
     parser.add_argument("--models", type=Path, help="NanoTrack's models")
     parser.add_argument("--only", default="", metavar="PATTERN", help="methods to measure; default all")
     parser.add_argument("--kept", type=Path, metavar="FOLDER", help="where what is found is kept")
+    parser.add_argument("--half", choices=(*HALVES, "both"), default="both", help="of the recorded coin")
+    parser.add_argument("--why", help="what the look is for; goes into the record of looks")
+    parser.add_argument("--looks", type=Path, default=Path(__file__).with_name("real_video_looks.jsonl"))
     options = parser.parse_args()
     on_one_thread()
     names = [name for name in options.sequences.split(",") if name]
+    if options.half != "both":
+        names = [name for name in HALVES[options.half] if not names or name in names]
+    if options.why:
+        look = {"half": options.half, "graphs": options.graph, "seeds": "range(0, 1)"}
+        note(options.looks, **look, frames=f"annotate.py {options.max_frames}", why=options.why)
     sequences = find_sequences(options.data, names, options.max_frames)
     print(environment(), flush=True)
     elsewhere = None

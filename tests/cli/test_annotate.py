@@ -33,7 +33,8 @@ def test_imported_boxes_are_tracked_from_and_written_and_resuming_changes_no_byt
     folder, boxes = video
     options = ("--threshold", "0.01", "--format", "mot", "--format", "coco")
     assert annotate(folder, tmp_path / "a", *options, "--import", str(boxes)) == 0
-    assert "1 target, 8 frames: 1 given, 7 tracked; nothing to ask" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "1 target, 8 frames: 1 given, 7 tracked\n" in out and "frame 7: the last frame" in out
     names = ("answers.jsonl", "mot.txt", "coco.json")
     before = [(tmp_path / "a" / name).read_bytes() for name in names]
     assert len(before[1].splitlines()) == FRAMES

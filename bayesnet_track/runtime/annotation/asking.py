@@ -10,8 +10,8 @@ from bayesnet_track.runtime.annotation.answers import Answer
 from bayesnet_track.runtime.annotation.fusing import Mark, between, fuse
 from bayesnet_track.runtime.annotation.tracked import Runs
 
-THRESHOLD, PATIENCE = 0.8, 10
-"""Chosen on 25 videos: docs/annotate.md has the figures."""
+THRESHOLD, PATIENCE = 0.8, 20
+"""Chosen on 13 videos: docs/annotate.md has the figures, and those of 12 others."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,13 @@ def _doubt_between(
 def _run_ahead(
     target: str, last: Answer, runs: Runs, ahead: range, marks: dict[int, Mark], asking: Asking
 ) -> Question | None:
-    """Track on from the last answer until a frame is to be asked about."""
+    """Track on from the last answer until a frame is to be asked about: the last one, if none before it.
+
+    What follows the last answer is tracked in one direction alone: a sure run may be wrong, and only one back
+    from the end of the video tells.
+    """
     doubtful = 0
+    mark: Mark | None = None
     for frame in ahead:
         if last.box is None:
             marks[frame] = Mark(frame, None, "gone")
@@ -148,4 +153,10 @@ def _run_ahead(
                 f"{found.sd[0]:.0f} x {found.sd[1]:.0f} px{status}"
             )
             return Question(target, frame, mark, reason)
-    return None
+    if mark is None:
+        return None
+    reason = (
+        f"the last frame: nothing is in doubt since frame {last.frame}, but that was tracked forward alone; "
+        "from here it is tracked backward, too"
+    )
+    return Question(target, mark.frame, mark, reason)

@@ -71,6 +71,15 @@ def test_a_box_is_explained_backward_so_that_nobody_is_asked_about_what_lies_bet
     assert marks[12].how == "given" and marks[9].how == "tracked"
 
 
+def test_the_last_frame_is_asked_about_since_only_a_run_back_from_it_shows_a_sure_run_that_is_wrong():
+    runs = MadeUp(good=7, unsure=0.95)  # it never doubts
+    asked = annotate(answered(box(0)), runs, 21, Asking(0.8)).questions
+    assert [one.frame for one in asked] == [20] and "the last frame" in asked[0].reason
+    between = annotate(answered(box(0), box(20)), runs, 21, Asking(0.8))
+    assert len(between.questions) == 1, "the two runs differ: one of them is wrong"
+    assert annotate(answered(box(0)), runs, 1, Asking(0.8)).questions == ()
+
+
 def test_a_gap_that_neither_run_bridges_is_asked_about_in_its_middle():
     done = annotate(answered(box(0), box(40)), MadeUp(good=7, unsure=0.05), 41, Asking(0.5))
     (question,) = done.questions
