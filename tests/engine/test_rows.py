@@ -19,6 +19,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import to_json
+from bayesnet_track.journal.events.births import CandidateConfirmed
 from bayesnet_track.journal.events.by_hand import Released, Toggled
 from bayesnet_track.journal.events.load import LateFrame
 from bayesnet_track.observation.detector import Detections
@@ -292,3 +293,9 @@ def test_what_was_measured_of_a_row_is_what_is_measured_of_one_target(graph, fou
                 np.testing.assert_allclose(found_here.covariance, exact.covariance)
                 said += isinstance(row.heard, RowHeard)
     assert said > 20
+
+
+def test_where_no_agent_knows_looks_they_say_nothing_of_who_a_detection_is(graph, found):
+    events = [event for outcome in outcomes(graph, found) for event in outcome.events]
+    weighed = [one.nearest for one in events if isinstance(one, CandidateConfirmed) and one.nearest]
+    assert weighed and all(one.agents == () and one.appearance == 0.0 for one in weighed)

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from types import UnionType
 from typing import get_args, get_origin
 
@@ -20,7 +20,7 @@ from bayesnet_track.journal.codec import (
     to_json,
     type_hints,
 )
-from bayesnet_track.journal.encoder import FLOAT_DIGITS
+from bayesnet_track.journal.encoder import FLOAT_DIGITS, members_encoder
 from bayesnet_track.journal.events.endings import TargetDied
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
 from bayesnet_track.journal.events.sources import SourceDamaged
@@ -235,3 +235,19 @@ def test_frame_metrics_keep_their_cloud():
     }
     metrics = FrameMetrics(**{**values, "cloud": ((1, 2, 3, 4), (5, 6, 7, 8))})
     assert from_json(to_json(metrics)) == metrics
+
+
+@dataclass
+class Drawn:
+    cloud: tuple[tuple[int, ...], ...]
+
+
+@pytest.mark.parametrize(
+    "box", [(1, 2, 3, 4), [1, 2, 3, 4], tuple(np.arange(1, 5))], ids=["own", "list", "numpy"]
+)
+def test_a_cloud_is_written_alike_whatever_holds_its_whole_numbers(box):
+    write = members_encoder(Drawn, "drawn")
+    assert write(Drawn((box, (5, 6, 7, 8)))) == ['"cloud": [[1, 2, 3, 4], [5, 6, 7, 8]]']
+    assert write(Drawn(())) == ['"cloud": []']
+    with pytest.raises(JournalError, match=r"drawn\.cloud"):
+        write(Drawn((box, (1.5, 2, 3, 4))))

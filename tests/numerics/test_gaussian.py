@@ -11,6 +11,7 @@ from bayesnet_track.numerics.gaussian import (
     chi_square_quantile,
     linear_update,
     root,
+    roots,
     sigma_points,
     standard_normals,
     weighted_moments,
@@ -37,6 +38,12 @@ def test_root_has_the_rank_of_the_covariance(seed, size, data):
 def test_root_leaves_out_what_does_not_vary():
     assert root(np.zeros((3, 3))).shape == (3, 0)
     np.testing.assert_allclose(root(np.diag([0.0, 4.0, 0.0])), [[0], [2], [0]])
+
+
+def test_roots_of_many_are_those_of_each_whatever_their_ranks():
+    many = np.array([np.diag([4.0, 1.0]), np.diag([0.0, 9.0]), np.zeros((2, 2)), [[4.0, 2.0], [2.0, 5.0]]])
+    found = [lower.tolist() for lower in roots(many)]
+    assert found == [[[2, 0], [0, 1]], [[0], [3]], [[], []], [[2, 0], [1, 2]]]
 
 
 @pytest.mark.parametrize("size", [20, 21, 200])

@@ -106,9 +106,8 @@ def _ask(
     found, after = detector.detect(pair, now)
     found = check_detections(found)
     best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
-    return Detections(
-        found.boxes[best], found.scores[best], tuple([found.labels[k] for k in best.tolist()])
-    ), after
+    labels = tuple([found.labels[k] for k in best.tolist()])
+    return Detections(found.boxes[best], found.scores[best], labels), after
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
