@@ -113,12 +113,16 @@ class ForegroundColor:
         from bayesnet_track.vision import foreground as f
 
         p, frame = self.parameters, planes.frame
-        cells, box = self._cells(frame), np.asarray(box, dtype=np.float64)
-        whole = f.count_pixels(frame, cells, box)
+        box, rings = np.asarray(box, dtype=np.float64), (p.surround, p.wide)
+        around = [f.grow_boxes(box, ring) for ring in sorted(rings, reverse=True)]
+        boxes = np.stack([*around, box, box * [1, 1, p.inner, p.inner]])
+        counts = f.count_pixels(frame, self._cells(frame), boxes)
+        counts[:2] -= counts[2]
+        of_rings, foreground = f.shares(counts[:2]), f.shares(counts[3])
         learnt = {
-            "foreground": f.shares(f.count_pixels(frame, cells, box * [1, 1, p.inner, p.inner])),
-            "background": f.shares(f.count_pixels(frame, cells, f.grow_boxes(box, p.surround)) - whole),
-            "memory": f.shares(f.count_pixels(frame, cells, f.grow_boxes(box, p.wide)) - whole),
+            "foreground": foreground,
+            "background": of_rings[int(p.surround < p.wide)],
+            "memory": of_rings[int(p.wide <= p.surround)],
             "size": np.array(box[2:]),
             SHARPER: np.array(1.0),
         }
@@ -165,9 +169,7 @@ class ForegroundColor:
     def _posterior(self, shares: Reference) -> Bytes:
         from bayesnet_track.vision.foreground import posterior
 
-        p = self.parameters
-        around = (1.0 - p.memory) * shares["background"] + p.memory * shares["memory"]
-        return posterior(shares["foreground"], around, p.prior)
+        return posterior(shares, self.parameters.memory, self.parameters.prior)
 
     def contrasts(self, frame: Frame, boxes: Floats, levels: Bytes) -> Floats:
         """(N,) mean posterior inside the box less that in the ring."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -9,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats
-from bayesnet_track.observation.planes import Frame, region_of_boxes
+from bayesnet_track.numerics.compiled import plain
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.foreground_kernels import (
     box_and_ring_means,
+    color_posterior,
     count_cells,
-    integral_of_cells,
 )
 
 TOP = 255
@@ -52,16 +55,16 @@ def _tables(cells: Cells) -> NDArray[np.int32]:
     return np.stack([value * stride for stride in strides]).astype(np.int32)
 
 
-def count_pixels(frame: Frame, cells: Cells, box: Floats) -> Floats:
-    """(cells,) visible pixels of the centre box (4,) in each cell."""
-    counts = np.zeros(cells.count)
-    count_cells(region_of_boxes(box[None]).within(frame).of(frame.image), cells.tables, counts)
+def count_pixels(frame: Frame, cells: Cells, boxes: Floats) -> Floats:
+    """(K, cells) visible pixels of the centre boxes (K, 4) in each cell; each box holds the next."""
+    counts = np.empty((len(boxes), cells.count))
+    count_cells(for_reading(frame.image), cells.tables, plain(boxes), counts)
     return counts
 
 
 def shares(counts: Floats) -> Floats:
-    """Counts divided by their sum; all 0 where nothing was counted."""
-    return np.asarray(counts / max(counts.sum(), 1.0))
+    """(..., cells) counts divided by their sum; all 0 where nothing was counted."""
+    return np.asarray(counts / np.maximum(counts.sum(axis=-1, keepdims=True), 1.0))
 
 
 def grow_boxes(boxes: Floats, ring: float) -> Floats:
@@ -72,22 +75,17 @@ def grow_boxes(boxes: Floats, ring: float) -> Floats:
 
 def means(frame: Frame, cells: Cells, levels: Bytes, boxes: Floats, ring: float) -> Floats:
     """(N, 2) mean posterior, 0..1, inside each centre box (N, 4) and in a ring of `ring` mean sides."""
-    boxes = np.ascontiguousarray(boxes, dtype=np.float64)
-    crop = region_of_boxes(grow_boxes(boxes, ring)).grown(1).within(frame)
-    found = np.zeros((len(boxes), 2))
-    if crop.is_empty:
-        return found
-    image = crop.of(frame.image)
-    integral = np.empty((image.shape[0] + 1, image.shape[1] + 1), np.int64)
-    integral_of_cells(image, cells.tables, levels, integral)
-    box_and_ring_means(integral, boxes, ring, crop.x0, crop.y0, frame.width, frame.height, found)
+    found = np.empty((len(boxes), 2))
+    image = for_reading(frame.image)
+    box_and_ring_means(image, cells.tables, for_reading(levels), plain(boxes), ring, found)
     return found / TOP
 
 
-def posterior(foreground: Floats, background: Floats, prior: float) -> Bytes:
-    """(cells,) 0..TOP: probability of the target given a colour, f / (f + b) for shares f and b.
+def posterior(shares: Mapping[str, Floats], memory: float, prior: float) -> Bytes:
+    """(cells,) 0..TOP: probability of the target given a colour, f / (f + b).
 
-    `prior` is that of a colour which neither has; it counts as a share of `UNSEEN`.
+    `shares` of the pixels are f in the `foreground`, and b in the `background` with the share `memory` of the
+    `memory`. `prior` is that of a colour which none of them has; it counts as a share of `UNSEEN`.
     """
-    found = (foreground + prior * UNSEEN) / (foreground + background + UNSEEN)
-    return np.asarray(np.rint(TOP * found), dtype=np.uint8)
+    f, b, old = (for_reading(shares[name]) for name in ("foreground", "background", "memory"))
+    return color_posterior(f, b, old, memory, (prior * UNSEEN, UNSEEN))

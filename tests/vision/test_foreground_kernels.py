@@ -6,6 +6,7 @@ import pytest
 from bayesnet_track.vision.kernels.foreground_kernels import (
     STEPS,
     box_and_ring_means,
+    color_posterior,
     count_cells,
     integral_of_cells,
 )
@@ -26,17 +27,19 @@ def cells_of(image):
 
 
 def test_every_pixel_is_counted_in_its_cell(image):
-    counts = np.ones(64)
-    count_cells(image, TABLES, counts)
-    np.testing.assert_array_equal(counts - 1, np.bincount(cells_of(image).ravel(), minlength=64))
+    counts = np.full((4, 64), np.nan)
+    boxes = np.array([[3.0, 2, 40, 40], [3, 2, 5.5, 3], [3, 2, 5, 1.5], [3, 2, 1, 1]])
+    count_cells(image, TABLES, boxes, counts)
+    inside = (np.s_[:, :], np.s_[1:4, 0:7], np.s_[1:4, 1:6], np.s_[2:3, 3:4])
+    for own, of in zip(counts, inside, strict=True):
+        np.testing.assert_array_equal(own, np.bincount(cells_of(image[of]).ravel(), minlength=64))
 
 
 def test_the_integral_sums_levels_above_and_left(image):
     levels = np.random.default_rng(3).integers(0, 256, 64).astype(np.uint8)
-    integral = np.full((6, 8), -1, np.int64)
-    integral_of_cells(image, TABLES, levels, integral)
-    expected = np.zeros((6, 8), np.int64)
-    expected[1:, 1:] = levels[cells_of(image)].astype(int).cumsum(0).cumsum(1)
+    integral = integral_of_cells(image, TABLES, levels, np.array([1, 6, 2, 5]))
+    expected = np.zeros((4, 6), np.int64)
+    expected[1:, 1:] = levels[cells_of(image[2:5, 1:6])].astype(int).cumsum(0).cumsum(1)
     np.testing.assert_array_equal(integral, expected)
 
 
@@ -73,11 +76,15 @@ def test_means_of_a_box_and_its_ring(box, ring):
         own.sum() / (box[2] * box[3] * STEPS**2),
         (grown.sum() - own.sum()) / around if around else 0.0,
     ]
-    for x0, y0 in ((0, 0), (0, 2), (3, 0)):
-        if own.size and (x0 or y0) and min(box[0] - box[2], box[1] - box[3]) < 3:
-            continue  # the crop must cover the ring
-        integral = np.zeros((height - y0 + 1, width - x0 + 1), np.int64)
-        integral[1:, 1:] = levels[y0:, x0:].cumsum(0).cumsum(1)
-        means = np.full((1, 2), np.nan)
-        box_and_ring_means(integral, np.array([box]), ring, x0, y0, width, height, means)
+    tables = np.stack([np.arange(256), np.zeros(256), np.zeros(256)]).astype(np.int32)
+    image, values = np.repeat(levels[:, :, None], 3, 2).astype(np.uint8), np.arange(256, dtype=np.uint8)
+    for boxes in ([box], [box, (3.0, 12.0, 4.0, 4.0)]):  # whatever else is asked, in a larger crop
+        means = np.full((len(boxes), 2), np.nan)
+        box_and_ring_means(image, tables, values, np.array(boxes), ring, means)
         np.testing.assert_allclose(means[0], expected, rtol=1e-12)
+
+
+def test_the_posterior_of_colours():
+    f, b, old = np.random.default_rng(5).random((3, 100))
+    expected = (f + 0.25) / (f + (0.7 * b + 0.3 * old) + 0.5)
+    np.testing.assert_array_equal(color_posterior(f, b, old, 0.3, (0.25, 0.5)), np.rint(255 * expected))

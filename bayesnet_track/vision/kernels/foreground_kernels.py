@@ -16,35 +16,95 @@ STEPS = 16
 
 
 @compiled
-def count_cells(image: Bytes, tables: NDArray[np.int32], counts: Floats) -> None:
-    """Add the pixels of `image` (H, W, 3) to `counts` (cells,).
-
-    `tables` (3, 256) has each channel's part of a cell's number, which is the sum of the three.
-    """
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            cell = tables[0, image[y, x, 0]] + tables[1, image[y, x, 1]] + tables[2, image[y, x, 2]]
-            counts[cell] += 1.0
+def _fill_cells(line: Bytes, tables: NDArray[np.int32], cells: NDArray[np.int32]) -> None:
+    """Write the cell of each pixel of `line` (3 W,) into `cells` (W,)."""
+    for x in range(len(cells)):
+        cells[x] = tables[0, line[3 * x]] + tables[1, line[3 * x + 1]] + tables[2, line[3 * x + 2]]
 
 
 @compiled
-def integral_of_cells(image: Bytes, tables: NDArray[np.int32], levels: Bytes, integral: Ints) -> None:
-    """Sums of the pixels' levels above and left: `integral` (H + 1, W + 1), its first row and column 0.
+def count_cells(image: Bytes, tables: NDArray[np.int32], boxes: Floats, counts: Floats) -> None:
+    """Fill `counts` (K, cells) with the pixels of the image that touch each box, by cell.
 
     Args:
-        image: (H, W, 3).
+        image: (H, W, 3), C order.
+        tables: (3, 256) each channel's part of a cell's number, which is the sum of the three.
+        boxes: (K, 4) centre boxes, each inside the one before it.
+        counts: filled.
+    """
+    height, width, size = image.shape[0], image.shape[1], len(boxes)
+    bounds = np.empty((size + 1, 4), np.int64)  # first and last column, first and last row
+    for k in range(size):
+        x, y, across, down = boxes[k, 0], boxes[k, 1], boxes[k, 2] * 0.5, boxes[k, 3] * 0.5
+        bounds[k, 0] = int(np.floor(min(max(x - across + 0.5, 0.0), float(width))))
+        bounds[k, 1] = int(np.ceil(min(max(x + across + 0.5, 0.0), float(width))))
+        bounds[k, 2] = int(np.floor(min(max(y - down + 0.5, 0.0), float(height))))
+        bounds[k, 3] = int(np.ceil(min(max(y + down + 0.5, 0.0), float(height))))
+    bounds[size] = 0
+    first, last = bounds[0, 0], bounds[0, 1]
+    cells = np.empty(last - first, np.int32)
+    # Each pixel is counted in the smallest box that has it. Two counts each: the next pixel is often of the
+    # same cell, and would wait for this one.
+    even, odd = np.zeros(counts.shape, np.int64), np.zeros(counts.shape, np.int64)
+    for y in range(bounds[0, 2], bounds[0, 3]):
+        _fill_cells(image[y, first:last].reshape(3 * (last - first)), tables, cells)
+        for k in range(size):
+            if not bounds[k, 2] <= y < bounds[k, 3]:
+                break
+            start, stop = bounds[k, 0] - first, bounds[k, 1] - first
+            left, right = stop, stop
+            if bounds[k + 1, 2] <= y < bounds[k + 1, 3]:
+                left, right = bounds[k + 1, 0] - first, bounds[k + 1, 1] - first
+            one, other = even[k], odd[k]
+            for begin, end in ((start, left), (right, stop)):
+                for x in range(begin, end - 1, 2):
+                    one[cells[x]] += 1
+                    other[cells[x + 1]] += 1
+                if (end - begin) % 2 == 1:
+                    one[cells[end - 1]] += 1
+    for cell in range(counts.shape[1]):
+        total = 0
+        for k in range(size - 1, -1, -1):
+            total += even[k, cell] + odd[k, cell]
+            counts[k, cell] = total
+
+
+@compiled
+def color_posterior(
+    foreground: Floats, background: Floats, memory: Floats, share: float, unseen: tuple[float, float]
+) -> Bytes:
+    """(cells,) 255 f / (f + b), b with the `share` of `memory`; `unseen` is added to f and to f + b."""
+    found = np.empty(len(foreground), np.uint8)
+    for cell in range(len(foreground)):
+        around = (1.0 - share) * background[cell] + share * memory[cell]
+        of_all = (foreground[cell] + unseen[0]) / (foreground[cell] + around + unseen[1])
+        found[cell] = np.uint8(np.rint(255.0 * of_all))
+    return found
+
+
+@compiled
+def integral_of_cells(image: Bytes, tables: NDArray[np.int32], levels: Bytes, crop: Ints) -> Ints:
+    """(H + 1, W + 1) sums of the pixels' levels above and left in a crop: the first row and column are 0.
+
+    Args:
+        image: (rows, columns, 3), C order.
         tables: (3, 256) as of `count_cells`.
         levels: (cells,) the value of each cell.
-        integral: filled.
+        crop: (4,) first and last column, first and last row, the last ones left out.
     """
-    integral[0, :] = 0
-    for y in range(image.shape[0]):
-        integral[y + 1, 0] = 0
+    left, right, top, bottom = crop
+    integral = np.empty((bottom - top + 1, right - left + 1), np.int64)
+    cells = np.empty(right - left, np.int32)
+    integral[0] = 0
+    for y in range(bottom - top):
+        _fill_cells(image[top + y, left:right].reshape(3 * (right - left)), tables, cells)
+        above, own = integral[y], integral[y + 1]
+        own[0] = 0
         total = np.int64(0)
-        for x in range(image.shape[1]):
-            cell = tables[0, image[y, x, 0]] + tables[1, image[y, x, 1]] + tables[2, image[y, x, 2]]
-            total += np.int64(levels[cell])
-            integral[y + 1, x + 1] = integral[y, x + 1] + total
+        for x in range(right - left):
+            total += np.int64(levels[cells[x]])
+            own[x + 1] = above[x + 1] + total
+    return integral
 
 
 @compiled
@@ -61,52 +121,55 @@ def _corner(integral: Ints, x: int, y: int) -> int:
 
 
 @compiled
-def _sum(integral: Ints, left: int, top: int, right: int, bottom: int) -> int:
-    return (
-        _corner(integral, right, bottom)
-        - _corner(integral, left, bottom)
-        - _corner(integral, right, top)
-        + _corner(integral, left, top)
-    )
-
-
-@compiled
 def box_and_ring_means(
-    integral: Ints, boxes: Floats, ring: float, x0: int, y0: int, width: int, height: int, means: Floats
+    image: Bytes, tables: NDArray[np.int32], levels: Bytes, boxes: Floats, ring: float, means: Floats
 ) -> None:
     """Mean level inside each box, and in the ring around it.
 
     What lies outside the frame counts as 0 inside a box; the ring is what of it lies inside the frame.
 
     Args:
-        integral: of the crop whose first pixel is (x0, y0); it covers boxes and rings inside the frame.
+        image: of `integral_of_cells`; likewise `tables` and `levels`.
         boxes: (N, 4) centre boxes, px.
         ring: width of the ring in mean sides of the box.
-        x0: first column of the crop; likewise `y0`.
-        width: of the frame, px; likewise `height`.
         means: (N, 2) filled.
     """
-    across, down = width * STEPS, height * STEPS
-    for k in range(boxes.shape[0]):
+    across, down = image.shape[1] * STEPS, image.shape[0] * STEPS
+    edges = np.empty((len(boxes), 2, 4), np.int64)  # of the box and around its ring: left, right, top, bottom
+    crop = np.array([across, 0, down, 0])
+    for k in range(len(boxes)):
         x, y, w, h = boxes[k, 0] + 0.5, boxes[k, 1] + 0.5, boxes[k, 2], boxes[k, 3]
-        sums = np.zeros(2, np.int64)
-        areas = np.zeros(2, np.int64)
         for outer in range(2):
             grown = outer * ring * 0.5 * (w + h)
-            left = min(max(int(np.floor((x - 0.5 * w - grown) * STEPS + 0.5)), 0), across)
-            right = min(max(int(np.floor((x + 0.5 * w + grown) * STEPS + 0.5)), 0), across)
-            top = min(max(int(np.floor((y - 0.5 * h - grown) * STEPS + 0.5)), 0), down)
-            bottom = min(max(int(np.floor((y + 0.5 * h + grown) * STEPS + 0.5)), 0), down)
-            areas[outer] = (right - left) * (bottom - top)
-            if areas[outer] > 0:
-                sums[outer] = _sum(
-                    integral,
-                    left - x0 * STEPS,
-                    top - y0 * STEPS,
-                    right - x0 * STEPS,
-                    bottom - y0 * STEPS,
+            own = edges[k, outer]
+            own[0] = min(max(int(np.floor((x - 0.5 * w - grown) * STEPS + 0.5)), 0), across)
+            own[1] = min(max(int(np.floor((x + 0.5 * w + grown) * STEPS + 0.5)), 0), across)
+            own[2] = min(max(int(np.floor((y - 0.5 * h - grown) * STEPS + 0.5)), 0), down)
+            own[3] = min(max(int(np.floor((y + 0.5 * h + grown) * STEPS + 0.5)), 0), down)
+        crop[0], crop[1] = min(crop[0], own[0]), max(crop[1], own[1])
+        crop[2], crop[3] = min(crop[2], own[2]), max(crop[3], own[3])
+    crop[0], crop[1] = crop[0] // STEPS, -(-crop[1] // STEPS)
+    crop[2], crop[3] = crop[2] // STEPS, -(-crop[3] // STEPS)
+    if crop[0] >= crop[1] or crop[2] >= crop[3]:
+        means[:] = 0.0
+        return
+    integral = integral_of_cells(image, tables, levels, crop)
+    x0, y0 = crop[0] * STEPS, crop[2] * STEPS
+    for k in range(len(boxes)):
+        inside, whole, own_area, whole_area = 0, 0, 0, 0
+        for outer in range(2):
+            left, right, top, bottom = edges[k, outer]
+            area = (right - left) * (bottom - top)
+            level = 0
+            if area > 0:
+                level = (
+                    _corner(integral, right - x0, bottom - y0)
+                    - _corner(integral, left - x0, bottom - y0)
+                    - _corner(integral, right - x0, top - y0)
+                    + _corner(integral, left - x0, top - y0)
                 )
-        nominal = max(w * h * STEPS * STEPS, float(areas[0]), 1.0)
-        around = areas[1] - areas[0]
-        means[k, 0] = sums[0] / nominal
-        means[k, 1] = (sums[1] - sums[0]) / around if around > 0 else 0.0
+            inside, own_area, whole, whole_area = whole, whole_area, level, area
+        nominal = max(boxes[k, 2] * boxes[k, 3] * STEPS * STEPS, float(own_area), 1.0)
+        around = whole_area - own_area
+        means[k, 0] = inside / nominal
+        means[k, 1] = (whole - inside) / around if around > 0 else 0.0
