@@ -9,7 +9,7 @@ hypotheses are: what a hypothesis is worth does not depend on the others.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
+
+if TYPE_CHECKING:
+    from bayesnet_track.vision.correlation_tiles import Tile
 
 REACH = 40
 """Cells by which a tile is wider than the filter; hypotheses are read in the inner `REACH` - 4."""
@@ -178,41 +181,55 @@ class CorrelationFilter:
 
         With `angles` (N,), in degrees, those of the filter turned by as much.
         """
-        from bayesnet_track.vision.correlation import halves, scaled_answers, tile_spectra
+        from bayesnet_track.vision.correlation_tiles import Asked, find_tile
         from bayesnet_track.vision.kernels.correlation_kernels import read_answers
-        from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_features
 
-        cells, image, values = self.parameters.cells, planes[WholeFrame()], np.zeros(len(boxes))
-        around, size, kernel = cells + REACH, reference["size"], reference["kernel"]
+        p, image, values = self.parameters, planes[WholeFrame()], np.zeros(len(boxes))
+        size, place, kernel = reference["size"], reference["place"], reference["kernel"]
         cell = self._cell(size)
-        tiles = np.floor((boxes[:, :2] - reference["place"]) / ((REACH - 4) * cell) + 0.5)
+        tiles = np.floor((boxes[:, :2] - place) / ((REACH - 4) * cell) + 0.5)
         tile_of = tiles @ [1.0, 2.0**20]  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
         turns = {0: np.ones(len(boxes))} if angles is None else _turns_of(angles)
-        parts = {0: halves(kernel)}
-        for tile in np.unique(tile_of[asked]):
-            which = np.flatnonzero(asked & (tile_of == tile))
-            x, y = reference["place"] + tiles[which[0]] * (REACH - 4) * cell
-            patch = patch_at(image, float(x), float(y), cell, around, self.parameters.signed)
-            seen = tile_spectra(patch.features, cells)
-            levels = np.clip((log_scale + np.log(cell / patch.cell)) / SCALE_STEP, -LEVELS, LEVELS)
-            columns = (boxes[:, 0] - patch.x) / patch.cell + 0.5 * REACH
-            rows = (boxes[:, 1] - patch.y) / patch.cell + 0.5 * REACH
+        parts: dict[int, NDArray[np.float32]] = {}
+        for number in np.unique(tile_of[asked]):
+            which = np.flatnonzero(asked & (tile_of == number))
+            x, y = (place + tiles[which[0]] * (REACH - 4) * cell).tolist()
+            tile = find_tile(planes.frame, image, Asked(x, y, cell, p.cells + REACH, p.cells, p.signed))
+            levels = np.clip((log_scale + np.log(cell / tile.cell)) / SCALE_STEP, -LEVELS, LEVELS)
+            columns = (boxes[:, 0] - tile.x) / tile.cell + 0.5 * REACH
+            rows = (boxes[:, 1] - tile.y) / tile.cell + 0.5 * REACH
             for turn, share in turns.items():
                 some = which[share[which] > 0.0]
                 if not len(some):
                     continue
-                if turn not in parts:
-                    parts[turn] = halves(turned_features(kernel, TURN_STEP * turn))
-                lowest = int(np.floor(levels[some].min()))
-                maps = [
-                    scaled_answers(seen, parts[turn], cells, float(np.exp(SCALE_STEP * level)))
-                    for level in range(lowest, int(np.ceil(levels[some].max())) + 1)
-                ]
+                lowest, highest = int(np.floor(levels[some].min())), int(np.ceil(levels[some].max()))
+                maps = self._maps(tile, kernel, turn, range(lowest, highest + 1), parts)
                 read = np.zeros(len(boxes))
-                read_answers(np.array(maps), lowest, columns, rows, levels, some, read)
+                read_answers(maps, lowest, columns, rows, levels, some, read)
                 values[some] += share[some] * read[some]
         return values
+
+    def _maps(
+        self,
+        tile: Tile,
+        kernel: NDArray[np.float32],
+        turn: int,
+        levels: range,
+        parts: dict[int, NDArray[np.float32]],
+    ) -> NDArray[np.float32]:
+        """(L, V, V) answers to a tile at levels of scale; `parts` are the halves of turned filters."""
+        from bayesnet_track.vision.correlation import halves, scaled_answers
+        from bayesnet_track.vision.planes.correlation_patches import turned_features
+
+        known = tile.maps_of(kernel)
+        for level in levels:
+            if (turn, level) not in known:
+                if turn not in parts:
+                    parts[turn] = halves(turned_features(kernel, TURN_STEP * turn) if turn else kernel)
+                scale = float(np.exp(SCALE_STEP * level))
+                known[turn, level] = scaled_answers(tile.spectra, parts[turn], self.parameters.cells, scale)
+        return np.array([known[turn, level] for level in levels])
 
     def _cell(self, size: Floats) -> float:
         """Side of a cell, px, for a target of this size."""

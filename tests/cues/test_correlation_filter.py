@@ -256,3 +256,15 @@ def test_a_target_that_turns_is_followed_by_its_angle(belief: dict[str, object])
     plain.init(scene(150, 120), (130.0, 94.0, 40.0, 52.0))
     plain.update(scene(150, 120, angle=6.0))
     assert '"angle"' not in to_json(plain.metrics)
+
+
+def test_a_frame_that_is_asked_about_again_gives_the_same_answers():
+    """Its tiles are known by then, and some of the answers."""
+    cue, planes = made(), planes_of(scene(200, 150))
+    reference, other = cue.learn(planes, box(200, 150)), cue.learn(planes, box(210, 150, 1.1))
+    rng = np.random.default_rng(5)
+    boxes = np.array([box(*rng.uniform(120, 260, 2), rng.uniform(0.8, 1.2)) for _ in range(60)])
+    for of in (reference, other, reference):
+        cue.log_likelihood(planes, Hypotheses(boxes[:20]), of)
+        known = cue.log_likelihood(planes, Hypotheses(boxes), of)
+        np.testing.assert_array_equal(known, score(cue, scene(200, 150), list(boxes), of))

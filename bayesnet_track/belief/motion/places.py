@@ -31,8 +31,9 @@ class Places:
 
     def density(self, points: Floats) -> Floats:
         """(N,) per px^2 at points (N, 2)."""
-        inside = (points[:, None] >= self.low) & (points[:, None] < self.high)
-        return np.asarray(inside.all(axis=2) @ (self.shares / np.prod(self.high - self.low, axis=1)))
+        x, y = points.T[:, :, None]
+        inside = (x >= self.low[:, 0]) & (x < self.high[:, 0]) & (y >= self.low[:, 1]) & (y < self.high[:, 1])
+        return np.asarray(inside @ (self.shares / np.prod(self.high - self.low, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)

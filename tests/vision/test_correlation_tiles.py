@@ -1,0 +1,43 @@
+"""Tiles are made once a frame, forgotten with it, and hold the answers of one filter."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.vision import correlation_tiles
+from bayesnet_track.vision.correlation_tiles import Asked, find_tile
+
+ASKED = Asked(60.0, 40.0, 1.5, 32, 16, False)
+
+
+def frame(seed: int) -> Frame:
+    return Frame(0, 0.0, np.random.default_rng(seed).integers(0, 256, (90, 120, 3), dtype=np.uint8))
+
+
+def test_a_tile_is_made_once_a_frame():
+    one, other = frame(1), frame(2)
+    tile = find_tile(one, one.image, ASKED)
+    assert find_tile(one, one.image, Asked(60.0, 40.0, 1.5, 32, 16, False)) is tile
+    for asked in (Asked(61.0, 40.0, 1.5, 32, 16, False), Asked(60.0, 40.0, 1.5, 32, 16, True)):
+        assert find_tile(one, one.image, asked) is not tile
+    assert not np.array_equal(find_tile(other, other.image, ASKED).spectra, tile.spectra)
+
+
+def test_tiles_are_forgotten_with_their_frame():
+    one = frame(1)
+    tile, before = weakref.ref(find_tile(one, one.image, ASKED)), len(correlation_tiles._OF_FRAME)
+    del one
+    gc.collect()
+    assert tile() is None and len(correlation_tiles._OF_FRAME) < before
+
+
+def test_answers_of_another_filter_are_forgotten():
+    one = frame(1)
+    tile, kernel = find_tile(one, one.image, ASKED), np.zeros((7, 16, 16), np.float32)
+    tile.maps_of(kernel)[0, 1] = kernel[0]
+    assert (0, 1) in tile.maps_of(kernel)
+    assert not tile.maps_of(kernel.copy())
