@@ -63,9 +63,7 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: 
     times = max(side // size, 1)
     side -= side % times
     left, top = round(x - (side - 1) / 2), round(y - (side - 1) / 2)
-    crop = _cut(image, left, top, side)
-    if times > 1:  # first by whole pixels, so that nothing aliases
-        crop = cv2.resize(crop, (side // times, side // times), interpolation=cv2.INTER_AREA)
+    crop = _cut_shrunk(image, left, top, side // times, times)
     resized = np.asarray(cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
     return Patch(
         left + (side - 1) / 2, top + (side - 1) / 2, side / around, _features(resized, cells, signed)
@@ -85,9 +83,7 @@ def turned_patch_at(
     times = max(int(scale), 1)
     side = -(-int(np.ceil(1.5 * scale * size)) // times) * times  # a square that holds the turned one
     left, top = round(x - (side - 1) / 2), round(y - (side - 1) / 2)
-    crop = _cut(image, left, top, side)
-    if times > 1:
-        crop = cv2.resize(crop, (side // times, side // times), interpolation=cv2.INTER_AREA)
+    crop = _cut_shrunk(image, left, top, side // times, times)
     turn = scale / times * np.array([[_cos(angle), -_sin(angle)], [_sin(angle), _cos(angle)]])
     middle = (np.array([x - left, y - top]) - (times - 1) / 2) / times
     matrix = np.column_stack([turn, middle - turn @ np.full(2, (size - 1) / 2)])
@@ -157,19 +153,46 @@ def _features(resized: Bytes, cells: int, signed: bool) -> Singles:
     return features
 
 
-def _cut(image: Bytes, left: int, top: int, side: int) -> Bytes:
-    """(side, side, 3) of the image from column `left` and row `top`."""
+def _cut_shrunk(image: Bytes, left: int, top: int, side: int, times: int) -> Bytes:
+    """(side, side, 3) means of `times` x `times` px from column `left` and row `top`: nothing aliases.
+
+    What lies farther beyond the image than one of these squares is that square's again.
+    """
+    if times == 1:
+        return _cut(image, left, top, (side, side))
     import cv2
 
     height, width = image.shape[:2]
+    (x0, x1), (y0, y1) = (
+        (
+            min(max(-first // times - 1, 0), side - 1),
+            max(min((size - 1 - first) // times + 2, side), 1),
+        )
+        for first, size in ((left, width), (top, height))
+    )
+    part = _cut(image, left + x0 * times, top + y0 * times, ((y1 - y0) * times, (x1 - x0) * times))
+    small = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
+    return np.asarray(_bordered(small, y0, x0, (side, side)), np.uint8)
+
+
+def _cut(image: Bytes, left: int, top: int, size: tuple[int, int]) -> Bytes:
+    """(rows, columns, 3) of the image, as many as `size`, from column `left` and row `top`."""
+    height, width = image.shape[:2]
     # a crop beside the frame holds one line of its border
-    x0, x1 = min(max(left, 0), width - 1), max(min(left + side, width), 1)
-    y0, y1 = min(max(top, 0), height - 1), max(min(top + side, height), 1)
+    x0, x1 = min(max(left, 0), width - 1), max(min(left + size[1], width), 1)
+    y0, y1 = min(max(top, 0), height - 1), max(min(top + size[0], height), 1)
     part = image[y0:y1, x0:x1]
+    above, before = min(max(-top, 0), size[0] - (y1 - y0)), min(max(-left, 0), size[1] - (x1 - x0))
+    return _bordered(part, above, before, size)
+
+
+def _bordered(part: Bytes, above: int, before: int, size: tuple[int, int]) -> Bytes:
+    """The part below so many rows and beside so many columns like its first, up to `size` like its last."""
+    import cv2
+
     rows, columns = part.shape[:2]
-    if (rows, columns) == (side, side):
+    if (rows, columns) == size:
         return part
-    before = min(max(-top, 0), side - rows), min(max(-left, 0), side - columns)
-    after = side - rows - before[0], side - columns - before[1]
+    after = size[0] - rows - above, size[1] - columns - before
     kind = cv2.BORDER_REPLICATE
-    return np.asarray(cv2.copyMakeBorder(part, before[0], after[0], before[1], after[1], kind), np.uint8)
+    return np.asarray(cv2.copyMakeBorder(part, above, after[0], before, after[1], kind), np.uint8)
