@@ -9,7 +9,10 @@ the third such frame on end after a gap, as the package reports. OC-SORT is comp
 of corners, whose state is the graph's, and with its default, a filter of area and aspect.
 
 Frames per second are of CPU time on one thread, of the frames after the thirtieth: `update` of the peers, and
-ours the step with association, metrics and decisions, no file written. No pixel is read.
+ours the step with association, metrics as columns and decisions, no file written. The steps are timed in a
+run of their own: the tracks are read from lines of metrics, which are made when they are asked for, and what
+that leaves behind in caches and to the garbage collector is no part of a step. No pixel is read. "Places of
+five" are those of each graph among itself, SORT, ByteTrack, OC-SORT and norfair.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +50,7 @@ PAIRS = (
     ("oc_sort", "OC-SORT, corners"),
     ("oc_sort", "OC-SORT"),
 )
+FOUR = ("SORT", "ByteTrack", "OC-SORT", "norfair")
 STREAK = {"oc_sort": 3}
 """Graph -> frames in a row with a detection, after a gap, from which on a target is reported."""
 SIZE = (1920, 1080)
@@ -63,13 +67,11 @@ def own_box(outcome: Outcome, line: FrameMetrics) -> list[float]:
     return [float(value) for value in xyxy_from_centre(box)]
 
 
-def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, list[float], int]:
-    """Tracks, the seconds of each step, and frames that went as rows."""
+def advanced(name: str, detector: FileDetector, count: int) -> Iterator[tuple[Outcome, float]]:
+    """The outcome of each frame and the seconds of its step."""
     graph = load_graph(name)
     engine = make_engine(graph, 0, detectors={"detections": detector})
     image, outcome = np.zeros((SIZE[1], SIZE[0], 3), np.uint8), None
-    tracks: Tracks = []
-    seconds, rows = [], 0
     for index in range(count):
         frame = Frame(index=index, time=float(index), time_s=index / 25, image=image)
         started = time.process_time()
@@ -77,11 +79,18 @@ def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, list[fl
             outcome = start_targets(graph, engine, frame, ())
         else:
             outcome = step(engine, outcome.state, frame)
-        seconds.append(time.process_time() - started)
+        yield outcome, time.process_time() - started
+
+
+def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, list[float], int]:
+    """Tracks, the seconds of each step, and frames that went as rows."""
+    tracks: Tracks = []
+    rows = 0
+    for outcome, _ in advanced(name, detector, count):
         rows += isinstance(outcome.metrics, RowMetrics)
         live = [one for one in outcome.metrics if not one.silent and one.target in outcome.state.targets]
         tracks.append([[float(one.target), *own_box(outcome, one)] for one in live])
-    return tracks, seconds, rows
+    return tracks, [seconds for _, seconds in advanced(name, detector, count)], rows
 
 
 def reported(tracks: Tracks, least: int) -> Tracks:
@@ -108,9 +117,14 @@ def idf1(own: Tracks, theirs: Tracks, folder: Path) -> float:
     return float(score_mot_files(str(folder / "own"), str(folder / "theirs")).idf1)
 
 
-def rate(seconds: Sequence[float]) -> str:
+def rate(seconds: Sequence[float]) -> float:
     """Frames per second of CPU time."""
-    return f"{len(seconds[WARM_UP:]) / sum(seconds[WARM_UP:]):.0f}"
+    return len(seconds[WARM_UP:]) / sum(seconds[WARM_UP:])
+
+
+def places(own: dict[str, float], others: dict[str, float]) -> str:
+    """The place of each of our graphs among itself and the four peers."""
+    return ", ".join(str(1 + sum(others[peer] > value for peer in FOUR)) for value in own.values())
 
 
 def peers(python: str, detector: FileDetector, count: int) -> dict[str, Any]:
@@ -147,16 +161,19 @@ def main() -> None:
                 tracks = reported(own[name][0], STREAK.get(name, 1))
                 value = idf1(tracks, figures[other]["tracks"], Path(folder))
                 agreement.append([sequence, name, other, f"{value:.4f}", f"{own[name][2]} of {count}"])
+        rates = {name: rate(seconds) for name, (_, seconds, _) in own.items()}
+        others = {name: rate(figures[name]["seconds"]) for name in names}
         speed.append(
             [
                 sequence,
-                *(rate(seconds) for _, seconds, _ in own.values()),
-                *(rate(figures[name]["seconds"]) for name in names),
+                *(f"{value:.0f}" for value in (rates | others).values()),
+                places(rates, others),
+                f"{os.getloadavg()[0]:.1f}",
             ]
         )
         print(f"{sequence}: {answer['versions']}", flush=True)
     print(table(["sequence", "graph", "reference", "IDF1", "frames as rows"], agreement))
-    print(table(["frames/s", "sort", "bytetrack", "oc_sort", *names], speed))
+    print(table(["frames/s", "sort", "bytetrack", "oc_sort", *names, "places of five", "load"], speed))
 
 
 if __name__ == "__main__":
