@@ -10,7 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.assign import assign_total, assign_total_pairs
 from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.observed import LAST, direction_consistency
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.cue import AssociationRule
 
@@ -27,20 +27,22 @@ def share_in_passes(rule: AssociationRule, scores: Floats, count: int, ask: Ask)
     """
     owner = np.full(count, NOBODY, dtype=np.intp)
     is_first = scores >= rule.first_score
+    is_free = np.ones(len(scores), dtype=np.bool_)
 
-    def give(by: Pass, columns: Owners) -> None:
-        rows = np.flatnonzero(owner == NOBODY)
-        free = columns[~np.isin(columns, owner)]
+    def give(by: Pass, takes_part: Bools) -> None:
+        rows, free = (owner == NOBODY).nonzero()[0], (takes_part & is_free).nonzero()[0]
         if len(rows) and len(free):
             chosen = ask(by, rows, free)
             got = chosen != NOBODY
-            owner[rows[got]] = free[chosen[got]]
+            given = free[chosen[got]]
+            owner[rows[got]] = given
+            is_free[given] = False
 
-    give("first", np.flatnonzero(is_first))
+    give("first", is_first)
     if not is_first.all():
-        give("second", np.flatnonzero(~is_first))
+        give("second", ~is_first)
     if rule.recover:
-        give("last", np.flatnonzero(is_first))
+        give("last", is_first)
     return owner
 
 

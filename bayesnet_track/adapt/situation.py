@@ -56,7 +56,7 @@ def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str)
 
 def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
     """The UD of an inference node in the level's unit."""
-    quiet = quiet_level(now.plate, now.net, memory, node)
+    quiet = quiet_level(now.plate, now.net, memory, node) if level.kind == "ud_baseline" else None
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 

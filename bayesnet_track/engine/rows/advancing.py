@@ -27,7 +27,7 @@ from bayesnet_track.engine.lifecycle.existing import Crowd, divide, gate
 from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, RowRecords, Rows, RowStates
-from bayesnet_track.engine.rows.fitting import LinearMotion, RowRule
+from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.rows.judging import judge_rows
 from bayesnet_track.engine.rows.row_heard import RowHeard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
@@ -217,18 +217,24 @@ def predictor(work: FrameWork, rows: Rows) -> Predict:
     from bayesnet_track.numerics.kernels.row_kernels import predict_rows
 
     image = image_of(work, rows.rule)
-    move, noise = _moves(rows.rule.motion, work.frame.time - rows.time)
+    move, noise = _moves(rows.rule, work.frame.time - rows.time)
     return lambda mean, covariance: predict_rows(mean, covariance, move, noise, image)
 
 
 def image_of(work: FrameWork, rule: RowRule) -> Floats:
     """(2,) width and height that targets are confined to."""
-    return Confined(rule.motion, work.frame.width, work.frame.height).extent
+    return _extent(rule, work.frame.width, work.frame.height)
+
+
+# Rules are told apart by identity: to hash a motion takes as long as to predict a crowd.
+@lru_cache(maxsize=64)
+def _extent(rule: RowRule, width: int, height: int) -> Floats:
+    return Confined(rule.motion, width, height).extent
 
 
 @lru_cache(maxsize=64)
-def _moves(motion: LinearMotion, dt: float) -> tuple[Floats, Floats]:
-    return motion.linearise(np.ones(len(motion.fields)), dt)
+def _moves(rule: RowRule, dt: float) -> tuple[Floats, Floats]:
+    return rule.motion.linearise(np.ones(len(rule.motion.fields)), dt)
 
 
 def held_rows(rows: Rows, plate: str) -> list[str]:

@@ -148,9 +148,7 @@ class Rows:
 
     def memory(self, row: int) -> Memory:
         """What the rules remember of one target."""
-        now, rule = self.columns, self.rule
-        count, frames = int(now.quiet_count[row]), int(now.nat_frames[row])
-        quiet = {rule.root: Quiet({rule.active: tuple(now.quiet[row, QUIET_WINDOW - count :].tolist())})}
+        now, rule, frames = self.columns, self.rule, int(self.columns.nat_frames[row])
         lost, found = int(now.lost_count[row]), int(now.found_count[row])
         is_lost, is_found = streak(lost, now.lost_values[row]), streak(found, now.found_values[row])
         by_ud = rule.lost.existence_below is None
@@ -160,9 +158,15 @@ class Rows:
             seen=Streak() if by_ud else is_found,
             unsure=Streak() if by_ud else is_lost,
             unfit=streak(lost, now.unfit_values[row]) if by_ud else Streak(),
-            quiet=quiet if count else {},
+            quiet=self.quiet(row),
             helpful={rule.agent: (float(now.nats[row]), frames)} if frames else {},
         )
+
+    def quiet(self, row: int) -> Mapping[str, Quiet]:
+        """The baselines of UD of one target."""
+        count = int(self.columns.quiet_count[row])
+        values = tuple(self.columns.quiet[row, QUIET_WINDOW - count :].tolist())
+        return {self.rule.root: Quiet({self.rule.active: values})} if count else {}
 
     def record(self, row: int) -> TrackRecord:
         """What is counted of one target."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
@@ -16,6 +14,7 @@ from bayesnet_track.engine.rows.row_metrics import RowMeasures
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, NATS, UD
+from bayesnet_track.numerics.records import changed
 
 
 def judge_rows(
@@ -55,8 +54,9 @@ def judge_rows(
     count = np.where(before.is_lost, after.found_count, after.lost_count)
     turning = (count >= rule.lost.frames).nonzero()[0]
     decisions: list[Decision] = []
+    counted = rows.with_columns(after, work.frame.time)
     for row in turning.tolist():
-        decisions += _decide_status(work, rows, rows.with_columns(after, work.frame.time), measured, row)
+        decisions += _decide_status(work, rows, counted, measured, row)
     if len(turning):
         is_lost = before.is_lost.copy()
         is_lost[turning] = ~is_lost[turning]
@@ -88,5 +88,5 @@ def _decide_status(
         existence=None if rule.crowd is None else float(after.columns.existence[row]),
     )
     decisions: list[Decision] = []
-    judge_status(now, replace(before.memory(row), quiet=after.memory(row).quiet), decisions)
+    judge_status(now, changed(before.memory(row), quiet=after.quiet(row)), decisions)
     return decisions
