@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
 
@@ -29,6 +31,7 @@ def factor(matrix: Floats, lower: Floats, size: int) -> float:
 def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alone: float) -> int:
     """Fill `lower` (D, K) as `numerics.gaussian.root` does; K."""
     size = covariance.shape[0]
+    along = np.empty(size)  # a column of `lower`, its values one apart in memory
     for i in range(size):
         sd = math.sqrt(max(covariance[i, i], 0.0))
         scale[i] = sd if sd > 0 else 1.0
@@ -40,10 +43,11 @@ def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alon
         if rest[k, k] > alone:
             by = math.sqrt(rest[k, k])
             for i in range(size):
-                lower[i, width] = rest[i, k] / by
+                along[i] = rest[i, k] / by
+                lower[i, width] = along[i]
             for i in range(size):
                 for j in range(size):
-                    rest[i, j] -= lower[i, width] * lower[j, width]
+                    rest[i, j] -= along[i] * along[j]
             width += 1
     for i in range(size):
         for k in range(width):

@@ -37,27 +37,31 @@ def predict_rows(
     """
     count, size = mean.shape
     new, spread = np.empty((count, size)), np.empty((count, size, size))
-    half = np.empty((size, size))
-    shrink = np.empty(size)
+    half, shrink = np.empty((size, size)), np.empty(size)
+    parts, columns = np.zeros(size, np.int64), np.empty((size, size), np.int64)
+    for i in range(size):
+        for j in range(size):
+            if move[i, j] != 0.0:
+                columns[i, parts[i]] = j
+                parts[i] += 1
     for t in range(count):
         for i in range(size):
             value = 0.0
-            for j in range(size):
-                if move[i, j] != 0.0:
-                    value += move[i, j] * mean[t, j]
-            new[t, i] = value
             for k in range(size):
-                value = 0.0
-                for j in range(size):
-                    if move[i, j] != 0.0:
-                        value += move[i, j] * covariance[t, j, k]
-                half[i, k] = value
+                half[i, k] = 0.0
+            for n in range(parts[i]):
+                j = columns[i, n]
+                by = move[i, j]
+                value += by * mean[t, j]
+                for k in range(size):
+                    half[i, k] += by * covariance[t, j, k]
+            new[t, i] = value
         for i in range(size):
             for k in range(size):
                 value = 0.0
-                for j in range(size):
-                    if move[k, j] != 0.0:
-                        value += half[i, j] * move[k, j]
+                for n in range(parts[k]):
+                    j = columns[k, n]
+                    value += half[i, j] * move[k, j]
                 spread[t, i, k] = value + noise[i, k]
         for i in range(size):
             for k in range(i):
@@ -119,23 +123,25 @@ def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Float
     for k in range(size):
         for i in range(4):
             mean[k] += gain[k, i] * away[i]
-        for i in range(size):
-            kept[k, i] = (1.0 if k == i else 0.0) - (gain[k, i] if i < 4 else 0.0)
+        for i in range(4):  # of I - K H only these columns are not those of I
+            kept[k, i] = (1.0 if k == i else 0.0) - gain[k, i]
     for i in range(size):
         for k in range(size):
             value = 0.0
-            for j in range(size):
+            for j in range(4):
                 value += kept[i, j] * covariance[j, k]
-            half[i, k] = value
+            half[i, k] = value + covariance[i, k] if i >= 4 else value
     for i in range(size):
         for k in range(i + 1):
-            value, other = 0.0, 0.0
-            for j in range(size):
+            value, other, noise = 0.0, 0.0, 0.0
+            for j in range(4):
                 value += half[i, j] * kept[k, j]
                 other += half[k, j] * kept[i, j]
-            noise = 0.0
-            for j in range(4):
                 noise += gain[i, j] * variances[j] * gain[k, j]
+            if k >= 4:
+                value += half[i, k]
+            if i >= 4:
+                other += half[k, i]
             both = 0.5 * (value + other) + noise
             covariance[i, k], covariance[k, i] = both, both
     return 0.5 * log_noise - half_log - 0.5 * d2
