@@ -91,6 +91,9 @@ def observe(
     """
     if not observed.shape[1]:
         return observed
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.observed_kernels import units_of
+
     layout, after = Layout.of(rule, before[0].shape[1]), observed.copy()
     if layout.size:
         parting = ~is_given & (observed[:, GAP] == 0.0)
@@ -99,11 +102,10 @@ def observe(
     if layout.frames:
         origin = earlier(layout, observed)
         turned = is_given & ~np.isnan(origin[:, 0])
-        after[turned, layout.heading] = _unit(own[turned, :2] - origin[turned, :2])
-        recent = after[:, layout.recent]
-        after[:, layout.recent] = np.concatenate(
-            [recent[:, 4:], np.where(is_given[:, None], own, np.nan)], axis=1
-        )
+        after[turned, layout.heading] = units_of(own[turned, :2] - origin[turned, :2])
+        newest = slice(layout.recent.stop - 4, layout.recent.stop)
+        after[:, layout.recent.start : newest.start] = observed[:, FIXED + 4 : layout.recent.stop]
+        after[:, newest] = np.where(is_given[:, None], own, np.nan)
     after[is_given, LAST] = own[is_given]
     after[:, GAP] = np.where(is_given, 0.0, observed[:, GAP] + 1.0)
     after[:, COUNT] += is_given
@@ -112,11 +114,11 @@ def observe(
 
 def earlier(layout: Layout, observed: Floats) -> Floats:
     """(T, 4) the earliest detection within the last L frames, else the last; NaN with the first one only."""
-    origin = np.where(observed[:, [COUNT]] > 0, observed[:, LAST], np.nan)
-    for back in range(layout.frames - 1, -1, -1):
-        one = observed[:, layout.recent][:, 4 * back : 4 * back + 4]
-        origin = np.where(np.isnan(one), origin, one)
-    return origin
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.observed_kernels import earlier_rows
+
+    return np.asarray(earlier_rows(plain(observed), COUNT, FIXED, layout.frames))
 
 
 def direction_consistency(rule: AssociationRule, observed: Floats, boxes: Floats, scores: Floats) -> Floats:
@@ -125,13 +127,12 @@ def direction_consistency(rule: AssociationRule, observed: Floats, boxes: Floats
     The angle is that between the target's direction and the way from the same earlier detection to each of
     the boxes (N, 4). 0 while a target's direction is not known.
     """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.observed_kernels import cosines_of
+
     layout = Layout(rule.direction_frames, 0)
     heading, origin = observed[:, layout.heading], earlier(layout, observed)
-    way = _unit(boxes[None, :, :2] - origin[:, None, :2])
-    angle = np.arccos(np.clip((way * heading[:, None]).sum(axis=2), -1.0, 1.0))
+    angle = np.arccos(np.clip(cosines_of(plain(heading), origin, plain(boxes)), -1.0, 1.0))
     consistency = rule.direction * scores * (0.5 - angle / np.pi)
     return np.where(np.isnan(heading[:, :1]) | np.isnan(origin[:, :1]), 0.0, consistency)
-
-
-def _unit(way: Floats) -> Floats:
-    return np.asarray(way / (np.linalg.norm(way, axis=-1, keepdims=True) + 1e-6))

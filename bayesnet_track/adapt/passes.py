@@ -11,7 +11,6 @@ from bayesnet_track.adapt.assign import assign_total, assign_total_pairs
 from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.observed import LAST, direction_consistency
 from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.cue import AssociationRule
 
 Pass = Literal["first", "second", "last"]
@@ -58,8 +57,12 @@ def share_by_overlap(
     def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
         reference = observed[rows, LAST] if by == "last" else expected[rows]
         if by == "first" and rule.direction > 0:
+            # Imported here: a graph is validated without compiling anything.
+            from bayesnet_track.numerics.compiled import plain
+            from bayesnet_track.numerics.kernels.observed_kernels import overlaps_of
+
             consistency = direction_consistency(rule, observed[rows], boxes[columns], scores[columns])
-            common = overlap(reference[:, None], boxes[columns][None])
+            common = overlaps_of(plain(reference), plain(boxes[columns]))
             return assign_total(common + consistency, common >= rule.min_overlap)
         return _by_overlap_alone(rule, reference, boxes[columns])
 

@@ -58,6 +58,12 @@ def test_each_limit_leaves_out_what_it_says(rule, kept):
     assert found.labels == tuple("abc"[k] for k in kept)
 
 
+@pytest.mark.parametrize(("boxes", "scores"), [((2, 5), 2), ((2, 4), 1), ((4,), 4)])
+def test_boxes_and_scores_of_other_shapes_are_refused(boxes, scores):
+    with pytest.raises(ValueError, match=r"allowed: \(N, 4\), \(N,\)"):
+        select(np.ones(boxes), np.ones(scores), FRAME, OPEN)
+
+
 def test_a_hundred_thousand_boxes_on_top_of_each_other_do_not_hang():
     rng = np.random.default_rng(0)
     boxes = np.column_stack([rng.uniform(0, 100, (100_000, 2)), rng.uniform(5, 9, (100_000, 2))])

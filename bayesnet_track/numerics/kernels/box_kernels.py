@@ -63,6 +63,33 @@ def crops_of_each(boxes: Floats, starts: Corners, grow: float, columns: int, row
 
 
 @compiled
+def find_fitting(
+    boxes: Floats,
+    scores: Floats,
+    extent: tuple[int, int],
+    areas_px2: tuple[float, float],
+    min_score: float,
+) -> Corners:
+    """Which of the boxes (N, 4) are finite, on an image of this width and height at least in part, and fit.
+
+    Those fit whose area is within the limits and whose score is `min_score` or more.
+    """
+    kept = np.empty(boxes.shape[0], np.int64)
+    count = 0
+    for n in range(boxes.shape[0]):
+        area, fits = 1.0, scores[n] >= min_score
+        for axis in range(2):
+            centre, side = boxes[n, axis], boxes[n, 2 + axis]
+            area *= side
+            fits &= np.isfinite(centre) and np.isfinite(side) and side > 0.0
+            fits &= abs(2.0 * centre - (extent[axis] - 1)) < side + extent[axis]
+        if fits and areas_px2[0] <= area <= areas_px2[1]:
+            kept[count] = n
+            count += 1
+    return kept[:count].copy()
+
+
+@compiled
 def keep_best(boxes: Floats, most_overlap: float, most: int) -> Corners:
     """Which of the boxes (N, 4), the best first, are kept: `most` of them, none too alike a better one kept.
 

@@ -137,26 +137,33 @@ def select(
 
     Left out are boxes that are not finite, outside the frame, too small, too large or too poor. Of equal
     scores the upper box, then the left one, comes first, so that the order given does not matter.
+
+    Raises:
+        ValueError: boxes and scores of other shapes.
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.box_kernels import keep_best
+    from bayesnet_track.numerics.kernels.box_kernels import find_fitting, keep_best
 
-    boxes, scores = np.asarray(boxes, dtype=np.float64), np.clip(scores, 0.0, 1.0)
-    names = [""] * len(boxes) if labels is None else labels
-    with np.errstate(invalid="ignore", over="ignore"):
-        centre, sides = boxes[:, :2], boxes[:, 2:]
-        area = np.prod(sides, axis=1)
-        touches = np.abs(2 * centre - np.array([frame.width - 1, frame.height - 1])) < sides + np.array(
-            [frame.width, frame.height]
+    boxes, scores = plain(np.asarray(boxes, dtype=np.float64)), plain(np.clip(scores, 0.0, 1.0))
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.shape != (len(boxes),):
+        raise ValueError(
+            f"boxes of shape {boxes.shape}, scores of shape {scores.shape}; allowed: (N, 4), (N,)"
         )
-        fits = np.isfinite(boxes).all(axis=1) & (sides > 0).all(axis=1) & touches.all(axis=1)
-        fits &= (area >= parameters.min_area_px) & (scores >= parameters.min_score)
-        fits &= area <= parameters.max_area_share * frame.width * frame.height
-    left = np.flatnonzero(fits)
-    order = np.lexsort((boxes[left, 3], boxes[left, 2], boxes[left, 0], boxes[left, 1], -scores[left]))
-    left = left[order][:CANDIDATES]
-    chosen = left[keep_best(plain(boxes[left]), parameters.max_overlap, parameters.max_count)]
+    names = [""] * len(boxes) if labels is None else labels
+    areas = (parameters.min_area_px, parameters.max_area_share * frame.width * frame.height)
+    left = find_fitting(boxes, scores, (frame.width, frame.height), areas, parameters.min_score)
+    left = left[_best_first(boxes[left], scores[left])[:CANDIDATES]]
+    chosen = left[keep_best(boxes[left], parameters.max_overlap, parameters.max_count)]
     if not len(chosen):
         return NOTHING
     return Detections(boxes[chosen], scores[chosen], tuple([str(names[k]) for k in chosen.tolist()]))
+
+
+def _best_first(boxes: Floats, scores: Floats) -> NDArray[np.int64]:
+    """The order of boxes (N, 4): by score, where scores are equal from the top, then from the left."""
+    order = np.argsort(-scores, kind="stable")
+    ordered = scores[order]
+    if (ordered[1:] == ordered[:-1]).any():
+        return np.lexsort((boxes[:, 3], boxes[:, 2], boxes[:, 0], boxes[:, 1], -scores))
+    return order
