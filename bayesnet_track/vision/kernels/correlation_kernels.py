@@ -49,23 +49,32 @@ def centre_spectrum(packed: Singles, channel: int, turns: Singles, seen: Singles
 
 
 @compiled_summing
-def weigh_rows(halves: Singles, waves: Singles, lines: Singles) -> None:
-    """Fill `lines` (2, Q, C, 2, H) with the horizontal transform of `halves` (2, Q, C, 2, Q) by `waves`.
+def _add_twelve(w: Singles, rows: Singles, line: Singles) -> None:
+    """Add 12 rows (12, K) by their weights `w` (12,) to `line` (K,), in one pass over it."""
+    for k in range(len(line)):
+        one = line[k] + (w[0] * rows[0, k] + w[1] * rows[1, k] + w[2] * rows[2, k] + w[3] * rows[3, k])
+        one += w[4] * rows[4, k] + w[5] * rows[5, k] + w[6] * rows[6, k] + w[7] * rows[7, k]
+        line[k] = one + (w[8] * rows[8, k] + w[9] * rows[9, k] + w[10] * rows[10, k] + w[11] * rows[11, k])
 
-    Four cells at once, so that sums stay in registers: Q is a multiple of 4.
-    """
-    quarter, channels = halves.shape[1], halves.shape[2]
-    for p in range(2):
-        for j in range(quarter):
-            for c in range(channels):
-                for q in range(2):
-                    line, cells = lines[p, j, c, q], halves[p, j, c, q]
-                    line[:] = np.float32(0.0)
-                    for i in range(0, quarter, 4):
-                        a, b, d, e = cells[i], cells[i + 1], cells[i + 2], cells[i + 3]
-                        w0, w1, w2, w3 = waves[q, i], waves[q, i + 1], waves[q, i + 2], waves[q, i + 3]
-                        for k in range(len(line)):
-                            line[k] += a * w0[k] + b * w1[k] + d * w2[k] + e * w3[k]
+
+@compiled_summing
+def _add_four(w: Singles, rows: Singles, line: Singles) -> None:
+    """Likewise 4 rows."""
+    for k in range(len(line)):
+        line[k] += w[0] * rows[0, k] + w[1] * rows[1, k] + w[2] * rows[2, k] + w[3] * rows[3, k]
+
+
+@compiled_summing
+def _weigh(weights: Singles, rows: Singles, line: Singles) -> None:
+    """Write the sum of the rows (Q, K) by their weights (Q,) into `line` (K,); Q is a multiple of 4."""
+    line[:] = np.float32(0.0)
+    first = 0
+    while first + 12 <= len(weights):
+        _add_twelve(weights[first : first + 12], rows[first : first + 12], line)
+        first += 12
+    while first < len(weights):
+        _add_four(weights[first : first + 4], rows[first : first + 4], line)
+        first += 4
 
 
 @compiled_summing
@@ -100,19 +109,17 @@ def scaled_product(seen: Singles, halves: Singles, waves: Singles, total: Single
     rows, channels = seen.shape[0], seen.shape[1]
     quarter = halves.shape[1]
     lines = np.empty((2, quarter, channels, 2, rows), np.float32)
-    weigh_rows(halves, waves, lines)
+    for p in range(2):  # the horizontal transform
+        for i in range(quarter):
+            for c in range(channels):
+                for q in range(2):
+                    _weigh(halves[p, i, c, q], waves[q], lines[p, i, c, q])
     flat = lines.reshape(2, quarter, channels * 2 * rows)
     own = np.empty((2, channels, 2, rows), np.float32)
     own_flat, sums = own.reshape(2, channels * 2 * rows), np.empty((4, rows), np.float32)
     for j in range(rows):
         for p in range(2):
-            line = own_flat[p]
-            line[:] = np.float32(0.0)
-            for i in range(0, quarter, 4):
-                a, b, d, e = waves[p, i, j], waves[p, i + 1, j], waves[p, i + 2, j], waves[p, i + 3, j]
-                f0, f1, f2, f3 = flat[p, i], flat[p, i + 1], flat[p, i + 2], flat[p, i + 3]
-                for k in range(len(line)):
-                    line[k] += a * f0[k] + b * f1[k] + d * f2[k] + e * f3[k]
+            _weigh(waves[p, :, j], flat[p], own_flat[p])
         sums[:] = np.float32(0.0)
         for c in range(channels):
             even, across = own[0, c, 0], own[0, c, 1]
