@@ -158,11 +158,14 @@ def boxes_at(noise: Noise, points: Floats) -> Floats:
 
 def component_variances(noise: Noise, old: Floats, dt: float) -> Floats:
     """(C, N, 4) variances of the coordinates around boxes (N, 4): C = 2 with `heavy_tail`, else 1."""
-    narrow = np.concatenate([position_variance(noise, old, dt), size_sd(noise, old, dt) ** 2], axis=1)
-    if noise.heavy_tail is None:
-        return narrow[None]
-    factor = noise.heavy_tail.factor**2
-    return np.stack([narrow, narrow * np.array([factor, factor, 1.0, 1.0])])
+    tail = noise.heavy_tail
+    variances = np.empty((1 if tail is None else 2, len(old), 4))
+    variances[:, :, :2] = position_variance(noise, old, dt)
+    for column, sd in zip((2, 3), size_sd(noise, old, dt).T, strict=True):
+        variances[:, :, column] = sd**2
+    if tail is not None:
+        variances[1, :, :2] *= tail.factor**2
+    return variances
 
 
 def component_log_shares(noise: Noise) -> Floats:
@@ -173,16 +176,21 @@ def component_log_shares(noise: Noise) -> Floats:
 
 def position_variance(noise: Noise, boxes: Floats, dt: float) -> Floats:
     """(N, 2) variances of x and y in px^2 over `dt` frame intervals."""
-    px = np.array([noise.sd_px.x, noise.sd_px.y])
-    box = np.array([noise.sd_box.x, noise.sd_box.y])
-    return np.asarray(dt * (px**2 + box**2 * (boxes[:, 2] * boxes[:, 3])[:, None]))
+    area, variances = boxes[:, 2] * boxes[:, 3], np.empty((len(boxes), 2))
+    for axis, (px, box) in enumerate(((noise.sd_px.x, noise.sd_box.x), (noise.sd_px.y, noise.sd_box.y))):
+        variances[:, axis] = dt * (px * px + box * box * area)
+    return variances
 
 
 def size_sd(noise: Noise, boxes: Floats, dt: float) -> Floats:
-    """(N, 2) sds over `dt` of w and h in px, or of log sqrt(w h) and log(w / h) when `is_log`."""
-    px = np.array([noise.sd_px.w, noise.sd_px.h])
+    """(N, 2) sds over `dt` of w and h in px, or of log sqrt(w h) and log(w / h) when `is_log`.
+
+    (1, 2) where they are the same for all boxes.
+    """
+    px, log = noise.sd_px, noise.sd_log
     if not is_log(noise):
-        return np.tile(np.sqrt(dt) * px, (len(boxes), 1))
-    relative = np.sum((px / boxes[:, 2:]) ** 2, axis=1)
-    log = noise.sd_log
-    return np.sqrt(dt * np.stack([log.scale**2 + relative / 4, log.aspect**2 + relative], axis=1))
+        return np.asarray(np.sqrt(dt) * np.array([[px.w, px.h]]))
+    if px.w == 0 and px.h == 0:
+        return np.asarray(np.sqrt(dt * np.array([[log.scale**2, log.aspect**2]])))
+    relative = np.sum((np.array([px.w, px.h]) / boxes[:, 2:]) ** 2, axis=1)
+    return np.asarray(np.sqrt(dt * np.stack([log.scale**2 + relative / 4, log.aspect**2 + relative], axis=1)))

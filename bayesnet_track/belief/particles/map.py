@@ -67,6 +67,6 @@ def _index(log_likelihood: Floats, states: Floats, before: Before, motion: Motio
     points, log_jacobian = transition.coordinates(states)
     components, width = transition.sds.shape[0], points.shape[1]
     log_weights = (transition.log_shares[:, None] + weights.log).ravel()
-    means = transition.means if components == 1 else np.tile(transition.means, (components, 1))
+    means = transition.means if components == 1 else np.concatenate([transition.means] * components)
     sds = transition.sds.reshape(len(means), width)
     return mixture_argmax(log_likelihood + log_jacobian, points, log_weights, means, sds)
