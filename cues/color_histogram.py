@@ -33,6 +33,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import HALF_OVERLAP, box_pixels, crops_of, distinct_pixels
 from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.observation.reference_rows import ReferenceRows, column
 from bayesnet_track.vision.planes.color_planes import HueBins
 
 STEP = 0.7
@@ -143,13 +144,13 @@ class ColorHistogram:
 
         p = self.parameters
         counts, visible, nominal, firsts, places = self._count_of_each(planes, boxes, starts)
-        shares = np.array([one["shares"] for one in references])
+        shares = column(references, "shares")
         distances, _ = color_distances_of_each(
             counts, visible, nominal, firsts, shares, p.achromatic_distance
         )
-        alphas = np.array([float(one["alpha"]) * factor_of(one) for one in references])
+        alphas = column(references, "alpha") * column(references, SHARPER, 1.0)
         similarity = log_logistic(distances, np.repeat(alphas, np.diff(firsts)))[places]
-        sizes = np.repeat(np.array([one["size"] for one in references]), np.diff(starts), axis=0)
+        sizes = np.repeat(column(references, "size"), np.diff(starts), axis=0)
         size = log_size_penalty(boxes, sizes.T, p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
 
@@ -158,19 +159,16 @@ class ColorHistogram:
     ) -> Sequence[Reference]:
         """`learn` and `blend` of several targets at once."""
         shares, alphas = self._learn_each(planes, boxes)
-        old = np.array([one["shares"] for one in references])
-        old_alphas = np.array([float(one["alpha"]) for one in references])
-        factors, known = np.array([factor_of(one) for one in references]), np.ones(len(references))
-        sizes = {"size": np.array([one["size"] for one in references])}
+        old, old_alphas = column(references, "shares"), column(references, "alpha")
+        factors, known = column(references, SHARPER, 1.0), np.ones(len(references))
+        sizes = {"size": column(references, "size")}
         columns = {
             "shares": rates[:, None] * shares + (1.0 - rates)[:, None] * old,
             "alpha": rates * alphas + (1.0 - rates) * old_alphas,
             "size": blend_sizes(sizes, {"size": boxes[:, 2:]}, np.repeat(rates, 2).reshape(-1, 2)),
             SHARPER: relax_all(factors, known, rates),
         }
-        for array in columns.values():
-            array.setflags(write=False)
-        return [{name: array[t, ...] for name, array in columns.items()} for t in range(len(boxes))]
+        return ReferenceRows(columns)
 
     def _learn_each(self, planes: Sequence[Planes], boxes: Floats) -> tuple[Floats, Floats]:
         """(T, bins + 1) shares and (T,) alphas of targets in the centre boxes (T, 4), as `learn` has them."""

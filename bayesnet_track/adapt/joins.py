@@ -104,39 +104,44 @@ class JoinMemory:
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
-    """Where a target's belief says that it is: mean box (4,) and sds of its centre (2,)."""
+class Reaches:
+    """Where beliefs say that their targets are.
 
-    box: Floats
-    sd: Floats
-
-
-def reach_overlaps(reaches: Sequence[Reach]) -> Floats:
-    """(T, T) overlap of the reaches, as a share of the smaller one's area.
-
-    A reach is the mean box, widened by one sd of the centre on each side.
+    Attributes:
+        names: the T targets.
+        boxes: (T, 4) mean boxes, px.
+        sds: (T, 2) of their centres.
     """
-    if not reaches:
-        return np.zeros((0, 0))
-    boxes, sds = np.array([one.box for one in reaches]), np.array([one.sd for one in reaches])
-    half = boxes[:, 2:] / 2 + sds
-    low, high = boxes[:, :2] - half, boxes[:, :2] + half
-    sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
-    areas = np.prod(high - low, axis=1)
-    return np.asarray(np.prod(np.clip(sides, 0.0, None), axis=2) / np.minimum(areas[:, None], areas[None]))
+
+    names: Sequence[str]
+    boxes: Floats
+    sds: Floats
+
+    @property
+    def overlaps(self) -> Floats:
+        """(T, T) overlap of the reaches, as a share of the smaller one's area.
+
+        A reach is the mean box, widened by one sd of the centre on each side.
+        """
+        half = self.boxes[:, 2:] / 2 + self.sds
+        low, high = self.boxes[:, :2] - half, self.boxes[:, :2] + half
+        sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
+        areas = np.prod(high - low, axis=1)
+        return np.asarray(
+            np.prod(np.clip(sides, 0.0, None), axis=2) / np.minimum(areas[:, None], areas[None])
+        )
 
 
 def decide_joins(
-    frame: int, rules: tuple[Join, ...], net: Net, reaches: Mapping[str, Reach], memory: JoinMemory
+    frame: int, rules: tuple[Join, ...], net: Net, reaches: Reaches, memory: JoinMemory
 ) -> tuple[tuple[Joined | Parted, ...], JoinMemory]:
     """Join every pair that overlaps and has a rule, part every joined pair that has been apart for long.
 
     Two levels keep it from going back and forth: joining takes one frame with the overlap, parting takes
     `apart_frames` without it. What is remembered of targets that are gone is dropped.
     """
-    names = [name for name in reaches if name in net.targets]
+    names, overlaps = reaches.names, reaches.overlaps
     kinds = {name: net.targets[name].template for name in names}
-    overlaps = reach_overlaps([reaches[name] for name in names])
     decisions: list[Joined | Parted] = []
     pairs: dict[Pair, PairMemory] = {}
     known = {frozenset(pair): pair for pair in net.joins}

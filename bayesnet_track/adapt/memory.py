@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import median
-
-import numpy as np
 
 from bayesnet_track.adapt.information import Worth
 from bayesnet_track.numerics.records import changed
@@ -77,22 +75,6 @@ class Quiet:
 
 
 NO_QUIET = Quiet()
-
-
-def find_medians(quiets: Iterable[Quiet]) -> None:
-    """Find the medians of many baselines of one set each, before a rule asks for them."""
-    alike: dict[int, list[tuple[Quiet, tuple[float, ...]]]] = {}
-    for one in quiets:
-        if len(one.values) == 1:
-            (seen,) = one.values.values()
-            alike.setdefault(len(seen), []).append((one, seen))
-    for count, group in alike.items():
-        if count < QUIET_MINIMUM:
-            continue
-        ordered = np.sort(np.array([seen for _, seen in group]), axis=1)
-        middle = (ordered[:, (count - 1) // 2] + ordered[:, count // 2]) / 2
-        for (one, _), value in zip(group, middle.tolist(), strict=True):
-            one.__dict__["_only_median"] = value
 
 
 @dataclass(frozen=True)

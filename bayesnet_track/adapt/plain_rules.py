@@ -1,18 +1,34 @@
-"""The rules of a net in which only the target's status can change: those of `rules.decide`, in short."""
+"""Nets in which only the target's status can change: what their rules remember, as columns.
+
+It is what `rules.decide` remembers of each target while nothing is decided.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
+from typing import Any
 
-from bayesnet_track.adapt.conditions import scale_of
-from bayesnet_track.adapt.memory import NO_QUIET, NO_STREAK, Memory, find_medians
-from bayesnet_track.adapt.situation import active_below, quiet_level
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.memory import (
+    NO_QUIET,
+    NO_STREAK,
+    QUIET_MINIMUM,
+    QUIET_WINDOW,
+    Memory,
+    Quiet,
+    Streak,
+)
 from bayesnet_track.adapt.status import USUAL
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import changed
+
+COLUMNS = ("quiet", "quiet_count", "nats", "nat_frames", "found_count", "found_values", "medians")
+"""The arrays of `PlainMemories`, a row for each target."""
 
 
 @lru_cache(maxsize=64)
@@ -28,60 +44,150 @@ def has_plain_rules(plate: CheckedTarget) -> bool:
     )
 
 
-class Seen(Protocol):
-    """What was measured of T targets: of each the root's UD and area, px^2, fit, and agent -> nats."""
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What was measured of T targets.
 
-    @property
-    def uds(self) -> Sequence[float]: ...
-
-    @property
-    def areas(self) -> Sequence[float]: ...
-
-    @property
-    def fits(self) -> Sequence[float]: ...
-
-    @property
-    def contributions(self) -> Sequence[Mapping[str, float]]: ...
-
-
-def remember_plainly(
-    plate: CheckedTarget,
-    nets: Sequence[TargetNet],
-    seen: Seen,
-    memories: Sequence[Memory],
-    hidden: Sequence[float],
-) -> list[Memory | None]:
-    """What the rules of such a plate remember of targets after a frame; None where something may be decided.
-
-    `hidden` are the shares of the targets that others hide.
+    Attributes:
+        uds: (T,) of the root's belief, px^2.
+        areas: (T,) of the estimates, px^2.
+        fits: (T,) as in `Measures`.
+        hidden: (T,) shares that others hide.
+        nats: (T, A) contributions of the active agents.
     """
-    root, rule = plate.root, plate.inference(plate.root).lost or USUAL
-    found: list[Memory | None] = []
-    for net, memory, ud, contribution in zip(nets, memories, seen.uds, seen.contributions, strict=True):
-        if (
-            net.status != "tracking"
-            or not net.active
-            or net.quarantined
-            or memory.missed
-            or memory.self_check
-            or memory.worth
-        ):
-            found.append(None)
-        else:
-            active, quiet = active_below(plate, net, root), memory.quiet
-            if active:
-                quiet = {**quiet, root: quiet.get(root, NO_QUIET).seen(active, ud)}
-            found.append(changed(memory, quiet=quiet, helpful=memory.counting(contribution)))
-    find_medians(one.quiet[root] for one in found if one is not None and root in one.quiet)
-    for k, (net, after, ud) in enumerate(zip(nets, found, seen.uds, strict=True)):
-        if after is None:
-            continue
-        baseline = quiet_level(plate, net, after, root) if rule.above.kind == "ud_baseline" else None
-        scale = scale_of(rule.above, seen.areas[k], baseline)
-        value = 0.0 if scale is None else ud / scale
-        if value > rule.above.settings or not (seen.fits[k] >= rule.fit_below or hidden[k] >= 0.5):
-            found[k] = None
-            continue
-        streak = after.found.then(True, value, rule.frames)
-        after.__dict__.update(lost=NO_STREAK, unfit=NO_STREAK, found=streak)
-    return found
+
+    uds: Floats
+    areas: Floats
+    fits: Floats
+    hidden: Floats
+    nats: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class PlainMemories:
+    """What is remembered of T targets with the same active agents.
+
+    Attributes:
+        others: of each, what else its rules remember; it does not change.
+        root: the node whose UD counts.
+        agents: the A active agents.
+        quiet: (T, W) last values of UD, filled from the right.
+        quiet_count: (T,) how many there are.
+        nats: (T, A) sums of contributions.
+        nat_frames: (T, A) frames that count in them.
+        found_count: (T,) frames in a row that look found.
+        found_values: (T, F) values of the last of them, filled from the right.
+        medians: (T,) baselines of UD, px^2; NaN while unknown.
+    """
+
+    others: tuple[Memory, ...]
+    root: str
+    agents: tuple[str, ...]
+    quiet: Floats
+    quiet_count: Ints
+    nats: Floats
+    nat_frames: Ints
+    found_count: Ints
+    found_values: Floats
+    medians: Floats
+
+    @staticmethod
+    def fits(memory: Memory, root: str, active: frozenset[str]) -> bool:
+        """Whether the columns have a place for all that a target's rules remember."""
+        quiet = memory.quiet.get(root, NO_QUIET).values
+        return (
+            not (memory.missed or memory.self_check or memory.worth)
+            and memory.quiet.keys() <= {root}
+            and quiet.keys() <= {active}
+        )
+
+    @classmethod
+    def of(cls, plate: CheckedTarget, agents: Sequence[str], memories: Sequence[Memory]) -> PlainMemories:
+        """The columns of memories that fit, of a plate's targets with these active agents."""
+        root, active = plate.root, frozenset(agents)
+        frames = (plate.inference(root).lost or USUAL).frames
+        quiet = [one.quiet.get(root, NO_QUIET).values.get(active, ()) for one in memories]
+        helpful = [[one.helpful.get(agent, (0.0, 0)) for agent in agents] for one in memories]
+        sums = np.array(helpful, dtype=np.float64).reshape(len(memories), len(agents), 2)
+        return cls(
+            tuple(memories),
+            root,
+            tuple(agents),
+            _right_aligned(quiet, QUIET_WINDOW),
+            np.array([len(one) for one in quiet], dtype=np.int64),
+            sums[:, :, 0].copy(),
+            sums[:, :, 1].astype(np.int64),
+            np.array([one.found.count for one in memories], dtype=np.int64),
+            _right_aligned([one.found.values for one in memories], frames),
+            np.full(len(memories), np.nan),
+        )
+
+    def then(self, plate: CheckedTarget, seen: Seen) -> tuple[PlainMemories, Bools]:
+        """After one more frame of targets that are tracked, and of which nothing is decided.
+
+        Something may be decided of the others, whose rows mean nothing.
+        """
+        from bayesnet_track.numerics.kernels.row_kernels import append_medians
+
+        rule, count = plate.inference(self.root).lost or USUAL, len(self.others)
+        every = np.ones(count, dtype=np.bool_)
+        quiet, held, medians = append_medians(self.quiet, self.quiet_count, seen.uds, every, QUIET_MINIMUM)
+        scale = {"ud_px2": np.ones(count), "ud_box": seen.areas, "ud_baseline": medians}[rule.above.kind]
+        is_known = scale > 0.0  # not where the baseline is unknown
+        value = np.where(is_known, seen.uds / np.where(is_known, scale, 1.0), 0.0)
+        stays = ~(value > rule.above.settings) & ((seen.fits >= rule.fit_below) | (seen.hidden >= 0.5))
+        after = replace(
+            self,
+            quiet=quiet,
+            quiet_count=held,
+            nats=self.nats + seen.nats,
+            nat_frames=self.nat_frames + 1,
+            found_count=self.found_count + 1,
+            found_values=np.concatenate([self.found_values[:, 1:], value[:, None]], axis=1),
+            medians=medians,
+        )
+        return after, stays
+
+    def take(self, rows: Sequence[int]) -> PlainMemories:
+        """Those of some targets."""
+        return self._with(tuple(self.others[row] for row in rows), lambda name: getattr(self, name)[[*rows]])
+
+    def extended(self, others: PlainMemories) -> PlainMemories:
+        """These, then others of the same agents."""
+
+        def both(name: str) -> NDArray[Any]:
+            return np.concatenate([getattr(self, name), getattr(others, name)])
+
+        return self._with(self.others + others.others, both)
+
+    def _with(self, others: tuple[Memory, ...], column: Callable[[str], NDArray[Any]]) -> PlainMemories:
+        return changed(self, others=others, **{name: column(name) for name in COLUMNS})
+
+    def median(self, row: int) -> float | None:
+        """The baseline of one target's UD, px^2; None while unknown."""
+        value = float(self.medians[row])
+        return None if value != value else value
+
+    def memory(self, row: int) -> Memory:
+        """What is remembered of one target."""
+        other, count = self.others[row], int(self.quiet_count[row])
+        found = int(self.found_count[row])
+        held = max(len(self.found_values[row]) - found, 0)
+        own = zip(self.agents, self.nats[row].tolist(), self.nat_frames[row].tolist(), strict=True)
+        values = tuple(self.quiet[row, QUIET_WINDOW - count :].tolist())
+        return changed(
+            other,
+            quiet={self.root: Quiet({frozenset(self.agents): values})},
+            helpful={**other.helpful, **{agent: (nats, frames) for agent, nats, frames in own}},
+            lost=NO_STREAK,
+            unfit=NO_STREAK,
+            found=Streak(found, tuple(self.found_values[row, held:].tolist())),
+        )
+
+
+def _right_aligned(values: Sequence[tuple[float, ...]], size: int) -> Floats:
+    table = np.zeros((len(values), size))
+    for row, several in enumerate(values):
+        if several:
+            table[row, size - len(several) :] = several
+    return table

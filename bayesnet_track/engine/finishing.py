@@ -23,7 +23,8 @@ from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn_all
 from bayesnet_track.engine.modes import with_modes
-from bayesnet_track.engine.rows.plain_rows import Described, finish_rows
+from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.plain_rows import Described, Results, finish_rows
 from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
@@ -33,7 +34,7 @@ from bayesnet_track.engine.summaries import Summary, find_covariances, find_summ
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
-from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
+from bayesnet_track.inference.measure_rows import Looks, is_flat, is_plain, measure_rows
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
@@ -50,37 +51,43 @@ def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
     return finish_targets(work, {filtered.target: filtered})[filtered.target]
 
 
-def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, TargetResult]:
+def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> Results:
     """Measure the beliefs, decide what changes, let the agents learn, and describe them: target -> result.
 
     One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
     """
     started = work.engine.clock()
-    find_maps(one.step for one in filtered.values())
-    states = {target: estimate_target(work, one) for target, one in filtered.items()}
+    groups = filtered.groups if isinstance(filtered, Together) else ()
+    for group in groups:
+        group.find_maps()
+    find_maps(one.step for one in (filtered.others if isinstance(filtered, Together) else filtered).values())
     work.charge("belief", started)
-    inside = inside_frame_all(np.array([state[:4] for state in states.values()]).reshape(-1, 4), work.frame)
-    boxes = dict(zip(states, inside, strict=True))
     bare = replace(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
     spreads = find_covariances(filtered)
     described = Described(bare, spreads, find_summaries(bare, filtered, spreads))
-    results = finish_rows(work, filtered, states, boxes, described)
-    filtered = {target: one for target, one in filtered.items() if target not in results}
+    finished = [done for group in groups if (done := finish_rows(work, group, described)) is not None]
+    names = [*filtered]
+    together = {target for done in finished for target in done}
+    left = {target: filtered[target] for target in names if target not in together}
+    results: dict[str, TargetResult] = {}
+    states = {target: estimate_target(work, one) for target, one in left.items()}
+    inside = inside_frame_all(np.array([state[:4] for state in states.values()]).reshape(-1, 4), work.frame)
+    boxes = dict(zip(states, inside, strict=True))
     started = work.engine.clock()
-    measures = measure_all(work, filtered, boxes)
+    measures = measure_all(work, left, boxes)
     measured = {
         target: measure_target(work, one, states[target], boxes[target], measures[target])
-        for target, one in filtered.items()
+        for target, one in left.items()
     }
-    decided = {target: decide_target(work, one, measured[target]) for target, one in filtered.items()}
+    decided = {target: decide_target(work, one, measured[target]) for target, one in left.items()}
     started = work.charge("measure", started)
-    learnt = learn_all(work, filtered, measured, decided)
+    learnt = learn_all(work, left, measured, decided)
     work.charge("learn", started)
-    for target, one in filtered.items():
-        done = measured[target], decided[target], learnt[target]
-        line = partial(_line, bare, one, done, described.summaries)
-        results[target] = describe_target(work, one, done, line, partial(spreads.__getitem__, target))
-    return results
+    for target, one in left.items():
+        found = measured[target], decided[target], learnt[target]
+        line = partial(_line, bare, one, found, described.summaries)
+        results[target] = describe_target(work, one, found, line, partial(spreads.__getitem__, target))
+    return Results(finished, results, names)
 
 
 def estimate_target(work: FrameWork, filtered: Filtered) -> Floats:
@@ -108,7 +115,9 @@ def measure_all(
             found[targets[0]] = measure(plate, first.plan, first.step, areas[targets[0]])
             continue
         steps = [filtered[target].step for target in targets]
-        rows = measure_rows(plate, first.plan, steps, [areas[target] for target in targets])
+        rows = measure_rows(
+            plate, first.plan, Looks.of(first.plan, steps), [areas[target] for target in targets]
+        )
         found.update((target, rows.of(row)) for row, target in enumerate(targets))
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar, overload
 
@@ -88,19 +88,21 @@ class Made(Generic[Value]):
 
 
 class WhenAsked(Mapping[str, Value]):
-    """Target -> what is made of it, such as a covariance, each when it is asked for."""
+    """Target -> what `make` makes of it, such as a covariance, when it is asked for."""
 
-    def __init__(self, makers: Mapping[str, Callable[[], Value]]) -> None:
-        self._makers = makers
+    def __init__(self, targets: Iterable[str], make: Callable[[str], Value]) -> None:
+        self._targets, self._make = dict.fromkeys(targets), make
 
     def __getitem__(self, target: str) -> Value:
-        return self._makers[target]()
+        if target not in self._targets:
+            raise KeyError(target)
+        return self._make(target)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._makers)
+        return iter(self._targets)
 
     def __len__(self) -> int:
-        return len(self._makers)
+        return len(self._targets)
 
 
 def index(measures: Measures, root: str) -> float:

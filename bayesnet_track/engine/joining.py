@@ -16,7 +16,7 @@ from bayesnet_track.adapt.joins import (
     JoinMemory,
     Level,
     PairMemory,
-    Reach,
+    Reaches,
     spanning_tree,
 )
 from bayesnet_track.belief.contract import Posterior, Step
@@ -25,6 +25,7 @@ from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, r
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.occlusion import level_of, levels_after, report_hidden
+from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.on_others import logs_on
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
@@ -52,7 +53,7 @@ class JointBelief:
         events: what is written down.
     """
 
-    filtered: Mapping[str, Filtered]
+    filtered: Together
     memory: JoinMemory
     events: tuple[Event, ...] = ()
 
@@ -76,7 +77,7 @@ class _Tree:
     flaws: Mapping[Pair, PairFlaw] = field(default_factory=dict)
 
 
-def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Filtered]) -> JointBelief:
+def join_targets(work: FrameWork, memory: JoinMemory, filtered: Together) -> JointBelief:
     """The joint belief of all joined targets, and what follows from it for each."""
     if not work.engine.joins:
         return JointBelief(filtered, memory)
@@ -93,18 +94,18 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     after = report_hidden(work.frame.index, metrics, after, events)
     after = report_carried(work.frame.index, metrics, carriers, after, events)
     work.charge("joins", started)
-    joined = {
+    others = {
         name: changed(one, step=steps[name], join=metrics[name]) if name in metrics else one
-        for name, one in filtered.items()
+        for name, one in filtered.others.items()
     }
-    return JointBelief(joined, after, tuple(events))
+    said = {name: marginal.log_likelihood for name, marginal in marginals.items()}
+    groups = [group.reweighted(said, metrics) for group in filtered.groups]
+    return JointBelief(Together(groups, others, filtered.order), after, tuple(events))
 
 
-def reaches_of(beliefs: Sequence[Posterior], spreads: Sequence[Floats]) -> list[Reach]:
-    """Where beliefs, with the covariances `spreads` (D, D), say that their targets are."""
-    variances = np.array([spread.diagonal()[:2] for spread in spreads]).reshape(-1, 2)
-    sds = np.sqrt(np.clip(variances, 0.0, None))
-    return [Reach(belief.mean[:4], sd) for belief, sd in zip(beliefs, sds, strict=True)]
+def reaches_of(names: Sequence[str], boxes: Floats, variances: Floats) -> Reaches:
+    """Where beliefs, with mean boxes (T, 4) and variances (T, 4) of them, say that their targets are."""
+    return Reaches(names, boxes, np.sqrt(np.clip(variances[:, :2], 0.0, None)))
 
 
 # ------------------------------------------------------------------------------------ the joint belief
@@ -139,7 +140,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
 
 
 def _marginals(
-    work: FrameWork, tree: _Tree, levels: Mapping[str, Level], of: Mapping[str, Filtered]
+    work: FrameWork, tree: _Tree, levels: Mapping[str, Level], of: Together
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The joint belief's marginals, and of each edge the probability that its first target is in front."""
     relates = any(edge.factor is not None for edge in (*tree.edges, *tree.closing))
@@ -188,10 +189,10 @@ def _split_joint(
     carriers: Carriers,
     marginals: Mapping[str, Marginal],
     pairs: Mapping[Pair, PairMemory],
-    of: Mapping[str, Filtered],
+    of: Together,
 ) -> tuple[Steps, dict[str, JoinMetrics], dict[str, CarriedHypotheses]]:
     """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
-    steps = {name: _reweight(one, marginals.get(name)) for name, one in of.items()}
+    steps = {name: _reweight(one, marginals.get(name)) for name, one in of.others.items()}
     carried: dict[str, CarriedHypotheses] = {}
     metrics: dict[str, JoinMetrics] = {}
     for name in dict.fromkeys(name for pair in pairs for name in pair):

@@ -5,7 +5,7 @@ Targets whose cues learn of several targets at once (`CrowdCue`) learn together,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
@@ -117,20 +117,26 @@ def follow_all(
             ]
             if not own:
                 continue
-            follows: Any = cue
+            known = [shown(moved[target][agent]) for target in own]
             at = np.array([boxes[target] for target in own])
-            try:
-                planes = planes_of_each(work, cue.needs, at, np.arange(len(own) + 1), context_of(cue))
-                known = [shown(moved[target][agent]) for target in own]
-                shares = np.array([rates[target][agent] for target in own])
-                after = check_references(follows.follow_each(planes, at.copy(), known, shares))
-            except FAULTS:
-                after = None
+            after = follow_some(work, cue, known, at, np.array([rates[target][agent] for target in own]))
             if after is None:
                 return {}
             for target, reference in zip(own, after, strict=True):
                 moved[target][agent] = reference
     return moved
+
+
+def follow_some(
+    work: FrameWork, cue: Any, known: Sequence[Reference], boxes: Floats, rates: Floats
+) -> Sequence[Reference] | None:
+    """What an agent remembers of T targets after learning in the boxes (T, 4); None where its cue fails."""
+    try:
+        planes = planes_of_each(work, cue.needs, boxes, np.arange(len(known) + 1), context_of(cue))
+        after = check_references(cue.follow_each(planes, boxes.copy(), known, rates))
+    except FAULTS:
+        return None
+    return after if after is not None and len(after) == len(known) else None
 
 
 def learn_target(

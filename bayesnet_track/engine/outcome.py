@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.engine.external_inputs import ExternalInputs
-from bayesnet_track.engine.findings import Heard, TargetResult
+from bayesnet_track.engine.findings import Heard
 from bayesnet_track.engine.frame_metrics import Lines, WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reaches_of
+from bayesnet_track.engine.rows.particle_table import ParticleStates
+from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, apply_decisions, recompile
 from bayesnet_track.journal.events.event import Event
@@ -71,24 +75,24 @@ class Outcome:
     heard: Mapping[str, Heard] = field(default_factory=dict)
 
 
-def carry_out(
-    work: FrameWork, state: State, results: Mapping[str, TargetResult], joint: JointBelief
-) -> Outcome:
+def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelief) -> Outcome:
     """The outcome of the targets' frames, in the order of `results`: decisions are carried out."""
-    net, targets = work.net, {}
+    net, others = work.net, {}
     events: list[Event] = [*joint.events]
-    for target, result in results.items():
+    for target, result in results.others.items():
         net = apply_decisions(net, result.decisions)
-        targets[target] = recompile(work.engine, net, target, result.state)
+        others[target] = recompile(work.engine, net, target, result.state)
         events += [*result.events, *result.decisions]
-    boxes = {target: result.box for target, result in results.items()}
+    targets: Mapping[str, TargetState] = others
+    if results.groups:
+        targets = ParticleStates([group.table for group in results.groups], others, results.order)
     return Outcome(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
-        Lines([result.line for result in results.values()], boxes) if results else (),
+        Lines(results.lines, results.boxes) if len(results) else (),
         tuple(events),
-        WhenAsked({target: result.covariance for target, result in results.items()}),
+        WhenAsked(results.order, lambda target: results[target].covariance()),
         work.seconds,
-        heard=WhenAsked({target: result.heard for target, result in results.items()}),
+        heard=WhenAsked(results.order, lambda target: results[target].heard()),
     )
 
 
@@ -98,16 +102,33 @@ def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
     if not joins:
         return outcome
     state, started = outcome.state, work.engine.clock()
-    spreads = [
-        one.belief.covariance if (known := outcome.covariances.get(target)) is None else known
-        for target, one in state.targets.items()
-    ]
-    beliefs = {target: one.belief for target, one in state.targets.items()}
-    reaches = dict(zip(beliefs, reaches_of(list(beliefs.values()), spreads), strict=True))
+    reaches = reaches_of(*moments_of(state.targets, outcome.covariances))
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
     work.charge("joins", started)
     after = replace(state, net=apply_decisions(state.net, decisions), joins=memory)
     return replace(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
+
+
+def moments_of(
+    targets: Mapping[str, TargetState], known: Mapping[str, Floats]
+) -> tuple[list[str], Floats, Floats]:
+    """The targets, and of their beliefs the means (T, 4) and variances (T, 4) of the boxes.
+
+    `known` has covariances (D, D) that were found before.
+    """
+    names = list(targets)
+    boxes, variances = np.empty((len(names), 4)), np.empty((len(names), 4))
+    at = dict(zip(names, range(len(names)), strict=True))
+    tables = targets.tables if isinstance(targets, ParticleStates) else ()
+    for table in tables:
+        rows = [at[target] for target in table.ids]
+        boxes[rows] = table.clouds.means[:, :4]
+        variances[rows] = np.diagonal(table.clouds.covariances, axis1=1, axis2=2)[:, :4]
+    for target, one in (targets.others if isinstance(targets, ParticleStates) else targets).items():
+        spread = known.get(target)
+        boxes[at[target]] = one.belief.mean[:4]
+        variances[at[target]] = (one.belief.covariance if spread is None else spread).diagonal()[:4]
+    return names, boxes, variances
 
 
 def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | SpareTime]) -> Outcome:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
-from bayesnet_track.engine.filtering import filter_target
+from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_targets
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
@@ -27,8 +27,10 @@ from bayesnet_track.engine.outcome import (
     with_load,
 )
 from bayesnet_track.engine.rows.advancing import advance_rows
+from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.finding import find_rows
 from bayesnet_track.engine.rows.particle_rows import filter_rows
+from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.scoring.scene_cuts import find_cuts
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, apply_decisions
@@ -79,18 +81,22 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     # Predict and update: by each target's own agents, then together where targets are joined
     elsewhere = start_elsewhere(work, before)
     rides = Rides.of(work, state.joins)
-    here = {name: one for name, one in before.items() if name not in elsewhere.targets}
-    filtered = filter_rows(work, {name: one for name, one in here.items() if name not in rides.carriers})
-    for target in rides.carriers_first(here):
+    apart = elsewhere.targets | rides.carriers.keys()
+    near = {name: one for name, one in before.items() if name not in apart} if apart else before
+    alone: dict[str, Filtered] = {}
+    filtered = Together(filter_rows(work, near), alone, [*before])
+    for target in rides.carriers_first(filtered.missing(elsewhere.targets)):
         if target not in filtered:
             ride = rides.ride(target, before[target], filtered)
-            filtered[target] = filter_target(work, target, before[target], ride)
-    joint = join_targets(work, state.joins, {name: filtered[name] for name in before if name in filtered})
+            alone[target] = filter_target(work, target, before[target], ride)
+    joint = join_targets(work, state.joins, filtered)
 
     # Measure, decide, learn, describe
     results = finish_targets(work, joint.filtered)
-    results |= collect_elsewhere(work, elsewhere, before)
-    outcome = carry_out(work, state, {target: results[target] for target in before}, joint)
+    if elsewhere.targets:
+        others = {**results.others, **collect_elsewhere(work, elsewhere, before)}
+        results = Results(results.groups, others, [*before])
+    outcome = carry_out(work, state, results, joint)
     return _manage(work, outcome, associated, given, cuts)
 
 

@@ -14,11 +14,15 @@ from typing import TypeVar
 import numpy as np
 
 from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.particles.clouds import Clouds
 from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
+from bayesnet_track.numerics.log_weights import effective
 
 Rows = list[tuple[float, ...]]
 Value = TypeVar("Value")
@@ -93,10 +97,17 @@ def _summarise(
 
 
 def _find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
-    alike, alone = _alike(filtered)
-    found = {target: filtered[target].step.posterior.covariance for target in alone}
+    groups = filtered.groups if isinstance(filtered, Together) else ()
+    found = dict(pair for group in groups for pair in zip(group.ids, group.clouds.covariances, strict=True))
+    alike, alone = _alike(
+        {target: one for target, one in filtered.items() if target not in found}
+        if len(found) < len(filtered)
+        else {}
+    )
+    found |= {target: filtered[target].step.posterior.covariance for target in alone}
     for targets in alike:
-        found.update(zip(targets, _covariances(filtered[target].step for target in targets), strict=True))
+        clouds = Clouds.of([particles(filtered[target].step.posterior) for target in targets])
+        found.update(zip(targets, clouds.covariances, strict=True))
     return found
 
 
@@ -112,15 +123,6 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
             alone.append(target)
     alone += [targets[0] for targets in alike.values() if len(targets) == 1]  # one row would take longer
     return [targets for targets in alike.values() if len(targets) > 1], alone
-
-
-def _covariances(steps: Iterable[Step[Posterior]]) -> Floats:
-    """(T, D, D)."""
-    supports = [step.support for step in steps]
-    states = np.array([one.states for one in supports])
-    weights = np.array([one.weights.weights for one in supports])
-    away = states - np.matmul(weights[:, None], states)
-    return np.asarray(np.matmul((away * weights[:, :, None]).swapaxes(1, 2), away))
 
 
 def summarise_one(work: FrameWork, target: str, step: Step[Posterior], covariance: Floats) -> Summary:
@@ -145,7 +147,7 @@ def _summarise_rows(
     weights = np.array([step.support.weights.weights for step in steps])
     log = np.array([step.support.weights.log for step in steps])
     variances = np.diagonal(spreads, axis1=1, axis2=2)
-    ess = _effective(log).tolist()
+    ess = effective(log).tolist()
     surprises = [kl(step.support.weights.log, step.prior.log) for step in steps]
     regions = np.concatenate([_regions(states[:, :, axis], weights) for axis in (0, 1)], axis=2).tolist()
     root = work.plate_of(targets[0]).plate.root
@@ -158,13 +160,6 @@ def _summarise_rows(
         )
         for t, (target, cloud) in enumerate(zip(targets, clouds.tolist(), strict=True))
     }
-
-
-def _effective(log: Floats) -> Floats:
-    """(T,) effective sample sizes of normalised log-weights (T, N)."""
-    twice = 2.0 * log
-    top = twice.max(axis=1)
-    return np.asarray(np.exp(-(top + np.log(np.exp(twice - top[:, None]).sum(axis=1)))))
 
 
 def _regions(values: Floats, weights: Floats) -> Floats:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.conditions import read_level
+from bayesnet_track.adapt.conditions import scale_of
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability
 from bayesnet_track.inference.executor import (
@@ -36,6 +36,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
+from bayesnet_track.observation.reference_rows import ReferenceRows
 from bayesnet_track.observation.shared import seal, shown
 
 
@@ -87,10 +88,11 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
     >>> round(learning_rate(rule, 50.0, 1.0, None), 4), learning_rate(rule, 100.0, 1.0, None)
     (0.8808, 0.0)
     """
-    reading = None if rule is None else read_level(rule.below, ud_px2, area_px2, quiet_px2)
-    if reading is None or reading.value >= reading.level:
+    scale = None if rule is None else scale_of(rule.below, area_px2, quiet_px2)
+    if rule is None or scale is None:
         return 0.0
-    return 0.5 * (1.0 - math.tanh(2.0 * (reading.value - reading.level) / reading.level))
+    value, level = ud_px2 / scale, rule.below.settings
+    return 0.0 if value >= level else 0.5 * (1.0 - math.tanh(2.0 * (value - level) / level))
 
 
 def over_frames(rate: float, frames: int) -> float:
@@ -225,13 +227,15 @@ def _failure(error: BaseException) -> str | Missing:
     return f"raised {type(error).__name__} while learning: {text_of(error)}"
 
 
-def check_references(references: Sequence[Reference]) -> list[Reference] | None:
+def check_references(references: Sequence[Reference]) -> Sequence[Reference] | None:
     """What a cue learnt of several targets, each array for reading only; None where one is not finite."""
-    arrays = [np.asarray(values) for one in references for values in one.values()]
+    together = isinstance(references, ReferenceRows)
+    every = [references.columns] if isinstance(references, ReferenceRows) else references
+    arrays = [np.asarray(values) for one in every for values in one.values()]
     floating = [array.ravel() for array in arrays if array.dtype.kind in "fc"]
     if floating and not np.isfinite(np.concatenate(floating)).all():
         return None
-    return [seal(one) for one in references]
+    return references if together else [seal(one) for one in references]
 
 
 def _check(reference: Reference) -> Reference | str:

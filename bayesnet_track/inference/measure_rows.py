@@ -64,7 +64,7 @@ class RowMeasures:
         uds: of each target, UD of its belief, px^2.
         fits: of each, as in `Measures`.
         areas: of each estimate, px^2.
-        contributions: of each, agent -> nats.
+        nats: (T, A) contributions.
         find_rest: () -> of each target by agent, KL and strength in nats, UD in px^2.
     """
 
@@ -73,7 +73,7 @@ class RowMeasures:
     uds: Sequence[float]
     fits: Sequence[float]
     areas: Sequence[float]
-    contributions: Sequence[dict[str, float]]
+    nats: Floats
     find_rest: Callable[[], Rest]
 
     def __len__(self) -> int:
@@ -90,38 +90,63 @@ class RowMeasures:
             ud_px2={self.target.root: self.uds[row]},
             agent_ud_px2=uds,
             kl=kl,
-            contribution=self.contributions[row],
+            contribution=dict(zip(self.agents, self.nats[row].tolist(), strict=True)),
             strength=strength,
             fit=self.fits[row],
             area_px2=self.areas[row],
         )
 
 
-def measure_rows(
-    target: CheckedTarget, plan: Plan, steps: Sequence[Step[Any]], areas_px2: Sequence[float]
-) -> RowMeasures:
-    """What is measured of plain `steps` of a flat net, with the same number of hypotheses each."""
-    agents = [one.agent for one in plan.observations]
-    columns = _columns(target)
-    messages = np.array([[step.evidence.messages[agent] for step in steps] for agent in agents])
-    prior = np.array([step.prior.log for step in steps])
-    root = np.array([step.support.weights.log for step in steps])
-    weights = np.array([step.support.weights.weights for step in steps])
-    boxes = np.array([step.support.states[:, columns] for step in steps])
-    without = tilt(prior, _without_each(plan, agents, messages))
-    nats = divergences(np.array([root] * len(agents)), without).T.tolist()
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Plain steps of T targets with N hypotheses each, by the same A agents.
+
+    Attributes:
+        messages: (A, T, N) log-likelihoods by agent, in the order of the plan's observations.
+        prior: (T, N) log-weights before the evidence.
+        log: (T, N) those after it.
+        weights: (T, N).
+        states: (T, N, D).
+        best: (T, D) the MAP states.
+    """
+
+    messages: Floats
+    prior: Floats
+    log: Floats
+    weights: Floats
+    states: Floats
+    best: Floats
+
+    @classmethod
+    def of(cls, plan: Plan, steps: Sequence[Step[Any]]) -> Looks:
+        """Those of steps with the same number of hypotheses each."""
+        return cls(
+            np.array([[step.evidence.messages[one.agent] for step in steps] for one in plan.observations]),
+            np.array([step.prior.log for step in steps]),
+            np.array([step.support.weights.log for step in steps]),
+            np.array([step.support.weights.weights for step in steps]),
+            np.array([step.support.states for step in steps]),
+            np.array([step.map_state for step in steps]),
+        )
+
+
+def measure_rows(target: CheckedTarget, plan: Plan, looks: Looks, areas_px2: Sequence[float]) -> RowMeasures:
+    """What is measured of plain steps of a flat net."""
+    agents, columns, messages = [one.agent for one in plan.observations], _columns(target), looks.messages
+    boxes = np.ascontiguousarray(looks.states[:, :, columns])
+    without = tilt(looks.prior, _without_each(plan, agents, messages))
+    nats = divergences(np.array([looks.log] * len(agents)), without).T
     fits = np.exp(
-        np.minimum(sum((own / len(agents) for own in messages), np.zeros_like(prior)).max(axis=1), 0.0)
+        np.minimum(sum((own / len(agents) for own in messages), np.zeros_like(looks.prior)).max(axis=1), 0.0)
     )
-    about = np.array([step.map_state for step in steps])[:, columns]
     return RowMeasures(
         target,
         agents,
-        _uds(boxes, weights, about),
+        _uds(boxes, looks.weights, looks.best[:, columns]),
         fits.tolist(),
         areas_px2,
-        [dict(zip(agents, own, strict=True)) for own in nats],
-        partial(_find_rest, messages, prior, root, boxes),
+        nats,
+        partial(_find_rest, messages, looks.prior, looks.log, boxes),
     )
 
 

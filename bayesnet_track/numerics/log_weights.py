@@ -80,6 +80,13 @@ class LogWeights:
         return LogWeights.normalise(self.log + log_likelihood)
 
 
+def effective(log: Floats) -> Floats:
+    """(T,) effective sample sizes of normalised log-weights (T, N)."""
+    twice = 2.0 * log
+    top = twice.max(axis=1)
+    return np.asarray(np.exp(-(top + np.log(np.exp(twice - top[:, None]).sum(axis=1)))))
+
+
 @lru_cache(maxsize=16)
 def _uniform(size: int) -> LogWeights:
     return LogWeights(_frozen(np.full(size, -np.log(size))))

@@ -13,9 +13,8 @@ from bayesnet_track.adapt.joins import (
     JoinMemory,
     Level,
     PairMemory,
-    Reach,
+    Reaches,
     decide_joins,
-    reach_overlaps,
     spanning_tree,
 )
 from bayesnet_track.graph.spec import Join
@@ -29,7 +28,12 @@ CARRY = Join.model_validate({"between": ["person", "box"], "attachment": {}})
 
 
 def reach(x, y=50.0, sd=0.0):
-    return Reach(np.array([x, y, 20.0, 20.0]), np.array([sd, sd]))
+    return (x, y, 20.0, 20.0), (sd, sd)
+
+
+def reaches_of(known):
+    boxes, sds = ([one[k] for one in known.values()] for k in (0, 1))
+    return Reaches([*known], np.array(boxes).reshape(-1, 4), np.array(sds).reshape(-1, 2))
 
 
 def born(**kinds):
@@ -45,25 +49,27 @@ def net_of(**kinds):
 
 def uncounted(net, reaches):
     """Pairs of live targets whose beliefs overlap although no join accounts for the pixels of both."""
-    overlaps = reach_overlaps(list(reaches.values()))
+    overlaps = reaches_of(reaches).overlaps
     pairs = combinations(enumerate(reaches), 2)
     over = {(a, b) for (i, a), (k, b) in pairs if overlaps[i, k] >= NEAR.when.overlap}
     return {frozenset(pair) for pair in over} - {frozenset(pair) for pair in net.joins}
 
 
 def test_overlap_is_of_the_smaller_reach():
-    overlaps = reach_overlaps([reach(50), reach(60), reach(90), reach(50, sd=5.0)])
+    overlaps = reaches_of(dict(enumerate([reach(50), reach(60), reach(90), reach(50, sd=5.0)]))).overlaps
     assert overlaps[0, 1] == pytest.approx(0.5)
     assert overlaps[0, 2] == 0
     assert overlaps[0, 3] == pytest.approx(1.0), "the smaller one lies wholly inside"
     assert np.array_equal(overlaps, overlaps.T)
-    assert reach_overlaps([]).shape == (0, 0)
+    assert reaches_of({}).overlaps.shape == (0, 0)
 
 
 def test_they_are_joined_at_once_and_parted_after_a_while():
     net, memory, decided = net_of(a="t", b="t"), JoinMemory(), []
     for frame, x in enumerate([200.0, 68.5, 68.0, 69.9, 80.0, 68.0, 80.0, 81.0, 90.0, 90.0], 1):
-        decisions, memory = decide_joins(frame, (NEAR,), net, {"a": reach(50), "b": reach(x)}, memory)
+        decisions, memory = decide_joins(
+            frame, (NEAR,), net, reaches_of({"a": reach(50), "b": reach(x)}), memory
+        )
         decided += decisions
         for decision in decisions:
             net = apply(net, decision)
@@ -77,7 +83,7 @@ def test_they_are_joined_at_once_and_parted_after_a_while():
 def test_kinds_without_a_join_stay_alone_and_the_carrier_comes_first():
     net = net_of(b="box", p="person", q="person")
     reaches = {name: reach(50) for name in net.targets}
-    decisions, memory = decide_joins(1, (CARRY,), net, reaches, JoinMemory())
+    decisions, memory = decide_joins(1, (CARRY,), net, reaches_of(reaches), JoinMemory())
     assert [(one.target, one.other) for one in decisions] == [("p", "b"), ("q", "b")]
     assert memory.pairs["p", "b"].overlap == 1.0
 
@@ -106,7 +112,7 @@ def test_after_every_change_overlapping_targets_are_accounted_for(frames):
     net, memory = net_of(a="t", b="t", c="t", d="t"), JoinMemory()
     for frame, places in enumerate(frames, 1):
         reaches = {name: reach(float(x), float(y)) for name, (x, y) in zip("abcd", places, strict=True)}
-        decisions, memory = decide_joins(frame, (NEAR,), net, reaches, memory)
+        decisions, memory = decide_joins(frame, (NEAR,), net, reaches_of(reaches), memory)
         before = uncounted(net, reaches)
         for decision in decisions:
             net = apply(net, decision)
@@ -145,7 +151,7 @@ def test_what_is_remembered_goes_with_the_target_or_with_its_last_join():
     )
     net = apply(net_of(a="t", b="t", c="t"), Joined(3, "a", "b", ("t", "t"), 0, 0.2, 0.1))
     reaches = {"a": reach(50), "b": reach(60), "c": reach(300)}
-    decisions, kept = decide_joins(5, (NEAR,), net, reaches, memory)
+    decisions, kept = decide_joins(5, (NEAR,), net, reaches_of(reaches), memory)
     assert decisions == () and set(kept.pairs) == {("a", "b")}
     assert kept.pairs["a", "b"].overlap == pytest.approx(0.5)
     assert set(kept.levels) == {"a", "b", "c"}

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory, Quiet, find_medians
-from bayesnet_track.adapt.plain_rules import has_plain_rules, remember_plainly
+from bayesnet_track.adapt.memory import Memory, Quiet
+from bayesnet_track.adapt.plain_rules import PlainMemories, Seen, has_plain_rules
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.net.net import Net, apply
@@ -20,20 +19,14 @@ LEVELS = [{"ud_px2": 50.0}, {"ud_box": 0.1}, {"ud_baseline": 2.0}]
 FRAMES = st.tuples(st.floats(0, 100), st.floats(0, 1), st.sampled_from([0.0, 0.4, 0.6]))
 
 
-@dataclass(frozen=True)
-class One:
-    """The measures of one target as those of several."""
-
-    uds: tuple[float, ...]
-    areas: tuple[float, ...]
-    fits: tuple[float, ...]
-    contributions: tuple[dict[str, float], ...]
-
-
 def remembered(plate, net, measures, memory, hidden=0.0):
-    seen = One((measures.ud_px2["root"],), (measures.area_px2,), (measures.fit,), (measures.contribution,))
-    (found,) = remember_plainly(plate, [net], seen, [memory], [hidden])
-    return found
+    if net.status != "tracking" or not PlainMemories.fits(memory, "root", net.active):
+        return None
+    numbers = (measures.ud_px2["root"], measures.area_px2, measures.fit, hidden)
+    nats = np.array([[measures.contribution[agent] for agent in sorted(net.active)]])
+    known = PlainMemories.of(plate, sorted(net.active), [memory])
+    after, stays = known.then(plate, Seen(*(np.array([one]) for one in numbers), nats))
+    return after.memory(0) if stays[0] else None
 
 
 def plate_of(fakes, root, agent=None):
@@ -71,22 +64,29 @@ def test_nets_with_other_rules_are_none(fakes):
     assert has_plain_rules(plate_of(fakes, {}))
 
 
-def test_an_agent_that_is_out_or_off_is_left_to_all_rules(fakes):
-    plate, measures = plate_of(fakes, {}), Measures({"root": 1.0}, {}, {}, {}, {}, 1.0, 400.0)
-    for net in (
-        TargetNet("plate", frozenset()),
-        TargetNet("plate", frozenset("a"), quarantined=frozenset("b")),
+def test_a_memory_that_has_more_than_the_columns_is_left_to_all_rules():
+    active, other = frozenset("a"), frozenset("ab")
+    assert PlainMemories.fits(Memory(), "root", active)
+    assert PlainMemories.fits(Memory(quiet={"root": Quiet({active: (1.0,)})}), "root", active)
+    for memory in (
+        Memory(missed={"a": 1}),
+        Memory(quiet={"part": Quiet()}),
+        Memory(quiet={"root": Quiet({active: (1.0,), other: (2.0,)})}),
     ):
-        assert remembered(plate, net, measures, Memory()) is None
-    net = TargetNet("plate", frozenset("a"))
-    assert remembered(plate, net, measures, Memory(missed={"a": 1})) is None
-    assert remembered(plate, net, measures, Memory()) is not None
+        assert not PlainMemories.fits(memory, "root", active)
 
 
-@given(rows=st.lists(st.lists(st.floats(0, 1e6), min_size=8, max_size=12), min_size=1, max_size=6))
-def test_medians_of_many_are_those_of_each(rows):
-    active = frozenset("a")
-    each = [Quiet({active: tuple(row)}) for row in rows]
-    together = [Quiet({active: tuple(row)}) for row in rows]
-    find_medians(together)
-    assert [one.level_px2(active) for one in together] == [one.level_px2(active) for one in each]
+@given(rows=st.lists(st.lists(st.floats(0, 1e6), min_size=8, max_size=60), min_size=2, max_size=6))
+def test_medians_of_many_are_those_of_each(fakes, rows):
+    """Also of rows that are taken out, and put together again."""
+    plate, active, size = plate_of(fakes, {}), frozenset("a"), min(map(len, rows))
+    memories = [Memory(quiet={"root": Quiet({active: tuple(row[: size - 1])})}) for row in rows]
+    known = PlainMemories.of(plate, ["a"], memories)
+    known = known.take([0]).extended(known.take(range(1, len(rows))))
+    ones = np.ones(len(rows))
+    last = np.array([row[size - 1] for row in rows])
+    after, _ = known.then(plate, Seen(last, ones, ones, ones, ones[:, None]))
+    for row, values in enumerate(rows):
+        quiet = Quiet({active: tuple(values[:size][-50:])})
+        assert after.median(row) == quiet.level_px2(active)
+        assert after.memory(row).quiet == {"root": quiet}

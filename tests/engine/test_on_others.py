@@ -5,6 +5,8 @@ import pytest
 import bayesnet_track.engine.rows.on_others as on_others
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 from tests.engine.test_particle_rows import frame, started
 
@@ -15,11 +17,12 @@ NEIGHBOURS = {"1": ["2", "3"], "2": ["1"], "3": ["1"]}
 def work_and_targets():
     engine, state = started()
     work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)))
-    return work, {target: filter_target(work, target, one) for target, one in state.targets.items()}
+    alone = {target: filter_target(work, target, one) for target, one in state.targets.items()}
+    return work, Together(filter_rows(work, state.targets), {}, [*alone]), Together([], alone, [*alone])
 
 
 def test_they_are_asked_together_with_the_answers_of_each_alone(work_and_targets, monkeypatch):
-    work, targets = work_and_targets
+    work, targets, alone = work_and_targets
     monkeypatch.setattr(on_others, "_ask", None)
     together = on_others.logs_on(work, NEIGHBOURS, targets)
     assert {name: list(found) for name, found in together.items()} == NEIGHBOURS
@@ -27,5 +30,5 @@ def test_they_are_asked_together_with_the_answers_of_each_alone(work_and_targets
     monkeypatch.undo()
     monkeypatch.setattr(on_others, "ask_together", lambda *asked: None)  # as where an agent fails
     assert on_others.logs_on(work, NEIGHBOURS, targets) == together
-    monkeypatch.setattr(on_others, "asks_together", lambda *asked: False)
-    assert on_others.logs_on(work, NEIGHBOURS, targets) == together
+    monkeypatch.setattr(on_others, "_ask_together", None)
+    assert on_others.logs_on(work, NEIGHBOURS, alone) == together

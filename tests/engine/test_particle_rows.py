@@ -1,5 +1,8 @@
 """Targets held by particles that are filtered together: the same bytes as one by one."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +11,10 @@ from bayesnet_track.engine import finishing, learning
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows import plain_rows
+from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
+from bayesnet_track.engine.rows.particle_table import ParticleStates, ParticleTable
+from bayesnet_track.engine.rows.row_learning import follow_rows
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
@@ -54,6 +60,17 @@ def lines(frames=5):
     return written
 
 
+def known(state):
+    """What is known of a target, in bytes where it is arrays."""
+    belief = state.belief
+    references = {
+        agent: {name: values.tobytes() for name, values in one.items()}
+        for agent, one in state.references.items()
+    }
+    arrays = (belief.states, belief.weights.log, belief.weights.weights)
+    return state.memory, references, [array.tobytes() for array in arrays], state.time, state.plan.active
+
+
 def test_together_and_one_by_one_are_the_same_bytes(monkeypatch):
     asked = []
     own = ColorHistogram.log_likelihood_of_each
@@ -62,7 +79,7 @@ def test_together_and_one_by_one_are_the_same_bytes(monkeypatch):
     )
     together = lines()
     assert len(asked) == 8
-    monkeypatch.setattr(steps, "filter_rows", lambda work, before: {})
+    monkeypatch.setattr(steps, "filter_rows", lambda work, before: [])
     assert lines() == together
 
 
@@ -98,7 +115,7 @@ def test_agents_of_all_targets_learn_in_one_call(monkeypatch):
     )
     together = lines(4)
     assert asked and max(asked) > 1
-    monkeypatch.setattr(finishing, "finish_rows", lambda *_: {})
+    monkeypatch.setattr(finishing, "finish_rows", lambda *_: None)
     monkeypatch.setattr(learning, "plate_learns", lambda compiled: False)
     assert lines(4) == together
 
@@ -109,28 +126,29 @@ def test_finished_together_and_one_by_one_are_the_same_bytes(monkeypatch):
 
     def finish(*given):
         found = plain_rows.finish_rows(*given)
-        finished.append(len(found))
+        finished.append(0 if found is None else len(found))
         return found
 
     def memories():
         engine, state = started()
         for index in range(1, 14):
             state = steps.step(engine, state, frame(index if index < 10 else index + 30)).state
-        return {target: one.memory for target, one in state.targets.items()}
+        return {target: known(one) for target, one in state.targets.items()}
 
     monkeypatch.setattr(finishing, "finish_rows", finish)
     together, remembered = lines(8), memories()
     assert max(finished) == len(PLACES) and min(finished) < len(PLACES)
-    monkeypatch.setattr(finishing, "finish_rows", lambda *_: {})
+    monkeypatch.setattr(finishing, "finish_rows", lambda *_: None)
     assert lines(8) == together and memories() == remembered
 
 
 def test_only_targets_that_fit_go_together():
     engine, state = started()
     work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))))
-    assert list(filter_rows(work, state.targets)) == ["0", "1", "2", "3"]
+    (group,) = filter_rows(work, state.targets)
+    assert list(group) == ["0", "1", "2", "3"]
     work.availability.known["0", "color", "observing"] = "late"
-    assert filter_rows(work, state.targets) == {}
+    assert filter_rows(work, state.targets) == []
     for name, is_fit in (("two_squares", True), ("crowd", True), ("general", False), ("kalman_ball", False)):
         plates = steps.make_engine(load_graph(name)).plates.values()
         assert {plate_fits(plate) for plate in plates} == {is_fit}
@@ -150,3 +168,83 @@ def test_planes_hold_the_boxes_of_each_target(side):
             planes.region.y1 - planes.region.y0,
             planes.region.x1 - planes.region.x0,
         )
+
+
+def test_targets_are_rows_until_something_is_decided_about_them():
+    """The others stay rows; what is asked of a row is made once, and is an object in a copy."""
+    engine, state = started()
+    for index in (1, 2):
+        state = steps.step(engine, state, frame(index)).state
+    assert isinstance(state.targets, ParticleStates)
+    (table,) = state.targets.tables
+    assert sorted([*table.ids, *state.targets.others]) == ["0", "1", "2", "3"] and list(state.targets) == [
+        *"0123"
+    ]
+    one, *rest = table.ids
+    assert state.targets[one] is state.targets[one]
+    copied = pickle.loads(pickle.dumps(state.targets))
+    assert {name: known(own) for name, own in copied.items()} == {
+        name: known(own) for name, own in state.targets.items()
+    }
+    assert state.targets.unchanged(state.net.targets).tables == [table]
+    lost = {**state.net.targets, one: replace(state.net.targets[one], status="lost")}
+    after = state.targets.unchanged(lost)
+    assert isinstance(after, ParticleStates) and after.others[one] is state.targets[one]
+    assert [own.ids for own in after.tables] == [tuple(rest)]
+    assert {name: known(own) for name, own in after.items()} == {
+        name: known(own) for name, own in state.targets.items()
+    }
+    together = after.tables[0].extended(ParticleTable.of(table.compiled, {one: state.targets[one]}))
+    assert together.ids == (*rest, one)
+    assert [known(together.state(row)) for row in range(len(together.ids))] == [
+        known(state.targets[name]) for name in together.ids
+    ]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"status": "lost"}, {"quarantined": frozenset({"coarse"})}, {"sampled": {"coarse": 2}}],
+)
+def test_rows_of_which_something_may_be_decided_are_finished_one_by_one(change):
+    engine, state = started()
+    nets = {**state.net.targets, "2": replace(state.net.targets["2"], **change)}
+    work = FrameWork(engine, replace(state.net, targets=nets), PlaneCache(FramePair(frame(1), frame(0))))
+    groups = filter_rows(work, state.targets)
+    (group,) = [one for one in groups if len(one) > 1]
+    found = plain_rows.finish_rows(work, group, plain_rows.Described(work, {}, {}))
+    assert found is not None and "2" not in found
+
+
+def test_a_group_and_some_of_it_hold_the_same_of_each():
+    engine, state = started()
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))))
+    (group,) = filter_rows(work, state.targets)
+    group.find_maps()
+    some = group.take([1, 3])
+    assert list(some) == ["1", "3"]
+    for target in some:
+        one, other = group[target].step, FilteredRows.take(group, [1, 3])[target].step
+        assert one.posterior.states.tobytes() == other.posterior.states.tobytes()
+        assert one.map_state.tobytes() == other.map_state.tobytes() == one.find_map().tobytes()
+        assert one.log_evidence == other.log_evidence
+
+
+def test_agents_learn_only_of_targets_with_a_rate():
+    engine, state = started()
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))))
+    table = ParticleTable.of(engine.plates["thing"], state.targets)
+    boxes = np.array([[*at, 16.0, 16.0] for at in PLACES])
+    every, some, none = (
+        follow_rows(work, table, boxes, np.array(rates))
+        for rates in ([0.5, 0.5, 0.5, 0.5], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0])
+    )
+    for agent in ("color", "coarse"):
+        assert none[agent] is table.references[agent]
+        for row in range(4):
+            same = every if row % 2 == 0 else none
+            assert some[agent][row]["shares"].tobytes() == same[agent][row]["shares"].tobytes()
+    listed = replace(table, references={agent: list(own) for agent, own in table.references.items()})
+    again = follow_rows(work, listed, boxes, np.array([0.5, 0.0, 0.5, 0.0]))
+    assert [one["shares"].tolist() for one in again["color"]] == [
+        one["shares"].tolist() for one in some["color"]
+    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -17,16 +17,19 @@ def propagate_rows(
     motion: KinematicMotion,
     states: Floats,
     dt: float,
-    streams: Sequence[np.random.Generator],
+    streams: Iterable[np.random.Generator],
     parents: Ancestors,
 ) -> Floats:
     """(T, N, D) states after `dt` frame intervals of the (T, N) `parents` among the states (T, K, D) of each.
 
-    As `motion.propagate(states[t], dt, streams[t], parents[t])` for every target t.
+    As `motion.propagate(states[t], dt, streams[t], parents[t])` for every target t. Where `draws_twice` holds
+    each stream is an object of its own, else the next may take the last one's place.
     """
     from bayesnet_track.numerics.kernels.kinematic_kernels import driven
 
     count, known, width = states.shape
+    if draws_twice(motion):
+        streams = list(streams)
     below = (parents + known * np.arange(count)[:, None]).ravel()
     flat = states.reshape(-1, width)
     if motion.diffusion == 0:
@@ -42,3 +45,8 @@ def propagate_rows(
         for own, stream in zip(moved, streams, strict=True):
             add_noise(motion.noise, own[:, :4], stream, dt)
     return moved
+
+
+def draws_twice(motion: KinematicMotion) -> bool:
+    """Whether a target's numbers are drawn in two turns, for the velocities and for the box."""
+    return motion.diffusion != 0 and any(noisy(motion.noise))

@@ -6,7 +6,7 @@ bytes.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +15,8 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.rows.particle_rows import ask_together, asks_together
-from bayesnet_track.inference.measure_rows import is_flat
+from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
+from bayesnet_track.engine.rows.particle_rows import ask_together
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -29,36 +29,67 @@ LEAST = -1e3
 
 
 def logs_on(
-    work: FrameWork, neighbours: Mapping[str, Sequence[str]], of: Mapping[str, Filtered]
+    work: FrameWork, neighbours: Mapping[str, Sequence[str]], of: Together
 ) -> dict[str, dict[str, float]]:
     """Target -> other -> mean log-likelihood, by its own agents, of boxes of it wholly on the other's.
 
     Where its box is the larger one, in the middle of the other's.
     """
     work = replace(work, seconds={})  # what this takes is counted among the joins
-    states = {
-        name: _places(work, of[name], [of[other] for other in others]) for name, others in neighbours.items()
-    }
-    alike: dict[Hashable, list[str]] = {}
-    for name in neighbours:
-        one, compiled = of[name], work.plate_of(name)
-        if (
-            one.plan.active == one.before.plan.active
-            and is_flat(compiled.plate)
-            and compiled.modes is None
-            and asks_together(work, compiled, one.before)
-        ):
-            alike.setdefault((compiled.plate.name, one.plan.active), []).append(name)
-    logs: dict[str, Floats] = {}
-    for names in alike.values():
-        if len(names) > 1:  # arrays of one row take longer
-            logs |= _ask_together(work, [of[name] for name in names], [states[name] for name in names])
     found: dict[str, dict[str, float]] = {}
-    for name, others in neighbours.items():
-        log = logs[name] if name in logs else _ask(work, of[name], states[name])
-        means = np.maximum(log, LEAST).reshape(len(others), ON_SIZE).mean(axis=1)
-        found[name] = dict(zip(others, means.tolist(), strict=True))
-    return found
+    for group in of.groups:
+        names = [
+            name for name in group.ids if name in neighbours and all(one in group for one in neighbours[name])
+        ]
+        if len(names) > 1:  # arrays of one row take longer
+            found |= _ask_together(work, group, {name: neighbours[name] for name in names})
+    return {
+        name: found[name] if name in found else _ask(work, of[name], others, [of[other] for other in others])
+        for name, others in neighbours.items()
+    }
+
+
+def _ask_together(
+    work: FrameWork, group: FilteredRows, neighbours: Mapping[str, Sequence[str]]
+) -> dict[str, dict[str, float]]:
+    """What `logs_on` gives of targets and neighbours of one group; nothing where an agent fails."""
+    from bayesnet_track.numerics.kernels.joint_kernels import put_on_others
+
+    index, counts = group.before.index, [len(others) for others in neighbours.values()]
+    rows = np.array([index[name] for name in neighbours])
+    firsts = np.cumsum([0, *counts])
+    places = put_on_others(
+        group.clouds.states,
+        group.clouds.weights,
+        rows,
+        firsts,
+        np.array([index[other] for others in neighbours.values() for other in others]),
+        _uniforms(work, neighbours),
+        ON_SIZE,
+    )
+    boxes = np.ascontiguousarray(places[:, :4])
+    messages = ask_together(work, group.before, boxes, firsts * ON_SIZE, rows)
+    if messages is None:
+        return {}
+    log = join_plain(group.plan, messages, (len(boxes),))[group.plan.root]
+    means = _means(log)
+    return {
+        name: dict(zip(others, means[first : first + len(others)], strict=True))
+        for (name, others), first in zip(neighbours.items(), firsts.tolist(), strict=False)
+    }
+
+
+def _means(log: Floats) -> list[float]:
+    """Of (K * ON_SIZE,) log-likelihoods the K means."""
+    means: list[float] = np.maximum(log, LEAST).reshape(-1, ON_SIZE).mean(axis=1).tolist()
+    return means
+
+
+def _uniforms(work: FrameWork, neighbours: Mapping[str, Sequence[str]]) -> Floats:
+    """The random numbers of all: of each target its own shift, a shift for each other, two for each box."""
+    streams = work.engine.streams.of_each(neighbours, "on", work.frame.index, "places")
+    own = zip(streams, neighbours.values(), strict=True)
+    return np.concatenate([rng.random(1 + len(others) * (1 + 2 * ON_SIZE)) for rng, others in own])
 
 
 def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Floats:
@@ -82,25 +113,11 @@ def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Float
     return states
 
 
-def _ask_together(
-    work: FrameWork, targets: Sequence[Filtered], states: Sequence[Floats]
-) -> dict[str, Floats]:
-    """Target -> (K,) log-likelihoods of its states; of none where an agent fails."""
-    boxes = np.concatenate([own[:, :4] for own in states])
-    starts = np.cumsum([0, *map(len, states)])
-    plan, compiled = replace(targets[0].plan, factors=()), work.plate_of(targets[0].target)
-    messages = ask_together(work, compiled, [one.before for one in targets], boxes, starts)
-    if messages is None:
-        return {}
-    log = join_plain(plan, messages, (len(boxes),))[plan.root]
-    return {
-        one.target: log[first:last]
-        for one, first, last in zip(targets, starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-    }
-
-
-def _ask(work: FrameWork, one: Filtered, states: Floats) -> Floats:
-    """(K,) log-likelihoods of a target's states."""
+def _ask(
+    work: FrameWork, one: Filtered, names: Sequence[str], others: Sequence[Filtered]
+) -> dict[str, float]:
+    """What `logs_on` gives of one target."""
+    states = _places(work, one, others)
     observer = Observer(
         work.cache,
         work.plate_of(one.target).cues,
@@ -112,4 +129,5 @@ def _ask(work: FrameWork, one: Filtered, states: Floats) -> Floats:
     )
     seen = hypotheses_of(states, particles(one.step.posterior).fields)
     plan = replace(one.plan, factors=())
-    return evaluate(plan, observer, seen, LogWeights.uniform(len(states)).log).log_likelihood
+    log = evaluate(plan, observer, seen, LogWeights.uniform(len(states)).log).log_likelihood
+    return dict(zip(names, _means(log), strict=True))

@@ -7,29 +7,32 @@ found when its line is asked for. All others go one by one, to the same bytes (`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
-from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory
-from bayesnet_track.adapt.plain_rules import has_plain_rules, remember_plainly
-from bayesnet_track.adapt.situation import Situation, quiet_level
+import numpy as np
+
+from bayesnet_track.adapt.plain_rules import PlainMemories, Seen, has_plain_rules
+from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult, heard
+from bayesnet_track.engine.findings import Decided, Heard, Learnt, Measured, TargetResult, heard
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.learning import follow_all, plate_learns
+from bayesnet_track.engine.learning import plate_learns
+from bayesnet_track.engine.rows.filtered_rows import FilteredRows
+from bayesnet_track.engine.rows.particle_table import ParticleTable
+from bayesnet_track.engine.rows.row_learning import follow_rows
+from bayesnet_track.engine.state import inside_frame_all
 from bayesnet_track.engine.summaries import Found, Summary
 from bayesnet_track.inference.executor import Serial
 from bayesnet_track.inference.guard import judge_nothing
 from bayesnet_track.inference.learn import learning_rate
-from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
+from bayesnet_track.inference.measure_rows import RowMeasures, is_flat, measure_rows
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
-from bayesnet_track.observation.cue import ANGLE, Reference
+from bayesnet_track.observation.cue import ANGLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,77 +51,137 @@ class Described:
 
 
 @dataclass(frozen=True, eq=False)
-class _Finished:
-    """What was found of one target; see `Measured`, `Decided` and `Learnt`."""
+class FinishedRows(Mapping[str, TargetResult]):
+    """What the frame gave for targets about which nothing is decided: each made when it is asked for.
 
-    filtered: Filtered
-    state: Floats
-    box: Floats
-    measures: Callable[[], Measures]
-    memory: Memory
-    rate: float
-    references: Mapping[str, Reference]
+    Attributes:
+        group: the first half of their frame.
+        after: what is known of them from now on.
+        states: (T, D) estimates.
+        boxes: (T, 4) their centre boxes.
+        measures: what was measured.
+        rates: shares of the largest learning rate.
+        described: their lines as they are made later.
+        rows: target -> its row; without those about which something may be decided.
+    """
 
-    def line(self, described: Described) -> FrameMetrics:
-        """What is written down of it."""
-        work, one, memory = described.work, self.filtered, self.memory
-        plate, net, watched = (
-            work.plate_of(one.target).plate,
-            work.net.targets[one.target],
-            one.before.watched,
-        )
-        measured = Measured(self.state, self.box, net, self.measures(), one.before.scored)
-        decided = Decided((), memory, quiet_level(plate, net, memory, plate.root), _see_nothing)
-        learnt = Learnt(self.references, watched, judge_nothing(watched), (), 0.0, self.rate)
-        return frame_metrics(work, one, measured, decided, learnt, described.summaries[one.target])
+    group: FilteredRows
+    after: ParticleTable
+    states: Floats
+    boxes: Floats
+    measures: RowMeasures
+    rates: Sequence[float]
+    described: Described
+    rows: Mapping[str, int]
 
-    def result(self, described: Described, time: float) -> TargetResult:
-        """The state for the next frame, at `time`, and what is found when it is asked for."""
-        one = self.filtered
-        after = changed(
-            one.before, belief=one.step.posterior, references=self.references, memory=self.memory, time=time
-        )
-        line, spread = partial(self.line, described), partial(described.spreads.__getitem__, one.target)
-        said = partial(heard, one.step, one.plan.active)
-        return TargetResult(after, self.box, line, (), (), spread, said)
+    @property
+    def table(self) -> ParticleTable:
+        """The targets from now on."""
+        is_whole = len(self.rows) == len(self.after.ids)
+        return self.after if is_whole else self.after.take(list(self.rows.values()))
+
+    def line(self, row: int) -> FrameMetrics:
+        """What is written down of one."""
+        work, one, after = self.described.work, self.group[self.after.ids[row]], self.after.state(row)
+        assert self.after.memories is not None
+        net, watched = work.net.targets[one.target], one.before.watched
+        measured = Measured(self.states[row], self.boxes[row], net, self.measures.of(row), one.before.scored)
+        decided = Decided((), after.memory, self.after.memories.median(row), _see_nothing)
+        learnt = Learnt(after.references, watched, judge_nothing(watched), (), 0.0, self.rates[row])
+        return frame_metrics(work, one, measured, decided, learnt, self.described.summaries[one.target])
+
+    def heard(self, row: int) -> Heard:
+        """What its agents said."""
+        one = self.group[self.after.ids[row]]
+        return heard(one.step, one.plan.active)
+
+    def __getitem__(self, target: str) -> TargetResult:
+        row = self.rows[target]
+        spread = partial(self.described.spreads.__getitem__, target)
+        line, said = partial(self.line, row), partial(self.heard, row)
+        return TargetResult(self.after.state(row), self.boxes[row], line, (), (), spread, said)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+class Results(Mapping[str, TargetResult]):
+    """What the frame gave for all targets: those that were finished together, and others.
+
+    Args:
+        groups: targets about which nothing is decided.
+        others: target -> what it gave.
+        order: all targets.
+    """
+
+    def __init__(
+        self, groups: Sequence[FinishedRows], others: Mapping[str, TargetResult], order: Sequence[str]
+    ) -> None:
+        self.groups, self.others, self.order = groups, others, order
+        self._at = {target: (group, row) for group in groups for target, row in group.rows.items()}
+
+    def __getitem__(self, target: str) -> TargetResult:
+        return self._at[target][0][target] if target in self._at else self.others[target]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.order)
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    @property
+    def lines(self) -> list[Callable[[], FrameMetrics]]:
+        """What makes the line of each."""
+        return [
+            partial(self._at[target][0].line, self._at[target][1])
+            if target in self._at
+            else self.others[target].line
+            for target in self.order
+        ]
+
+    @property
+    def boxes(self) -> dict[str, Floats]:
+        """Target -> its box (4,)."""
+        return {
+            target: self._at[target][0].boxes[self._at[target][1]]
+            if target in self._at
+            else self.others[target].box
+            for target in self.order
+        }
 
 
 def _see_nothing() -> Situation:
     raise AssertionError("nothing was decided")
 
 
-def finish_rows(
-    work: FrameWork,
-    filtered: Mapping[str, Filtered],
-    states: Mapping[str, Floats],
-    boxes: Mapping[str, Floats],
-    described: Described,
-) -> dict[str, TargetResult]:
-    """What the frame gave for those of the targets that fit; `states` (D,) and `boxes` (4,) are estimates."""
+def finish_rows(work: FrameWork, group: FilteredRows, described: Described) -> FinishedRows | None:
+    """What the frame gave for those of the targets that fit; None where none do."""
     if work.by_hand or work.availability.known or not isinstance(work.engine.executor, Serial):
-        return {}
-    alike: dict[Hashable, list[Filtered]] = {}
-    for one in filtered.values():
-        if _fits(work, one):
-            key = work.net.targets[one.target].template, one.plan.active, len(one.step.prior)
-            alike.setdefault(key, []).append(one)
-    found: dict[str, TargetResult] = {}
-    for group in alike.values():
-        if len(group) > 1:  # arrays of one row take longer
-            for done in _finish(work, group, states, boxes):
-                found[done.filtered.target] = done.result(described, work.frame.time)
-    return found
+        return None
+    plan = group.plan
+    if plan.draws or group.messages.keys() != plan.active or not plate_is_plain(group.before.compiled):
+        return None
+    held = len(group.before.nets)
+    rows = [row for row in range(len(group)) if row < held or _fits(work, group, row)]
+    if len(rows) < 2:  # arrays of one row take longer
+        return None
+    return _finish(work, group if len(rows) == len(group) else group.take(rows), described)
 
 
-def _fits(work: FrameWork, one: Filtered) -> bool:
-    compiled, step, before = work.plate_of(one.target), one.step, one.before
+def _fits(work: FrameWork, group: FilteredRows, row: int) -> bool:
+    table = group.before
+    net, state = work.net.targets[table.ids[row]], table.base[row]
     return (
-        plate_is_plain(compiled)
-        and is_plain(one.plan, step)
-        and not work.net.targets[one.target].sampled
-        and not (one.faults or one.missed or one.flaws or one.undefined or before.flawed)
-        and not (step.reports or step.degenerate)
-        and before.references.keys() == compiled.cues.keys()
+        net.status == "tracking"
+        and len(net.active) > 0
+        and net.active == group.plan.active
+        and not (net.quarantined or net.sampled)
+        and not state.flawed
+        and table.references.keys() == table.compiled.cues.keys() == state.references.keys()
+        and PlainMemories.fits(state.memory, table.compiled.plate.root, group.plan.active)
     )
 
 
@@ -135,39 +198,39 @@ def plate_is_plain(compiled: CompiledPlate) -> bool:
     )
 
 
-def _finish(
-    work: FrameWork, group: Sequence[Filtered], states: Mapping[str, Floats], boxes: Mapping[str, Floats]
-) -> list[_Finished]:
-    """Those of targets of a plate about which nothing is decided; of none where an agent cannot learn."""
-    started, compiled = work.engine.clock(), work.plate_of(group[0].target)
-    plate, plan = compiled.plate, group[0].plan
-    areas = [w * h for _, _, w, h in (boxes[one.target].tolist() for one in group)]
-    measures = measure_rows(plate, plan, [one.step for one in group], areas)
-    nets = [work.net.targets[one.target] for one in group]
-    before = [one.before.memory for one in group]
-    memories = remember_plainly(plate, nets, measures, before, [one.hidden for one in group])
-    started = work.charge("measure", started)
-    rule, known = plate.inference(plate.root).learn, zip(group, nets, memories, strict=True)
-    plain = {k: (one, net, memory) for k, (one, net, memory) in enumerate(known) if memory is not None}
-    rates = {}
-    for k, (one, net, memory) in plain.items():
-        quiet = quiet_level(plate, net, memory, plate.root)
-        rate = learning_rate(rule, measures.uds[k], areas[k], quiet)
-        rates[one.target] = rate * max(1.0 - 2.0 * one.hidden, 0.0)
-    learnt = follow_all(
-        work,
-        {one.target: one.before.references for one, _, _ in plain.values()},
-        boxes,
-        {
-            target: {agent: rate * largest for agent, largest in compiled.rate_max.items()}
-            for target, rate in rates.items()
-        },
+def _finish(work: FrameWork, group: FilteredRows, described: Described) -> FinishedRows | None:
+    """Those about which nothing is decided; None where there are none, or an agent cannot learn."""
+    started, table, plan = work.engine.clock(), group.before, group.plan
+    plate = table.compiled.plate
+    states = estimate_rows(work, group)
+    boxes = inside_frame_all(states[:, :4], work.frame)
+    areas = (boxes[:, 2] * boxes[:, 3]).tolist()
+    measures, hidden = measure_rows(plate, plan, group.looks, areas), group.hidden
+    seen = Seen(
+        np.array(measures.uds), np.array(areas), np.array(measures.fits), np.array(hidden), measures.nats
     )
-    work.charge("learn", started)
-    if not learnt:
-        return []
-    return [
-        _Finished(one, states[name], boxes[name], partial(measures.of, k), memory, rates[name], learnt[name])
-        for k, (one, _, memory) in plain.items()
-        if (name := one.target)
+    memories, stays = table.columns().then(plate, seen)
+    started = work.charge("measure", started)
+    rule = plate.inference(plate.root).learn
+    rates = [
+        learning_rate(rule, ud, area, memories.median(row)) * max(1.0 - 2.0 * share, 0.0) if stay else 0.0
+        for row, (ud, area, share, stay) in enumerate(
+            zip(measures.uds, areas, hidden, stays.tolist(), strict=True)
+        )
     ]
+    references = follow_rows(work, table, boxes, np.array(rates))
+    work.charge("learn", started)
+    if references is None or not stays.any():
+        return None
+    after = table.then(work.frame.time, group.clouds, references, memories, work.net.targets)
+    rows = after.index if stays.all() else {table.ids[row]: row for row in np.flatnonzero(stays).tolist()}
+    return FinishedRows(group, after, states, boxes, measures, rates, described, rows)
+
+
+def estimate_rows(work: FrameWork, group: FilteredRows) -> Floats:
+    """(T, D) the states that stand for the beliefs."""
+    plate = group.before.compiled.plate
+    chosen = plate.inference(plate.root).estimate
+    if chosen is None or chosen.kind == "map":
+        return group.best
+    return np.array([estimate(chosen, group[target].step) for target in group.ids])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
+from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
 
 Indices = NDArray[np.intp]
 Hypotheses = tuple[Floats, Floats, Floats]
@@ -190,4 +191,47 @@ def pair_sums_of_each(
             edges[k, 1],
         )
         copy_rows(sums, found[k])
+    return found
+
+
+@compiled
+def put_on_others(
+    states: Floats,
+    weights: Floats,
+    rows: Indices,
+    firsts: Indices,
+    others: Indices,
+    uniforms: Floats,
+    size: int,
+) -> Floats:
+    """(K * size, D) hypotheses of some targets, moved onto hypotheses of others.
+
+    Where a box is the larger one, it is in the middle of the other's; else anywhere on it.
+
+    Args:
+        states: (T, N, D) hypotheses of all targets, centre boxes first.
+        weights: (T, N).
+        rows: (R,) the targets.
+        firsts: (R + 1,) where the others of each begin among all K of them.
+        others: (K,) rows.
+        uniforms: of each target its own shift, a shift for each other, then two numbers for each box.
+        size: how many for each other.
+    """
+    found = np.empty((others.shape[0] * size, states.shape[2]))
+    at = 0
+    for r in range(rows.shape[0]):
+        first, count = firsts[r], firsts[r + 1] - firsts[r]
+        own = look_up_even(weights[rows[r]], uniforms[at], count * size)
+        across = at + 1 + count
+        for k in range(count):
+            other = others[first + k]
+            there = look_up_even(weights[other], uniforms[at + 1 + k], size)
+            for n in range(size):
+                one, box = found[(first + k) * size + n], states[other, there[n]]
+                for d in range(states.shape[2]):
+                    one[d] = states[rows[r], own[k * size + n], d]
+                for axis in range(2):
+                    room = max(box[2 + axis] - one[2 + axis], 0.0)
+                    one[axis] = box[axis] + room * (uniforms[across + 2 * (k * size + n) + axis] - 0.5)
+        at = across + 2 * count * size
     return found

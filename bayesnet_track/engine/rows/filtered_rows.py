@@ -1,0 +1,238 @@
+"""The first half of the frame of many targets as arrays; `Filtered` of one when somebody asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayesnet_track.belief.contract import Evidence, MotionModel, Step
+from bayesnet_track.belief.particles.belief import FindMap
+from bayesnet_track.belief.particles.clouds import Clouds, some
+from bayesnet_track.belief.particles.maps import Before, find_places
+from bayesnet_track.belief.particles.particle_set import Inputs
+from bayesnet_track.engine.attachment import particles
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.moving.predicting import PredictedMotion
+from bayesnet_track.engine.rows.particle_table import ParticleTable
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.measure_rows import Looks
+from bayesnet_track.journal.metrics import JoinMetrics
+from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.numerics.log_weights import LogWeights, effective
+from bayesnet_track.observation.cue import Hypotheses
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredRows(Mapping[str, Filtered]):
+    """Targets of a plate after they were predicted and weighed by the same agents.
+
+    Attributes:
+        work: the frame.
+        before: what was known of them.
+        clouds: their beliefs.
+        messages: agent -> (T, N) log-likelihoods.
+        own: (T, N) log-likelihoods of the net.
+        said: (T, N) those that the weights come from: `own`, or those of a joint belief.
+        log_evidence: (T,).
+        motion: how all of them moved.
+        joins: target -> what a joint belief says of it.
+    """
+
+    work: FrameWork
+    before: ParticleTable
+    clouds: Clouds
+    messages: Mapping[str, Floats]
+    own: Floats
+    said: Floats
+    log_evidence: Floats
+    motion: MotionModel
+    joins: Mapping[str, JoinMetrics] = field(default_factory=dict)
+    _made: dict[str, Filtered] = field(default_factory=dict)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The targets."""
+        return self.before.ids
+
+    @property
+    def plan(self) -> Plan:
+        """The compiled net of the frame."""
+        return self.before.plan
+
+    @property
+    def dt(self) -> float:
+        """The time since the last frame, frame intervals."""
+        return self.work.frame.time - self.before.time
+
+    @property
+    def prior(self) -> LogWeights:
+        """The weights of each target's hypotheses before the evidence."""
+        return LogWeights.uniform(self.clouds.log.shape[1])
+
+    @cached_property
+    def places(self) -> Ints:
+        """(T,) the MAP hypotheses; -1 where a step looks further by itself."""
+        known = Before(self.before.clouds.states, self.before.clouds.log)
+        return find_places(self.motion, self.dt, known, self.said, self.clouds.states)
+
+    @cached_property
+    def best(self) -> Floats:
+        """(T, D) MAP states."""
+        states = self.clouds.states[np.arange(len(self.ids)), self.places]
+        for row in np.flatnonzero(self.places < 0).tolist():
+            states[row] = self[self.ids[row]].step.map_state
+        return states
+
+    def find_maps(self) -> None:
+        """Find the MAP states, before anybody asks for a target's own."""
+        if "best" not in self.__dict__:
+            self._made.clear()
+            self.__dict__["best"] = self.best
+
+    @property
+    def hidden(self) -> list[float]:
+        """Of each target the expected share that others hide."""
+        joins = self.joins
+        return [joins[target].hidden if target in joins else 0.0 for target in self.ids]
+
+    @property
+    def looks(self) -> Looks:
+        """What measures are made of."""
+        log = self.clouds.log
+        return Looks(
+            np.array([self.messages[one.agent] for one in self.plan.observations]),
+            np.tile(self.prior.log, (len(log), 1)),
+            log,
+            self.clouds.weights,
+            self.clouds.states,
+            self.best,
+        )
+
+    @property
+    def ess(self) -> Floats:
+        """(T,) effective numbers of hypotheses."""
+        return effective(self.clouds.log)
+
+    def reweighted(self, said: Mapping[str, Floats], joins: Mapping[str, JoinMetrics]) -> FilteredRows:
+        """With what a joint belief says of some targets: (N,) log-likelihoods, and in numbers.
+
+        A target of which it leaves no hypothesis keeps its weights.
+        """
+        own = {target: one for target, one in joins.items() if target in self.before.index}
+        known = [target for target in said if target in self.before.index]
+        if not known:
+            return replace(self, joins=own, _made={})
+        rows = np.array([self.before.index[target] for target in known])
+        after, size = np.array([said[target] for target in known]), self.said.shape[1]
+        log, total = weigh(LogWeights.uniform(size).log, after)
+        usable = np.isfinite(total)
+        rows, log, total, after = rows[usable], log[usable], total[usable], after[usable]
+        all_said, all_log, weights = self.said.copy(), self.clouds.log.copy(), self.clouds.weights.copy()
+        all_said[rows], all_log[rows], weights[rows] = after, log, np.exp(log)
+        evidence = self.log_evidence.copy()
+        evidence[rows] = evidence[rows] + total - self.log_evidence[rows]
+        clouds = replace(self.clouds, log=all_log, weights=weights)
+        return replace(self, clouds=clouds, said=all_said, log_evidence=evidence, joins=own, _made={})
+
+    def take(self, rows: Sequence[int]) -> FilteredRows:
+        """Some of the targets."""
+        chosen = some(rows)
+        after = replace(
+            self,
+            before=self.before.take(rows),
+            clouds=self.clouds.take(rows),
+            messages={agent: said[chosen] for agent, said in self.messages.items()},
+            own=self.own[chosen],
+            said=self.said[chosen],
+            log_evidence=self.log_evidence[chosen],
+            _made=dict(self._made),
+        )
+        if "places" in self.__dict__:
+            after.__dict__["places"] = self.places[chosen]
+        return after
+
+    def __getitem__(self, target: str) -> Filtered:
+        if target not in self._made:
+            self._made[target] = self._make(target, self.before.index[target])
+        return self._made[target]
+
+    def _make(self, target: str, row: int) -> Filtered:
+        work, state, posterior = self.work, self.before.state(row), self.clouds.belief(row)
+        stream = work.stream(target, self.before.compiled.plate.root)
+        inputs = Inputs(particles(state.belief), self.motion, self.dt, _ask_nobody, stream)
+        step = Step(
+            posterior,
+            float(self.log_evidence[row]),
+            posterior,
+            self.prior,
+            Evidence(self.own[row], {agent: said[row] for agent, said in self.messages.items()}),
+            FindMap(self.said[row], posterior.states, inputs),
+        )
+        if "places" in self.__dict__ and self.places[row] >= 0:
+            step.__dict__["map_state"] = posterior.states[self.places[row]]
+        predicted = PredictedMotion(self.before.compiled.motion)
+        return Filtered(target, state, step, (), predicted, self.plan, join=self.joins.get(target))
+
+    def __contains__(self, target: object) -> bool:
+        return target in self.before.index
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.ids)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def _ask_nobody(hypotheses: Hypotheses, prior_log: Floats) -> Evidence:
+    raise AssertionError("the frame's hypotheses were weighed already")
+
+
+def weigh(prior_log: Floats, said: Floats) -> tuple[Floats, Floats]:
+    """(T, N) normalised log-weights after likelihoods, and (T,) log-evidence; not finite where none are left.
+
+    `prior_log` (N,) or (T, N), `said` (T, N); the bits of `LogWeights.normalise` of each row.
+    """
+    log = prior_log + said
+    top = log.max(axis=1)
+    with np.errstate(invalid="ignore"):
+        shares = np.exp(log - top[:, None])
+        total = top + np.log(shares.sum(axis=1))
+        log -= total[:, None]
+    return log, total
+
+
+class Together(Mapping[str, Filtered]):
+    """The first half of the frame of all targets: those in groups, and those that went by themselves.
+
+    Args:
+        groups: of targets that were filtered together.
+        others: target -> its own.
+        order: all targets, and maybe more.
+    """
+
+    def __init__(
+        self, groups: Iterable[FilteredRows], others: Mapping[str, Filtered], order: Iterable[str]
+    ) -> None:
+        self.groups, self.others, self.order = tuple(groups), others, order
+        self._group = {target: group for group in self.groups for target in group.ids}
+
+    def __getitem__(self, target: str) -> Filtered:
+        return self.others[target] if target in self.others else self._group[target][target]
+
+    def __contains__(self, target: object) -> bool:
+        return target in self.others or target in self._group
+
+    def __iter__(self) -> Iterator[str]:
+        return (target for target in self.order if target in self)
+
+    def __len__(self) -> int:
+        return len(self.others) + len(self._group)
+
+    def missing(self, apart: AbstractSet[str]) -> list[str]:
+        """Targets in neither, but for those `apart`."""
+        return [target for target in self.order if target not in self and target not in apart]

@@ -1,0 +1,194 @@
+"""Targets of a plate held by particles, a row each: their states, made when somebody asks for one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from bayesnet_track.adapt.plain_rules import PlainMemories
+from bayesnet_track.belief.particles.clouds import Clouds
+from bayesnet_track.engine.attachment import particles
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Ints
+from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.cue import Reference
+from bayesnet_track.observation.reference_rows import ReferenceRows
+from bayesnet_track.observation.shared import shown
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleTable:
+    """What is known of targets with the same plan and as many particles each.
+
+    The first rows are columns of all that changes; of the others `base` has the rules' memory.
+
+    Attributes:
+        compiled: their plate.
+        ids: target ids.
+        base: their states when they were last objects; of each, what no column holds is still so.
+        time: time of the last frame, frame intervals.
+        clouds: their beliefs.
+        references: agent -> what it remembers of each.
+        memories: what the rules remember of the first rows; None where there are none.
+        nets: the live nets of these rows, as they were when they were found to fit.
+    """
+
+    compiled: CompiledPlate
+    ids: tuple[str, ...]
+    base: tuple[TargetState, ...]
+    time: float
+    clouds: Clouds
+    references: Mapping[str, Sequence[Reference]]
+    memories: PlainMemories | None = None
+    nets: tuple[TargetNet, ...] = ()
+    _made: dict[int, TargetState] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, compiled: CompiledPlate, states: Mapping[str, TargetState]) -> ParticleTable:
+        """The table of states with the same agents, time and number of particles."""
+        base = tuple(states.values())
+        known = [agent for agent in compiled.cues if all(agent in one.references for one in base)]
+        references = {agent: ReferenceRows.of([one.references[agent] for one in base]) for agent in known}
+        clouds = Clouds.of([particles(one.belief) for one in base])
+        return cls(compiled, tuple(states), base, base[0].time, clouds, references)
+
+    @property
+    def plan(self) -> Plan:
+        """The compiled net that all have."""
+        return self.base[0].plan
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Target -> its row."""
+        return {target: row for row, target in enumerate(self.ids)}
+
+    def state(self, row: int) -> TargetState:
+        """What is known of one target."""
+        if self.memories is None or row >= len(self.nets):
+            return self.base[row]
+        if row not in self._made:
+            self._made[row] = changed(
+                self.base[row],
+                belief=self.clouds.belief(row),
+                references={agent: of[row] for agent, of in self.references.items()},
+                memory=self.memories.memory(row),
+                time=self.time,
+            )
+        return self._made[row]
+
+    def shown(self, agent: str, rows: Ints | None = None) -> Sequence[Reference]:
+        """What an agent remembers of each, or of some, as its cue is given it: it can change nothing."""
+        references = self.references[agent]
+        if isinstance(references, ReferenceRows):
+            return references if rows is None else references.take(rows)
+        return [shown(references[row]) for row in (range(len(references)) if rows is None else rows.tolist())]
+
+    def columns(self) -> PlainMemories:
+        """What the rules remember, of targets that all have a place for it in the columns."""
+        if self.memories is not None and len(self.nets) == len(self.ids):
+            return self.memories
+        agents = [one.agent for one in self.plan.observations]
+        memories = [one.memory for one in self.base[len(self.nets) :]]
+        others = PlainMemories.of(self.compiled.plate, agents, memories)
+        return others if self.memories is None else self.memories.extended(others)
+
+    def then(
+        self,
+        time: float,
+        clouds: Clouds,
+        references: Mapping[str, Sequence[Reference]],
+        memories: PlainMemories,
+        nets: Mapping[str, TargetNet],
+    ) -> ParticleTable:
+        """The same targets after a frame, all as columns."""
+        live = tuple(nets[target] for target in self.ids)
+        after = ParticleTable(self.compiled, self.ids, self.base, time, clouds, references, memories, live)
+        after.__dict__["index"] = self.index
+        return after
+
+    def take(self, rows: Sequence[int]) -> ParticleTable:
+        """Some of the targets, in their order."""
+        chosen, held = np.array(rows, dtype=np.intp), [row for row in rows if row < len(self.nets)]
+        return ParticleTable(
+            self.compiled,
+            tuple(self.ids[row] for row in rows),
+            tuple(self.base[row] for row in rows),
+            self.time,
+            self.clouds.take(rows),
+            {
+                agent: of.take(chosen) if isinstance(of, ReferenceRows) else [of[row] for row in rows]
+                for agent, of in self.references.items()
+            },
+            self.memories.take(held) if self.memories is not None and held else None,
+            tuple(self.nets[row] for row in held),
+        )
+
+    def extended(self, others: ParticleTable) -> ParticleTable:
+        """These targets, then others that are no columns."""
+        references: dict[str, Sequence[Reference]] = {}
+        for agent in self.references.keys() & others.references.keys():
+            own, more = self.references[agent], others.references[agent]
+            joined = own.extended(more) if isinstance(own, ReferenceRows) else None
+            references[agent] = ReferenceRows.of([*own, *more]) if joined is None else joined
+        return replace(
+            self,
+            ids=self.ids + others.ids,
+            base=self.base + others.base,
+            clouds=self.clouds.extended(others.clouds),
+            references={agent: references[agent] for agent in self.references if agent in references},
+            _made={},
+        )
+
+
+class ParticleStates(Mapping[str, TargetState]):
+    """Target -> its state, of the rows of tables and of others.
+
+    Args:
+        tables: targets that are columns.
+        others: target -> its state.
+        order: all targets.
+    """
+
+    def __init__(
+        self, tables: Sequence[ParticleTable], others: Mapping[str, TargetState], order: Sequence[str]
+    ) -> None:
+        self.tables, self.others, self.order = tables, others, order
+
+    def __getitem__(self, target: str) -> TargetState:
+        for table in self.tables:
+            if target in table.index:
+                return table.state(table.index[target])
+        return self.others[target]
+
+    def __contains__(self, target: object) -> bool:
+        return target in self.others or any(target in table.index for table in self.tables)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.order)
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (dict(self),)
+
+    def unchanged(self, nets: Mapping[str, TargetNet]) -> ParticleStates:
+        """The same, targets whose live nets have changed as objects."""
+        tables: list[ParticleTable] = []
+        others = dict(self.others)
+        for table in self.tables:
+            known = [nets[target] is one for target, one in zip(table.ids, table.nets, strict=True)]
+            if not all(known):
+                changed_rows = [row for row, is_so in enumerate(known) if not is_so]
+                others.update((table.ids[row], table.state(row)) for row in changed_rows)
+                table = table.take([row for row, is_so in enumerate(known) if is_so])
+            if table.ids:
+                tables.append(table)
+        return ParticleStates(tables, others, self.order)
