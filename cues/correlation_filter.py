@@ -8,8 +8,9 @@ hypotheses are: what a hypothesis is worth does not depend on the others.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +29,13 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.vision.correlation import equations, gaussian_label, hann, solve
+from bayesnet_track.vision.correlation_tiles import SCALE_STEP, TURN_STEP, Asked, find_maps, find_tile
+from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_patch_at
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
-
-if TYPE_CHECKING:
-    from bayesnet_track.vision.correlation_tiles import Tile
 
 REACH = 40
 """Cells by which a tile is wider than the filter; hypotheses are read in the inner `REACH` - 4."""
-SCALE_STEP = 0.08
-"""Between levels of scale, in the logarithm."""
 LEVELS = 4
 """Levels of scale on either side of the last learnt one."""
 USUAL = 0.55
@@ -45,8 +44,6 @@ FOLLOW = 20.0
 """The usual answer falls toward the last one at so many times the learning rate; it rises at once."""
 LEAST_ANSWER = 0.1
 """The usual answer is at least this, of a wanted 1: nothing less is a target."""
-TURN_STEP = 15.0
-"""Between levels of rotation, degrees."""
 LEAST_CELL = 0.5
 """Side of a cell, px, at least: a smaller target is seen with more of its surroundings."""
 
@@ -113,9 +110,6 @@ class CorrelationFilter:
 
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
         """The same for a target turned by `angle` degrees: the patch is cut out as turned, and so upright."""
-        from bayesnet_track.vision.correlation import equations, gaussian_label
-        from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_patch_at
-
         p = self.parameters
         size = np.array(box[2:], dtype=np.float64)
         cell, mean = self._cell(size), np.sqrt(size[0] * size[1])
@@ -181,20 +175,21 @@ class CorrelationFilter:
 
         With `angles` (N,), in degrees, those of the filter turned by as much.
         """
-        from bayesnet_track.vision.correlation_tiles import Asked, find_tile
         from bayesnet_track.vision.kernels.correlation_kernels import read_answers
 
         p, image, values = self.parameters, planes[WholeFrame()], np.zeros(len(boxes))
         size, place, kernel = reference["size"], reference["place"], reference["kernel"]
         cell = self._cell(size)
-        tiles = np.floor((boxes[:, :2] - place) / ((REACH - 4) * cell) + 0.5)
-        tile_of = tiles @ [1.0, 2.0**20]  # one number is sorted faster than two
+        step = (REACH - 4) * cell  # between tiles; a column of boxes at a time is several times faster
+        across, down = (np.floor((boxes[:, k] - place[k]) / step + 0.5) for k in (0, 1))
+        tile_of = across + down * 2.0**20  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
         turns = {0: np.ones(len(boxes))} if angles is None else _turns_of(angles)
         parts: dict[int, NDArray[np.float32]] = {}
         for number in np.unique(tile_of[asked]):
             which = np.flatnonzero(asked & (tile_of == number))
-            x, y = (place + tiles[which[0]] * (REACH - 4) * cell).tolist()
+            at = np.array([across[which[0]], down[which[0]]])
+            x, y = (place + at * (REACH - 4) * cell).tolist()
             tile = find_tile(planes.frame, image, Asked(x, y, cell, p.cells + REACH, p.cells, p.signed))
             levels = np.clip((log_scale + np.log(cell / tile.cell)) / SCALE_STEP, -LEVELS, LEVELS)
             columns = (boxes[:, 0] - tile.x) / tile.cell + 0.5 * REACH
@@ -204,50 +199,28 @@ class CorrelationFilter:
                 if not len(some):
                     continue
                 lowest, highest = int(np.floor(levels[some].min())), int(np.ceil(levels[some].max()))
-                maps = self._maps(tile, kernel, turn, range(lowest, highest + 1), parts)
+                maps = find_maps(tile, kernel, turn, range(lowest, highest + 1), parts)
                 read = np.zeros(len(boxes))
                 read_answers(maps, lowest, columns, rows, levels, some, read)
                 values[some] += share[some] * read[some]
         return values
 
-    def _maps(
-        self,
-        tile: Tile,
-        kernel: NDArray[np.float32],
-        turn: int,
-        levels: range,
-        parts: dict[int, NDArray[np.float32]],
-    ) -> NDArray[np.float32]:
-        """(L, V, V) answers to a tile at levels of scale; `parts` are the halves of turned filters."""
-        from bayesnet_track.vision.correlation import halves, scaled_answers
-        from bayesnet_track.vision.planes.correlation_patches import turned_features
-
-        known = tile.maps_of(kernel)
-        for level in levels:
-            if (turn, level) not in known:
-                if turn not in parts:
-                    parts[turn] = halves(turned_features(kernel, TURN_STEP * turn) if turn else kernel)
-                scale = float(np.exp(SCALE_STEP * level))
-                known[turn, level] = scaled_answers(tile.spectra, parts[turn], self.parameters.cells, scale)
-        return np.array([known[turn, level] for level in levels])
-
     def _cell(self, size: Floats) -> float:
         """Side of a cell, px, for a target of this size."""
-        span = float(size.max() + self.parameters.context * np.sqrt(size[0] * size[1]))
+        width, height = size.tolist()
+        span = max(width, height) + self.parameters.context * math.sqrt(width * height)
         return max(span / self.parameters.cells, LEAST_CELL)
 
     def _window(self, size: Floats) -> NDArray[np.float32]:
-        from bayesnet_track.vision.correlation import hann
-
-        width, height = (size + self.parameters.context * np.sqrt(size[0] * size[1])) / self._cell(size)
-        return hann(self.parameters.cells, max(float(width), 4.0), max(float(height), 4.0))
+        (width, height), cell = size.tolist(), self._cell(size)
+        around = self.parameters.context * math.sqrt(width * height)
+        spans = ((side + around) / cell for side in (width, height))
+        return hann(self.parameters.cells, *(max(span, 4.0) for span in spans))
 
     def _kernel(
         self, numerator: NDArray[np.complex64], denominator: Floats, size: Floats
     ) -> NDArray[np.float32]:
         """The filter under its window, so that it can be laid on any place of a frame."""
-        from bayesnet_track.vision.correlation import solve
-
         return np.asarray(solve(numerator, denominator, self.parameters.ridge) * self._window(size))
 
 

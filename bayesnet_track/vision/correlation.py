@@ -9,11 +9,13 @@ target by whole cells are never learnt from the picture, they come for nothing.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Singles
+from bayesnet_track.observation.shared import for_reading
 
 Spectra = NDArray[np.complex64]
 
@@ -45,9 +47,14 @@ def gaussian_label(side: int, sd: float, x: float = 0.0, y: float = 0.0) -> Floa
 
 def equations(sample: Singles, label: Floats) -> tuple[Spectra, Floats]:
     """Numerator (C, S, S / 2 + 1) and denominator (S, S / 2 + 1) of windowed features (C, S, S)."""
-    x = np.fft.rfft2(sample).astype(np.complex64)
-    numerator = (x * np.conj(np.fft.rfft2(label))).astype(np.complex64)
+    x = _spectrum(sample).astype(np.complex64)
+    numerator = (x * np.conj(_spectrum(label))).astype(np.complex64)
     return numerator, np.sum(x.real**2 + x.imag**2, axis=0, dtype=np.float64)
+
+
+def _spectrum(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any, Any]]:
+    """`rfft2` of (..., S, S), which spends as long on its arguments."""
+    return np.fft.fft(np.fft.rfft(values), axis=-2)
 
 
 def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
@@ -55,7 +62,7 @@ def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
     side = numerator.shape[1]
     whole = denominator + max(ridge * float(denominator.mean()), 1e-9)
     quotient = numerator / whole.astype(np.float32)
-    return np.fft.irfft2(quotient, s=(side, side)).astype(np.float32)
+    return np.fft.irfft(np.fft.ifft(quotient, axis=-2), side).astype(np.float32)
 
 
 def tile_spectra(patch: Singles, side: int) -> Singles:
@@ -81,14 +88,11 @@ def halves(kernel: Singles) -> Singles:
 
     Each holds the first S / 2 cells, and zeros up to Q, the next multiple of 4.
     """
+    from bayesnet_track.vision.kernels.correlation_kernels import fill_halves
+
     channels, side = kernel.shape[:2]
-    half = side // 2
     parts = np.zeros((2, _quarter(side), channels, 2, _quarter(side)), np.float32)
-    above, below = kernel[:, :half], kernel[:, : half - 1 : -1]
-    for p, rows in enumerate((above + below, above - below)):
-        left, right = rows[:, :, :half], rows[:, :, : half - 1 : -1]
-        parts[p, :half, :, 0, :half] = np.moveaxis(left + right, 0, 1)
-        parts[p, :half, :, 1, :half] = np.moveaxis(left - right, 0, 1)
+    fill_halves(for_reading(kernel), parts)
     return parts
 
 

@@ -8,10 +8,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from bayesnet_track.numerics.arrays import Bytes, Singles
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.correlation import tile_spectra
-from bayesnet_track.vision.planes.correlation_patches import patch_at
+from bayesnet_track.vision.correlation import halves, scaled_answers, tile_spectra
+from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_features
+
+SCALE_STEP = 0.08
+"""Between levels of scale, in the logarithm."""
+TURN_STEP = 15.0
+"""Between levels of rotation, degrees."""
 
 
 @dataclass(eq=False)
@@ -32,12 +39,6 @@ class Tile:
     spectra: Singles
     maps: dict[tuple[int, int], Singles] = field(default_factory=dict)
     kernel: Singles | None = None
-
-    def maps_of(self, kernel: Singles) -> dict[tuple[int, int], Singles]:
-        """Those of this filter that are known; the same array is the same filter."""
-        if self.kernel is not kernel:
-            self.kernel, self.maps = kernel, {}
-        return self.maps
 
 
 @dataclass(frozen=True)
@@ -70,3 +71,19 @@ def find_tile(frame: Frame, image: Bytes, asked: Asked) -> Tile:
         patch = patch_at(image, asked.x, asked.y, asked.cell, asked.around, asked.signed)
         tiles[asked] = Tile(patch.x, patch.y, patch.cell, tile_spectra(patch.features, asked.side))
     return tiles[asked]
+
+
+def find_maps(tile: Tile, kernel: Singles, turn: int, levels: range, parts: dict[int, Singles]) -> Singles:
+    """(L, V, V) answers to a tile of a filter (C, S, S) at levels of scale; one array is one filter.
+
+    `parts` are its halves by level of turn, to which those are added that were needed.
+    """
+    if tile.kernel is not kernel:
+        tile.kernel, tile.maps = kernel, {}
+    for level in levels:
+        if (turn, level) not in tile.maps:
+            if turn not in parts:
+                parts[turn] = halves(turned_features(kernel, TURN_STEP * turn) if turn else kernel)
+            scale = float(np.exp(SCALE_STEP * level))
+            tile.maps[turn, level] = scaled_answers(tile.spectra, parts[turn], kernel.shape[1], scale)
+    return np.array([tile.maps[turn, level] for level in levels])

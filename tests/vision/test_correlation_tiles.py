@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision import correlation_tiles
-from bayesnet_track.vision.correlation_tiles import Asked, find_tile
+from bayesnet_track.vision.correlation_tiles import Asked, find_maps, find_tile
 
 ASKED = Asked(60.0, 40.0, 1.5, 32, 16, False)
 
@@ -36,8 +36,12 @@ def test_tiles_are_forgotten_with_their_frame():
 
 
 def test_answers_of_another_filter_are_forgotten():
-    one = frame(1)
-    tile, kernel = find_tile(one, one.image, ASKED), np.zeros((7, 16, 16), np.float32)
-    tile.maps_of(kernel)[0, 1] = kernel[0]
-    assert (0, 1) in tile.maps_of(kernel)
-    assert not tile.maps_of(kernel.copy())
+    one, rng = frame(1), np.random.default_rng(4)
+    tile, kernel = find_tile(one, one.image, ASKED), rng.normal(size=(7, 16, 16)).astype(np.float32)
+    parts: dict[int, np.ndarray] = {}
+    first = find_maps(tile, kernel, 0, range(-1, 2), parts)
+    assert first.shape == (3, 17, 17) and [*parts] == [0]
+    more = find_maps(tile, kernel, 0, range(0, 3), {0: np.full_like(parts[0], np.nan)})
+    np.testing.assert_array_equal(more[:2], first[1:])
+    assert np.isnan(more[2]).all()  # the only one that was not known
+    np.testing.assert_array_equal(find_maps(tile, kernel.copy(), 0, range(-1, 2), {}), first)

@@ -48,6 +48,21 @@ def centre_spectrum(packed: Singles, channel: int, turns: Singles, seen: Singles
                 imaginary[k] = one * sine[k] + other * cosine[k]
 
 
+@compiled
+def fill_halves(kernel: Singles, parts: Singles) -> None:
+    """Write the even and odd part of a filter (C, S, S) by row and column into `parts` (2, Q, C, 2, Q)."""
+    channels, side = kernel.shape[0], kernel.shape[1]
+    for j in range(side // 2):
+        for c in range(channels):
+            above, below = kernel[c, j], kernel[c, side - 1 - j]
+            for i in range(side // 2):
+                k = side - 1 - i
+                even_left, even_right = above[i] + below[i], above[k] + below[k]
+                odd_left, odd_right = above[i] - below[i], above[k] - below[k]
+                parts[0, j, c, 0, i], parts[0, j, c, 1, i] = even_left + even_right, even_left - even_right
+                parts[1, j, c, 0, i], parts[1, j, c, 1, i] = odd_left + odd_right, odd_left - odd_right
+
+
 @compiled_summing
 def _add_twelve(w: Singles, rows: Singles, line: Singles) -> None:
     """Add 12 rows (12, K) by their weights `w` (12,) to `line` (K,), in one pass over it."""
