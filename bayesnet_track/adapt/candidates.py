@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from bayesnet_track.adapt.association import NOBODY, distances, pair_up
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 
 FOLLOW_BOX = 1.0
 """How far from where it is expected a candidate is looked for, in box sides."""
@@ -72,7 +73,7 @@ def feed(
             after = _add_look(_move_on(one), None, confirm)
         else:
             after = _add_look(one, float(scores[row]), confirm)
-            after = replace(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
+            after = changed(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
         if not _is_hopeless(after, confirm):
             kept.append(after)
     for new in np.flatnonzero(owner == NOBODY):
@@ -86,7 +87,7 @@ def look_again(
     """A tentative track after a look: seen in the centre box (4,) or not; None when it is given up."""
     after = _add_look(candidate, score, confirm)
     if box is not None:
-        after = replace(after, box=box.copy(), step=box[:2] - candidate.box[:2])
+        after = changed(after, box=box.copy(), step=box[:2] - candidate.box[:2])
     return None if _is_hopeless(after, confirm) else after
 
 
@@ -103,13 +104,13 @@ def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
 
 
 def _add_look(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
-    return replace(candidate, looks=(*candidate.looks, score)[-confirm.of :])
+    return changed(candidate, looks=(*candidate.looks, score)[-confirm.of :])
 
 
 def _move_on(candidate: Candidate) -> Candidate:
     box = candidate.box.copy()
     box[:2] += candidate.step
-    return replace(candidate, box=box)
+    return changed(candidate, box=box)
 
 
 def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.marginals import marginalise
+from bayesnet_track.numerics.records import changed
 
 NEGLIGIBLE = 1e-3
 """Detections that are a target's with less probability are left out of its update."""
@@ -147,7 +148,7 @@ class Population:
         shift = mean - self.size_mean if held else np.zeros(2)
         before = self.size_covariance + (1.0 - share) * np.outer(shift, shift)
         spread = (1.0 - share) * before + share * (away.T @ away) / count
-        return replace(
+        return changed(
             self,
             size_mean=self.size_mean + share * shift if held else mean,
             size_covariance=spread if held else SIZE_SD**2 * np.eye(2) / 2 + (away.T @ away) / (2 * count),
@@ -167,13 +168,13 @@ class Population:
         """After a frame with so many false detections."""
         frames = min(self.frames + 1.0, MEMORY_FRAMES)
         clutter = max(self.clutter + (false - self.clutter) / frames, 1e-3)
-        return replace(self, clutter=clutter, frames=frames)
+        return changed(self, clutter=clutter, frames=frames)
 
     def after_chances(self, cover: Floats, seen: Floats, existence: Floats) -> Population:
         """After T targets could be detected; `cover` (T,) is how probably another one covers each."""
         hits, chances = _faded(self.hits, self.chances, 1.0 - cover, seen, existence)
         covered = _faded(self.covered_hits, self.covered_chances, cover, seen, existence)
-        return replace(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
+        return changed(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
 
 
 def _faded(
@@ -248,4 +249,4 @@ def share(expected: Expected, likelihoods: Pairs, log_nobody: Floats) -> Shared:
     kept = weights >= NEGLIGIBLE
     pairs = Pairs(rows[kept], columns[kept], weights[kept])
     missed = np.clip(1.0 - np.bincount(pairs.rows, pairs.values, minlength=len(r)), 0.0, 1.0)
-    return Shared(after, pairs, missed, seen, found.free, replace(likelihoods, values=gains))
+    return Shared(after, pairs, missed, seen, found.free, changed(likelihoods, values=gains))

@@ -29,7 +29,7 @@ from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
-from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame_all
+from bayesnet_track.engine.state import TargetState, inside_frame_all
 from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes
@@ -40,6 +40,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.records import changed

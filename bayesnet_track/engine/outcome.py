@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,13 +18,14 @@ from bayesnet_track.engine.joining import JointBelief, reaches_of
 from bayesnet_track.engine.rows.particle_table import ParticleStates
 from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.shedding import balance_load
-from bayesnet_track.engine.state import TargetState, apply_decisions, recompile
+from bayesnet_track.engine.state import TargetState, recompile
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net.net import Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision.scenes import Scene
 
@@ -87,7 +88,7 @@ def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelie
     if results.groups:
         targets = ParticleStates([group.table for group in results.groups], others, results.order)
     return Outcome(
-        replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
+        changed(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
         Lines(results.lines, results.boxes) if len(results) else (),
         tuple(events),
         WhenAsked(results.order, lambda target: results[target].covariance()),
@@ -105,8 +106,8 @@ def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
     reaches = reaches_of(*moments_of(state.targets, outcome.covariances))
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
     work.charge("joins", started)
-    after = replace(state, net=apply_decisions(state.net, decisions), joins=memory)
-    return replace(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
+    after = changed(state, net=apply_decisions(state.net, decisions), joins=memory)
+    return changed(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
 
 
 def moments_of(
@@ -140,11 +141,13 @@ def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | Sp
     decisions, load = balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
     net = apply_decisions(state.net, decisions)
     targets = {target: recompile(engine, net, target, one) for target, one in state.targets.items()}
-    after = replace(state, net=net, targets=targets, load=load)
-    return replace(outcome, state=after, events=(*outcome.events, *decisions))
+    after = changed(state, net=net, targets=targets, load=load)
+    return changed(outcome, state=after, events=(*outcome.events, *decisions))
 
 
 def with_external_inputs(outcome: Outcome, given: ExternalInputs) -> Outcome:
     """The outcome with what came from outside, its notices first."""
     notices: tuple[Event, ...] = (*given.availability.events, *given.refused)
-    return replace(outcome, events=(*notices, *outcome.events), external_inputs=given.to_repeat)
+    if not notices and not given.to_repeat:
+        return outcome
+    return changed(outcome, events=(*notices, *outcome.events), external_inputs=given.to_repeat)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from bayesnet_track.engine.moving.predicting import MotionContext
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
-from bayesnet_track.journal.net.net import Decision, Net, apply
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
@@ -47,13 +47,6 @@ class TargetState:
     scored: Scored = field(default_factory=Scored)
     flawed: frozenset[str] = frozenset()
     existence: float | None = None
-
-
-def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:
-    """The net after the decisions, in their order."""
-    for decision in decisions:
-        net = apply(net, decision)
-    return net
 
 
 def recompile(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:

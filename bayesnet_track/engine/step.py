@@ -7,7 +7,6 @@ for the timings only.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
@@ -33,13 +32,15 @@ from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.scoring.scene_cuts import find_cuts
 from bayesnet_track.engine.starting import start
-from bayesnet_track.engine.state import TargetState, apply_decisions
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [
@@ -108,7 +109,7 @@ def _manage(
     cuts: tuple[SceneCut, ...],
 ) -> Outcome:
     """The outcome after targets start and end, join and part, and load is shed; cuts come first."""
-    outcome = replace(outcome, events=(*cuts, *outcome.events))
+    outcome = changed(outcome, events=(*cuts, *outcome.events))
     outcome = manage_tracks(work, outcome, associated)
     outcome = with_joins(work, outcome)
     outcome = with_load(work, outcome, given.timing)
@@ -135,7 +136,7 @@ def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Flo
         net, targets[target] = apply_decisions(net, born.decisions), born.state
         metrics.append(born.metrics)
         events += born.decisions
-    after = replace(state, net=net, targets=targets, previous=work.frame)
+    after = changed(state, net=net, targets=targets, previous=work.frame)
     return Outcome(after, tuple(metrics), tuple(events))
 
 

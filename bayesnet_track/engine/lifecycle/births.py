@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from bayesnet_track.engine.starting import restart
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.reidentification import Reacquired
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 
 
 def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
@@ -56,7 +56,7 @@ def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None)
     )
     done = start_confirmed(now, [waiting[k] for k in ready], found)
     left = tuple(one for one in waiting if not any(one is other for other in done))
-    tracks.history = replace(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
+    tracks.history = changed(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
 
 
 def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
@@ -78,8 +78,8 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
         done = start_confirmed(now, list(ready.values()), found)
         left = np.ones(len(population.prospects), dtype=bool)
         left[[row for row, one in ready.items() if any(one is other for other in done)]] = False
-        population = replace(population, prospects=population.prospects.take(left))
-    tracks.history = replace(tracks.history, populations={**tracks.history.populations, plate: population})
+        population = changed(population, prospects=population.prospects.take(left))
+    tracks.history = changed(tracks.history, populations={**tracks.history.populations, plate: population})
 
 
 def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.births import DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -86,9 +87,9 @@ def look(
             word = _word(engine, plates[0])
             failed.append(DetectorFailed(frame.index, word, said(error), until, times))
             fault = Fault(times, frame.index, until, True)
-            history = replace(history, failed={**history.failed, name: fault})
+            history = changed(history, failed={**history.failed, name: fault})
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
-    return given, replace(history, detectors=states), tuple(failed)
+    return given, changed(history, detectors=states), tuple(failed)
 
 
 def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:

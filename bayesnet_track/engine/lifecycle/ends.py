@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from bayesnet_track.adapt.duplicates import overlapping
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.graph.settings.lifecycle import LifeRules
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 
 REMEMBERED = 4
@@ -40,14 +39,14 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
             )
             ended.add(younger)
     left = {pair: streak for pair, streak in streaks.items() if not ended.intersection(pair)}
-    tracks.history = replace(tracks.history, overlaps={**others, **left})
+    tracks.history = changed(tracks.history, overlaps={**others, **left})
 
 
 def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Nets of targets that were lost for too long end; what they knew is kept for a while."""
     for target, why in [] if rule.death is None else tracks.ending(plate, rule.death):
         if rule.reidentify is not None:
-            tracks.history = replace(
+            tracks.history = changed(
                 tracks.history, dead=(*tracks.history.dead, remember(tracks, target, plate))
             )
         tracks.end(TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
@@ -58,9 +57,9 @@ def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> No
         gone = {one.target for one in own} - {
             one.target for one in kept[-REMEMBERED * rule.birth.max_targets :]
         }
-        tracks.history = replace(
-            tracks.history, dead=tuple(one for one in tracks.history.dead if one.target not in gone)
-        )
+        if gone:
+            left = tuple(one for one in tracks.history.dead if one.target not in gone)
+            tracks.history = changed(tracks.history, dead=left)
 
 
 def _end_vanishing(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
@@ -70,7 +69,7 @@ def _end_vanishing(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
     for target, value in tracks.vanishing(plate, rule.existence.end):
         if rule.reidentify is not None:
             remembered = remember(tracks, target, plate)
-            tracks.history = replace(tracks.history, dead=(*tracks.history.dead, remembered))
+            tracks.history = changed(tracks.history, dead=(*tracks.history.dead, remembered))
         unseen = tracks.record(target).unseen_frames
         tracks.end(
             TargetDied(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from bayesnet_track.engine.lifecycle.prospects import (
 )
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
 
@@ -90,7 +91,7 @@ def divide(
     survival = rule.existence.survival**dt
     count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, prospects.existence])
     if found is None:
-        prospects = replace(prospects, existence=existence[count:])
+        prospects = changed(prospects, existence=existence[count:])
         nothing = np.empty(0, np.int64)
         return Division(
             existence[:count],
@@ -99,10 +100,10 @@ def divide(
             np.empty(0),
             np.ones(count),
             np.full(count, NOBODY, dtype=np.int64),
-            replace(population, prospects=prospects),
+            changed(population, prospects=prospects),
         )
     population = population.with_sizes(found.boxes)
-    all_of = replace(
+    all_of = changed(
         crowd,
         mean=np.concatenate([crowd.mean, prospects.mean[:, :4]]),
         covariance=np.concatenate([crowd.covariance, prospects.covariance[:, :4, :4]]),
@@ -118,7 +119,7 @@ def divide(
     prospects = prospects.extend(begin_prospects(rule, population, found, shared.free, frame.index))
     population = _learn(rule, population, shared, crowd.names, (cover, hidden))
     return _of_targets(
-        pairs, shared, count, replace(population, prospects=prune(rule, population, prospects))
+        pairs, shared, count, changed(population, prospects=prune(rule, population, prospects))
     )
 
 
@@ -140,7 +141,7 @@ def _share(
     pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
     if crowd.log_looks is not None and rule.association.appearance > 0:
         pairs = _with_looks(rule.association, pairs, crowd.log_looks, boxes)
-    likelihoods = replace(pairs, values=pairs.values - 2.0 * LOG_TURN)
+    likelihoods = changed(pairs, values=pairs.values - 2.0 * LOG_TURN)
     return share(Expected(crowd.existence, detection), likelihoods, log_nobody)
 
 
@@ -170,7 +171,7 @@ def _with_looks(
     for row in np.unique(pairs.rows).tolist():
         own = pairs.rows == row
         values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
-    return replace(pairs, values=values)
+    return changed(pairs, values=values)
 
 
 def _assigned(shared: Shared, found: int) -> Pairs:
@@ -208,7 +209,7 @@ def _learn(
     given = np.minimum(seen[rows] / np.maximum(existence[rows], 1e-300), 1.0)
     after = learn_hidden(hidden[rows], given, population.detection(rule.existence))
     now = {names[row]: value for row, value in zip(rows.tolist(), after.tolist(), strict=True)}
-    return replace(population.after_look(false).after_chances(cover, seen, existence), hidden=now)
+    return changed(population.after_look(false).after_chances(cover, seen, existence), hidden=now)
 
 
 def _of_targets(pairs: Pairs, shared: Shared, count: int, population: Population) -> Division:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +18,7 @@ from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import AssociationRule
 
 HOPELESS = 0.02
@@ -65,7 +66,7 @@ def first_population(rule: CrowdRule, found: Found, frame: int) -> Population:
     population = Population(Prospects.none(len(rule.motion.fields))).with_sizes(found.boxes)
     free = np.ones(len(found.boxes))
     population = population.after_look(float(free.sum()) * (1.0 - population.new_share(rule.existence)))
-    return replace(population, prospects=begin_prospects(rule, population, found, free, frame))
+    return changed(population, prospects=begin_prospects(rule, population, found, free, frame))
 
 
 def confirmed(rule: CrowdRule, prospects: Prospects) -> dict[int, Candidate]:
@@ -107,7 +108,7 @@ def predict_prospects(
             for mean, covariance in zip(prospects.mean, prospects.covariance, strict=True)
         ]
         mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
-    return replace(prospects, mean=mean, covariance=covariance)
+    return changed(prospects, mean=mean, covariance=covariance)
 
 
 @lru_cache(maxsize=64)

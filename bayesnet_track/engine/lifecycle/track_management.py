@@ -8,8 +8,6 @@ of it is a function of the engine, what is remembered and the frame.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_existence
@@ -21,6 +19,7 @@ from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import RowStates
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.rows.row_table import RowTable
+from bayesnet_track.numerics.records import changed
 
 
 def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | None = None) -> Outcome:
@@ -42,7 +41,7 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
     else:
         found, events = associated.found, associated.events
         looked = associated.history
-        tracks.history = replace(
+        tracks.history = changed(
             tracks.history,
             detectors=looked.detectors,
             failed=looked.failed,
@@ -59,7 +58,7 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
         end_duplicates(tracks, plate, rule, frame)
         end_lost(tracks, plate, rule, frame)
     work.charge("life", started)
-    return replace(tracks.outcome(outcome, frame), seconds=work.seconds)
+    return changed(tracks.outcome(outcome, frame), seconds=work.seconds)
 
 
 def live_table(work: FrameWork, outcome: Outcome) -> LiveTable:

@@ -10,12 +10,12 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.engine.outcome import Outcome, State
-from bayesnet_track.engine.state import TargetState, apply_decisions
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Death
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision, Net
+from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 

@@ -7,7 +7,7 @@ are taken; metrics are columns until somebody asks for a target's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -31,10 +31,11 @@ from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.rows.judging import judge_rows
 from bayesnet_track.engine.rows.row_heard import RowHeard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
-from bayesnet_track.engine.state import apply_decisions
+from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import ALONE
 from bayesnet_track.numerics.kernels.row_columns import HYPOTHESES
+from bayesnet_track.numerics.records import changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +92,12 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         waiting = tentative_tracks(rule.compiled, history)
         given = assign_rows(work, rows, predicted, waiting, found.get(rule.plate))
         if given.candidates is not None:
-            history = replace(history, candidates={**history.candidates, rule.plate: given.candidates})
+            history = changed(history, candidates={**history.candidates, rule.plate: given.candidates})
     else:
         population = history.populations.get(rule.plate)
         given = divide_rows(work, rows, predicted, population, found.get(rule.plate))
         assert given.population is not None
-        history = replace(history, populations={**history.populations, rule.plate: given.population})
+        history = changed(history, populations={**history.populations, rule.plate: given.population})
     mean, covariance = predicted.mean, predicted.covariance
 
     updated = before.changed(
@@ -112,12 +113,12 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
     net = apply_decisions(work.net, decisions)
     table = rows.with_columns(after, frame.time).with_nets(net.targets)
     outcome = Outcome(
-        replace(
+        changed(
             state,
             net=net,
             targets=RowStates(table),
             previous=frame,
-            history=replace(state.history, records=RowRecords(table)),
+            history=changed(state.history, records=RowRecords(table)),
         ),
         RowMetrics(table, measured, work.engine.streams, frame, before.is_lost),
         tuple(decisions),

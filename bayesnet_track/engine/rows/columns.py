@@ -17,6 +17,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION
 
 NEVER_ASKED, GIVEN_NONE, GIVEN = 0, 1, 2
@@ -148,7 +149,13 @@ class Rows:
 
     def memory(self, row: int) -> Memory:
         """What the rules remember of one target."""
-        now, rule, frames = self.columns, self.rule, int(self.columns.nat_frames[row])
+        frames = int(self.columns.nat_frames[row])
+        helpful = {self.rule.agent: (float(self.columns.nats[row]), frames)} if frames else {}
+        return changed(self.streaks(row), quiet=self.quiet(row), helpful=helpful)
+
+    def streaks(self, row: int) -> Memory:
+        """What the rules remember of one target's last frames, and nothing else."""
+        now, rule = self.columns, self.rule
         lost, found = int(now.lost_count[row]), int(now.found_count[row])
         is_lost, is_found = streak(lost, now.lost_values[row]), streak(found, now.found_values[row])
         by_ud = rule.lost.existence_below is None
@@ -158,8 +165,6 @@ class Rows:
             seen=Streak() if by_ud else is_found,
             unsure=Streak() if by_ud else is_lost,
             unfit=streak(lost, now.unfit_values[row]) if by_ud else Streak(),
-            quiet=self.quiet(row),
-            helpful={rule.agent: (float(now.nats[row]), frames)} if frames else {},
         )
 
     def quiet(self, row: int) -> Mapping[str, Quiet]:

@@ -88,5 +88,5 @@ def _decide_status(
         existence=None if rule.crowd is None else float(after.columns.existence[row]),
     )
     decisions: list[Decision] = []
-    judge_status(now, changed(before.memory(row), quiet=after.quiet(row)), decisions)
+    judge_status(now, changed(before.streaks(row), quiet=after.quiet(row)), decisions)
     return decisions

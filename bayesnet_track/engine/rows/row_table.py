@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import compress
 from typing import Self
 
@@ -16,13 +16,14 @@ from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import RowRecords, Rows, RowStates, make_rows
 from bayesnet_track.engine.rows.fitting import nets_fit, states_fit
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
-from bayesnet_track.engine.state import TargetState, apply_decisions
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Death
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision, Net
+from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 
 
@@ -79,7 +80,7 @@ class RowTable:
         self.rows = self.rows.with_columns(columns, self.rows.time)
         if is_new.any():  # the numbers of those that a table did not count before
             numbers = [int(target) for target in compress(self.rows.ids, is_new) if target.isdecimal()]
-            self.history = replace(self.history, last_id=max([self.history.last_id, *numbers]))
+            self.history = changed(self.history, last_id=max([self.history.last_id, *numbers]))
 
     def state(self, target: str) -> TargetState:
         """What is known of a target."""
@@ -168,10 +169,10 @@ class RowTable:
     def outcome(self, before: Outcome, frame: Frame) -> Outcome:
         """The outcome with all that was done here."""
         targets, records = self._left(frame)
-        history = replace(self.history, records=records)
-        state = replace(before.state, net=self.net, targets=targets, previous=frame, history=history)
+        history = changed(self.history, records=records)
+        state = changed(before.state, net=self.net, targets=targets, previous=frame, history=history)
         events = (*before.events, *self.events)
-        return replace(before, state=state, metrics=self.metrics.with_born(self.lines), events=events)
+        return changed(before, state=state, metrics=self.metrics.with_born(self.lines), events=events)
 
     def _left(self, frame: Frame) -> tuple[Mapping[str, TargetState], Mapping[str, TrackRecord]]:
         """Who lives on: as rows where those that start fit, too."""

@@ -8,9 +8,10 @@ from bayesnet_track.adapt.memory import Streak
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.scoring.reacquisition import LEAST_FRAMES
-from bayesnet_track.engine.state import TargetState, apply_decisions
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import SceneCut
+from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision.scenes import Scene, compare_scenes, describe_scene
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from bayesnet_track.journal.net.causes import Cause, FitCause, HiddenCause, ScoreCause
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
+from bayesnet_track.numerics.records import changed
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class StatusChanged:
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
-        return replace(net, status=self.status)
+        return changed(net, status=self.status)
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ class SceneCut:
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
-        return replace(net, status="lost")
+        return changed(net, status="lost")
 
 
 Decisions = StatusChanged | SceneCut

@@ -40,7 +40,10 @@ Decision = (
 Switch = switches.Switches | self_checks.Switches | faults.Switches | by_hand.Switches | load.Switches
 """A decision that switches an agent."""
 
-BEFORE_ITS_FRAME = (births.TargetStarted, reidentification.Returned, statuses.SceneCut)
+STARTS = (births.TargetStarted, reidentification.Returned)
+"""Decisions that a net starts with."""
+
+BEFORE_ITS_FRAME = (*STARTS, statuses.SceneCut)
 """Decisions that hold in their own frame."""
 
 
@@ -63,19 +66,32 @@ def apply(net: Net, decision: Decision) -> Net:
     Raises:
         KeyError: the decision names a target that is not alive, or parts two that are not joined.
     """
-    if isinstance(decision, endings.Decisions):
-        left = {target: one for target, one in net.targets.items() if target != decision.target}
-        if len(left) == len(net.targets):
-            raise KeyError(decision.target)
-        left_joined = {pair: join for pair, join in net.joins.items() if decision.target not in pair}
-        return Net(MappingProxyType(left), MappingProxyType(left_joined))
-    if isinstance(decision, joins.Decisions):
-        return replace(net, joins=MappingProxyType(_joins_after(net, decision)))
-    if isinstance(decision, births.TargetStarted | reidentification.Returned):
-        changed = TargetNet(decision.template, frozenset(decision.active))
-    else:
-        changed = _without_vain_samples(decision.change(net.targets[decision.target]))
-    return replace(net, targets=MappingProxyType({**net.targets, decision.target: changed}))
+    return apply_decisions(net, (decision,))
+
+
+def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:
+    """The net after decisions, in their order; a net of many targets is copied once for all of them.
+
+    Raises:
+        KeyError: as `apply`.
+    """
+    decisions = tuple(decisions)
+    if not decisions:
+        return net
+    targets, joined = dict(net.targets), dict(net.joins)
+    for decision in decisions:
+        if isinstance(decision, endings.Decisions):
+            del targets[decision.target]
+            for pair in [pair for pair in joined if decision.target in pair]:
+                del joined[pair]
+        elif isinstance(decision, joins.Decisions):
+            _join(targets, joined, decision)
+        elif isinstance(decision, STARTS):
+            targets[decision.target] = TargetNet(decision.template, frozenset(decision.active))
+        else:
+            after = decision.change(targets[decision.target])
+            targets[decision.target] = _without_vain_samples(after) if after.sampled else after
+    return Net(MappingProxyType(targets), MappingProxyType(joined))
 
 
 def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net:
@@ -96,17 +112,18 @@ def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net
     return net
 
 
-def _joins_after(net: Net, decision: joins.Decisions) -> dict[tuple[str, str], joins.Joined]:
+def _join(
+    targets: Mapping[str, TargetNet], joined: dict[tuple[str, str], joins.Joined], decision: joins.Decisions
+) -> None:
     pair = (decision.target, decision.other)
     for target in pair:
-        if target not in net.targets:
+        if target not in targets:
             raise KeyError(target)
-    known_joins = {known: join for known, join in net.joins.items() if known != pair}
     if isinstance(decision, joins.Joined):
-        known_joins[pair] = decision
-    elif len(known_joins) == len(net.joins):
-        raise KeyError(pair)
-    return known_joins
+        joined.pop(pair, None)
+        joined[pair] = decision
+    else:
+        del joined[pair]
 
 
 def _without_vain_samples(net: TargetNet) -> TargetNet:
