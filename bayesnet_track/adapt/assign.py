@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,18 +112,14 @@ def assign_pairs(
     and those in which nobody wants what another wants are plain.
     """
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.pair_kernels import settle_pairs
+    from bayesnet_track.numerics.kernels.pair_kernels import open_groups, settle_pairs
 
     rows, columns = np.ascontiguousarray(rows), np.ascontiguousarray(columns)  # one compiled version only
     owner, group = settle_pairs(rows, columns, gains, count, found)
-    disputed = np.flatnonzero(group >= 0)
-    disputed = disputed[np.argsort(group[disputed], kind="stable")]
-    for pairs in np.split(disputed, np.flatnonzero(np.diff(group[disputed])) + 1) if len(disputed) else ():
-        own_rows, row = np.unique(rows[pairs], return_inverse=True)
-        own_columns, column = np.unique(columns[pairs], return_inverse=True)
-        gain = np.full((len(own_rows), len(own_columns)), -np.inf)
-        gain[row, column] = gains[pairs]
-        chosen = assign_group(gain)
+    matrices, all_rows, all_columns, starts = open_groups(rows, columns, gains, group, count, found)
+    for (a, r, c), (b, s, d) in pairwise(starts.tolist()):
+        own_rows, own_columns = all_rows[r:s], all_columns[c:d]
+        chosen = assign_group(matrices[a:b].reshape(s - r, d - c))
         is_given = chosen != NOBODY
         owner[own_rows[is_given]] = own_columns[chosen[is_given]]
     return np.asarray(owner)

@@ -155,3 +155,49 @@ def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: in
         else:
             group[p] = own
     return owner, group
+
+
+@compiled
+def open_groups(
+    rows: Ints, columns: Ints, gains: Floats, group: Ints, count: int, found: int
+) -> tuple[Floats, Ints, Ints, Ints]:
+    """The gains of each open group of `settle_pairs` as a matrix, -inf where there is no pair.
+
+    All matrices, one after the other; the rows and the columns of the groups, likewise, in their order; and
+    (G + 1, 3) where the matrix, the rows and the columns of a group begin.
+    """
+    number, group_of, at = (
+        np.full(count + found, -1),
+        np.full(count + found, -1),
+        np.zeros(count + found, np.int64),
+    )
+    groups = 0
+    for p in range(rows.shape[0]):
+        if group[p] >= 0:
+            if number[group[p]] < 0:
+                number[group[p]] = groups
+                groups += 1
+            group_of[rows[p]] = group_of[count + columns[p]] = number[group[p]]
+    sizes, starts = np.zeros((groups, 2), np.int64), np.zeros((groups + 1, 3), np.int64)
+    for one in range(count + found):
+        if group_of[one] >= 0:
+            side = 0 if one < count else 1
+            at[one] = sizes[group_of[one], side]
+            sizes[group_of[one], side] += 1
+    for g in range(groups):
+        starts[g + 1, 0] = starts[g, 0] + sizes[g, 0] * sizes[g, 1]
+        starts[g + 1, 1] = starts[g, 1] + sizes[g, 0]
+        starts[g + 1, 2] = starts[g, 2] + sizes[g, 1]
+    matrices = np.full(starts[groups, 0], -np.inf)
+    own_rows, own_columns = np.empty(starts[groups, 1], np.int64), np.empty(starts[groups, 2], np.int64)
+    for one in range(count + found):
+        g = group_of[one]
+        if g >= 0 and one < count:
+            own_rows[starts[g, 1] + at[one]] = one
+        elif g >= 0:
+            own_columns[starts[g, 2] + at[one]] = one - count
+    for p in range(rows.shape[0]):
+        if group[p] >= 0:
+            g = number[group[p]]
+            matrices[starts[g, 0] + at[rows[p]] * sizes[g, 1] + at[count + columns[p]]] = gains[p]
+    return matrices, own_rows, own_columns, starts
