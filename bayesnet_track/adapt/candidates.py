@@ -93,8 +93,11 @@ def look_again(
 
 def keep_best(kept: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
     """No more than twice `rule.max_targets` (and 8): those seen most often, then those of the best scores."""
+    most = max(2 * rule.max_targets, 8)
+    if len(kept) <= most:
+        return tuple(kept)
     best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
-    chosen = sorted(best[: max(2 * rule.max_targets, 8)])
+    chosen = sorted(best[:most])
     return tuple(kept[k] for k in chosen)
 
 

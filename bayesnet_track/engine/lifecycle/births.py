@@ -47,7 +47,8 @@ def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None)
         return
     found = found.only(free)
     at = _find_lost(now, found, seen)
-    found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))
+    if len(at):
+        found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))
     found = found.only(found.scores >= now.birth.min_score)
     waiting = _wait(now, found)
     ready = sorted(

@@ -21,34 +21,39 @@ def judge_rows(
     work: FrameWork, rows: Rows, updated: Columns, numbers: Floats
 ) -> tuple[Columns, RowMeasures, list[Decision]]:
     """Baselines and streaks with one frame more, what was measured, and the decisions that are taken."""
+    from bayesnet_track.numerics.kernels.judging_kernels import append_streaks, read_levels
     from bayesnet_track.numerics.kernels.row_kernels import append_medians
 
     started = work.engine.clock()
     rule, before = rows.rule, rows.columns
-    ud, fit, area = numbers[:, UD].copy(), numbers[:, FIT], numbers[:, AREA]
+    ud = numbers[:, UD].copy()
     quiet, quiet_count, medians = append_medians(
         before.quiet, before.quiet_count, ud, ~before.is_lost, QUIET_MINIMUM
     )
     level, exists = rule.lost.above, rule.lost.existence_below
-    scale = {"ud_px2": np.ones(len(ud)), "ud_box": area, "ud_baseline": medians}[level.kind]
-    is_known = scale > 0.0  # not where the baseline is unknown
-    value = np.where(is_known, ud / np.where(is_known, scale, 1.0), 0.0)
-    is_wide, fits = is_known & (value > level.settings), fit >= rule.lost.fit_below
-    looks_lost, looks_found = is_wide | ~fits, fits & ~is_wide
-    lost_values, unfit_values = np.where(fits, value, np.inf), np.where(is_wide, -np.inf, fit)
-    if exists is not None:
-        value = lost_values = unfit_values = updated.existence
+    if exists is None:
+        scale = medians if level.kind == "ud_baseline" else numbers[:, AREA].copy()
+        if level.kind == "ud_px2":
+            scale = np.ones(len(ud))
+        value, lost_value, unfit_value, looks_lost, looks_found = read_levels(
+            ud, numbers[:, FIT].copy(), scale, float(level.settings), rule.lost.fit_below
+        )
+    else:
+        value = lost_value = unfit_value = updated.existence
         looks_lost, looks_found = value < exists, value >= exists
+    lost_count, lost_values = append_streaks(before.lost_count, before.lost_values, looks_lost, lost_value)
+    _, unfit_values = append_streaks(before.lost_count, before.unfit_values, looks_lost, unfit_value)
+    found_count, found_values = append_streaks(before.found_count, before.found_values, looks_found, value)
     after = updated.changed(
         nats=before.nats + numbers[:, NATS],
         nat_frames=before.nat_frames + 1,
         quiet=quiet,
         quiet_count=quiet_count,
-        lost_count=np.where(looks_lost, before.lost_count + 1, 0),
-        lost_values=_append(before.lost_values, lost_values),
-        unfit_values=_append(before.unfit_values, unfit_values),
-        found_count=np.where(looks_found, before.found_count + 1, 0),
-        found_values=_append(before.found_values, value),
+        lost_count=lost_count,
+        lost_values=lost_values,
+        unfit_values=unfit_values,
+        found_count=found_count,
+        found_values=found_values,
     )
     measured = RowMeasures(numbers, medians)
     count = np.where(before.is_lost, after.found_count, after.lost_count)
@@ -63,10 +68,6 @@ def judge_rows(
         after = after.changed(is_lost=is_lost)
     work.charge("measure", started)
     return after, measured, decisions
-
-
-def _append(values: Floats, new: Floats) -> Floats:
-    return np.concatenate([values[:, 1:], new[:, None]], axis=1)
 
 
 def _decide_status(
