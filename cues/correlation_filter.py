@@ -175,9 +175,10 @@ class CorrelationFilter:
 
         With `angles` (N,), in degrees, those of the filter turned by as much.
         """
+        from bayesnet_track.numerics.compiled import plain
         from bayesnet_track.vision.kernels.correlation_kernels import read_answers
 
-        p, image, values = self.parameters, planes[WholeFrame()], np.zeros(len(boxes))
+        p, image, boxes, values = self.parameters, planes[WholeFrame()], plain(boxes), np.zeros(len(boxes))
         size, place, kernel = reference["size"], reference["place"], reference["kernel"]
         cell = self._cell(size)
         step = (REACH - 4) * cell  # between tiles; a column of boxes at a time is several times faster
@@ -191,18 +192,17 @@ class CorrelationFilter:
             at = np.array([across[which[0]], down[which[0]]])
             x, y = (place + at * (REACH - 4) * cell).tolist()
             tile = find_tile(planes.frame, image, Asked(x, y, cell, p.cells + REACH, p.cells, p.signed))
-            levels = np.clip((log_scale + np.log(cell / tile.cell)) / SCALE_STEP, -LEVELS, LEVELS)
-            columns = (boxes[:, 0] - tile.x) / tile.cell + 0.5 * REACH
-            rows = (boxes[:, 1] - tile.y) / tile.cell + 0.5 * REACH
+            levels = (log_scale[which] + np.log(cell / tile.cell)) / SCALE_STEP
+            levels = np.minimum(np.maximum(levels, -LEVELS), LEVELS)
             for turn, share in turns.items():
-                some = which[share[which] > 0.0]
-                if not len(some):
+                part = share[which]
+                of_turn = levels[part > 0.0]
+                if not len(of_turn):
                     continue
-                lowest, highest = int(np.floor(levels[some].min())), int(np.ceil(levels[some].max()))
+                lowest, highest = math.floor(of_turn.min()), math.ceil(of_turn.max())
                 maps = find_maps(tile, kernel, turn, range(lowest, highest + 1), parts)
-                read = np.zeros(len(boxes))
-                read_answers(maps, lowest, columns, rows, levels, some, read)
-                values[some] += share[some] * read[some]
+                at_tile = (tile.x, tile.y, tile.cell)
+                read_answers(maps, lowest, boxes, at_tile, which, levels, part, values)
         return values
 
     def _cell(self, size: Floats) -> float:

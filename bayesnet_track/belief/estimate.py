@@ -35,5 +35,6 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
     if kind == "max_weight" or chosen is None or chosen.robust_mean is None:
         return best
     reach = chosen.robust_mean.box * float(np.sqrt(best[2] * best[3]))
-    near = np.all(np.abs(states[:, :2] - best[:2]) <= reach, axis=1)
+    x, y = (np.abs(states[:, axis] - best[axis]) <= reach for axis in (0, 1))
+    near = x & y
     return np.asarray(weights[near] @ states[near] / weights[near].sum())

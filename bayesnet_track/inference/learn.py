@@ -247,7 +247,11 @@ def _check(reference: Reference) -> Reference | str:
 
 
 def _is_finite(array: NDArray[Any]) -> bool:
-    return cmath.isfinite(array.item()) if array.ndim == 0 else bool(np.isfinite(array).all())
+    return (
+        cmath.isfinite(array.item())
+        if array.ndim == 0
+        else np.count_nonzero(np.isfinite(array)) == array.size
+    )
 
 
 def _split_faults(

@@ -57,5 +57,8 @@ def uncertainty_deviation(states: Floats, weights: Floats, centre: Floats) -> fl
     >>> uncertainty_deviation(states, np.array([0.5, 0.5]), np.array([30.0]))
     1800.0
     """
+    if len(centre) == 2:  # column by column, in half of the time
+        x, y = states[:, 0] - centre[0], states[:, 1] - centre[1]
+        return float(np.dot(weights, x * x + y * y))
     away = states - centre
     return float(np.dot(weights, np.einsum("nk,nk->n", away, away)))

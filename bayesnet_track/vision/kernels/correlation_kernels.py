@@ -152,25 +152,40 @@ def scaled_product(seen: Singles, halves: Singles, waves: Singles, total: Single
 
 @compiled
 def read_answers(
-    maps: Singles, lowest: int, columns: Floats, rows: Floats, levels: Floats, which: Ints, answers: Floats
+    maps: Singles,
+    lowest: int,
+    boxes: Floats,
+    tile: tuple[float, float, float],
+    which: Ints,
+    levels: Floats,
+    shares: Floats,
+    answers: Floats,
 ) -> None:
-    """Write the answer at each hypothesis of `which` into `answers` (N,): bicubic, linear between levels.
+    """Add the answers at the M hypotheses `which` to `answers` (N,): bicubic, linear between levels.
 
     Args:
         maps: (L, V, V) float32, V >= 4, a map per level of scale.
         lowest: level of the first map.
-        columns: (N,) places in the maps, cells, kept to where all neighbours are known; likewise `rows`.
-        levels: (N,), those of `which` from `lowest` to `lowest` + L - 1.
+        boxes: (N, 4) centre boxes, px; where not all neighbours are known, the nearest place is read.
+        tile: x and y of the place in the middle of the maps, and the side of a cell, px.
+        which: (M,) indices of hypotheses.
+        levels: (M,) from `lowest` to `lowest` + L - 1, where there is a share.
+        shares: (M,) factors on the answers; those with 0 are not read.
+        answers: (N,) added to.
     """
     across, down = np.empty(4), np.empty(4)
-    bound = maps.shape[1] - 3
-    for n in which:
-        i = min(max(int(np.floor(columns[n])), 1), bound)
-        j = min(max(int(np.floor(rows[n])), 1), bound)
-        cubic_weights(min(max(columns[n] - i, 0.0), 1.0), across)
-        cubic_weights(min(max(rows[n] - j, 0.0), 1.0), down)
-        below = int(np.floor(levels[n]))
-        part = levels[n] - below
+    bound, middle = maps.shape[1] - 3, 0.5 * (maps.shape[1] - 1)
+    for m in range(len(which)):
+        if shares[m] == 0.0:
+            continue
+        n = which[m]
+        x, y = (boxes[n, 0] - tile[0]) / tile[2] + middle, (boxes[n, 1] - tile[1]) / tile[2] + middle
+        i = min(max(int(np.floor(x)), 1), bound)
+        j = min(max(int(np.floor(y)), 1), bound)
+        cubic_weights(min(max(x - i, 0.0), 1.0), across)
+        cubic_weights(min(max(y - j, 0.0), 1.0), down)
+        below = int(np.floor(levels[m]))
+        part = levels[m] - below
         total = 0.0
         for step in range(2):
             weight = part if step == 1 else 1.0 - part
@@ -182,4 +197,4 @@ def read_answers(
                 for a in range(4):
                     line += across[a] * one[j + b - 1, i + a - 1]
                 total += weight * down[b] * line
-        answers[n] = total
+        answers[n] += shares[m] * total
