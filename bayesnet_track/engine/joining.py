@@ -24,7 +24,7 @@ from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.occlusion import level_of, levels_after, report_hidden
+from bayesnet_track.engine.occlusion import is_degenerate, levels_after, levels_of, report_hidden
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.on_others import logs_on
 from bayesnet_track.graph.settings.joins import Join
@@ -82,14 +82,14 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Together) -> Joi
     if not work.engine.joins:
         return JointBelief(filtered, memory)
     started = work.engine.clock()
-    levels = {name: level_of(memory.levels.get(name), one) for name, one in filtered.items()}
+    levels, seen = levels_of(memory.levels, filtered)
     tree = _tree(work, memory, filtered)
     marginals, orders = _marginals(work, tree, levels, filtered)
     pairs, events = _update_pairs(work.frame.index, tree, orders)
     carriers = carriers_of(work, memory)
     steps, metrics, carried = _split_joint(carriers, marginals, pairs, filtered)
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
-    levels = levels_after(memory.levels, levels, metrics, filtered)
+    levels = levels_after(memory.levels, seen, metrics, filtered)
     after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
     after = report_hidden(work.frame.index, metrics, after, events)
     after = report_carried(work.frame.index, metrics, carriers, after, events)
@@ -111,7 +111,7 @@ def reaches_of(names: Sequence[str], boxes: Floats, variances: Floats) -> Reache
 # ------------------------------------------------------------------------------------ the joint belief
 
 
-def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _Tree:
+def _tree(work: FrameWork, memory: JoinMemory, of: Together) -> _Tree:
     """The pairs of this frame, and along which of them evidence is shared."""
     rules = {pair: work.engine.joins[join.rule] for pair, join in work.net.joins.items()}
     pairs: dict[Pair, PairMemory] = {}
@@ -132,7 +132,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
             )
             for pair in chosen
             if (pairs[pair].overlap > 0 or rules[pair].factor is not None)
-            and all(of[name].step.degenerate is None for name in pair)
+            and not any(is_degenerate(of, name) for name in pair)
         )
         for chosen in (tree, left_out)
     )
@@ -147,24 +147,31 @@ def _marginals(
     neighbours = _neighbours((*tree.edges, *tree.closing))
     on = logs_on(work, neighbours, of)
     members = {
-        name: Member(
-            np.ascontiguousarray(of[name].step.support.boxes),
-            _prior_of(of[name]),
-            log_seen(of[name].plan.factors, of[name].step.evidence),
-            levels[name].log,
-            on[name],
-            max(len(of[name].plan.observations), 1),
-            levels[name].best,
-            _states_of(of[name]) if relates else {},
-        )
+        name: _member(of, name, levels[name], on[name], _states_of(of[name]) if relates else {})
         for name in neighbours
     }
+    streams, frame = work.engine.streams.reused(), work.frame.index
     return joint_marginals(
         members,
         tree.edges,
-        lambda speaker, hearer: work.stream(speaker, hearer)("partners"),
+        lambda speaker, hearer: streams(speaker, hearer, frame, "partners"),
         tree.closing,
     )
+
+
+def _member(
+    of: Together, name: str, level: Level, on: Mapping[str, float], states: Mapping[str, Floats]
+) -> Member:
+    """A target's hypotheses."""
+    at = of.row(name)
+    if at is None:
+        one = of[name]
+        boxes, prior = np.ascontiguousarray(one.step.support.boxes), _prior_of(one)
+        log, plan = log_seen(one.plan.factors, one.step.evidence), one.plan
+    else:
+        group, row = at
+        boxes, prior, log, plan = group.boxes[row], group.prior, group.own[row], group.plan
+    return Member(boxes, prior, log, level.log, on, max(len(plan.observations), 1), level.best, states)
 
 
 def _update_pairs(
@@ -195,13 +202,18 @@ def _split_joint(
     steps = {name: _reweight(one, marginals.get(name)) for name, one in of.others.items()}
     carried: dict[str, CarriedHypotheses] = {}
     metrics: dict[str, JoinMetrics] = {}
-    for name in dict.fromkeys(name for pair in pairs for name in pair):
-        probability = None
+    in_front: dict[str, dict[str, float]] = {}
+    for (first, second), one in pairs.items():
+        in_front.setdefault(first, {})[second] = one.first_in_front
+        in_front.setdefault(second, {})[first] = 1.0 - one.first_in_front
+    for name, fronts in in_front.items():
+        probability, at = None, of.row(name)
         if name in carriers:
             steps[name], carried[name] = without_ride(steps[name])
             probability = float(steps[name].support.weights.weights @ carried[name].hypotheses)
         hidden = marginals[name].hidden if name in marginals else {}
-        metrics[name] = _metrics(name, pairs, hidden, probability, of[name].step.support.weights.ess)
+        ess = of[name].step.support.weights.ess if at is None else at[0].ess[at[1]]
+        metrics[name] = _metrics(fronts, hidden, probability, ess)
     return steps, metrics, carried
 
 
@@ -244,18 +256,8 @@ def _reweight(one: Filtered, marginal: Marginal | None) -> Step[Posterior]:
 
 
 def _metrics(
-    name: str,
-    pairs: Mapping[Pair, PairMemory],
-    hidden: Mapping[str, float],
-    attached: float | None,
-    ess_own: float,
+    in_front: Mapping[str, float], hidden: Mapping[str, float], attached: float | None, ess_own: float
 ) -> JoinMetrics:
-    in_front = {}
-    for (first, second), one in pairs.items():
-        if name == first:
-            in_front[second] = one.first_in_front
-        elif name == second:
-            in_front[first] = 1.0 - one.first_in_front
     share = min(sum(hidden.values()), 1.0)
     behind = max(hidden, key=lambda other: hidden[other]) if share > 0.01 else ""
-    return JoinMetrics(tuple(in_front), share, behind, in_front, attached, ess_own)
+    return JoinMetrics(tuple(in_front), share, behind, dict(in_front), attached, ess_own)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from bayesnet_track.adapt.joins import LEVEL_HIDDEN, JoinMemory, Level
 from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.inference.factors import log_seen
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joint_beliefs import OcclusionChanged
@@ -21,33 +21,55 @@ DEEPEST = 20.0
 """Nats below the best hypothesis at which the worst one counts at most."""
 
 
-def level_of(known: Level | None, one: Filtered) -> Level:
-    """The level with the agents that are active: as measured, else that of this very frame."""
-    if known is not None and known.active == one.plan.active:
-        return known
-    return Level(one.plan.active, *_half_way(one), 0)
+def levels_of(known: Mapping[str, Level], of: Together) -> tuple[dict[str, Level], dict[str, Level]]:
+    """Target -> its level with the agents that are active: as measured, else that of this very frame.
+
+    Then those after this frame, were all targets seen in it.
+    """
+    before: dict[str, Level] = {}
+    after: dict[str, Level] = {}
+    for name in of:
+        at = of.row(name)
+        if at is None:
+            active, middle, best = of[name].plan.active, *_half_way(*_extremes(of[name]))
+        else:
+            active, (middle, best) = at[0].plan.active, _half_way(*at[0].extremes[at[1]])
+        level = known.get(name)
+        if level is None or level.active != active:
+            level = Level(active, middle, best, 0)
+        before[name], after[name] = level, level.then(active, middle, best)
+    return before, after
 
 
-def _half_way(one: Filtered) -> tuple[float, float]:
-    """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
+def _extremes(one: Filtered) -> tuple[float, float]:
+    """Log-likelihood of the best hypothesis and of the worst."""
     log = log_seen(one.plan.factors, one.step.evidence)
-    best = float(log.max())
-    return (best + max(float(log.min()) - best, -DEEPEST) / 2, best) if np.isfinite(best) else (0.0, 0.0)
+    return float(log.max()), float(log.min())
+
+
+def _half_way(best: float, worst: float) -> tuple[float, float]:
+    """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
+    return (best + max(worst - best, -DEEPEST) / 2, best) if math.isfinite(best) else (0.0, 0.0)
 
 
 def levels_after(
     before: Mapping[str, Level],
-    levels: Mapping[str, Level],
+    seen: Mapping[str, Level],
     metrics: Mapping[str, JoinMetrics],
-    of: Mapping[str, Filtered],
+    of: Together,
 ) -> dict[str, Level]:
-    """The levels of all targets, those measured in this frame that were seen."""
+    """The levels of all targets, those measured in this frame, in `seen`, that were seen."""
     after = dict(before)
-    for name, one in of.items():
+    for name, level in seen.items():
         hidden = metrics[name].hidden if name in metrics else 0.0
-        if hidden <= LEVEL_HIDDEN and one.step.degenerate is None:
-            after[name] = levels[name].then(one.plan.active, *_half_way(one))
+        if hidden <= LEVEL_HIDDEN and not is_degenerate(of, name):
+            after[name] = level
     return after
+
+
+def is_degenerate(of: Together, name: str) -> bool:
+    """Whether a target's own evidence could not be used; never of one in a group."""
+    return of.row(name) is None and of[name].step.degenerate is not None
 
 
 def report_hidden(

@@ -30,18 +30,12 @@ go up and down once. Along pairs that would close a ring each is told what the o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from bayesnet_track.inference.joint_members import Edge, Member, Pair, weigh_all
-from bayesnet_track.inference.joint_messages import Message, Question, answer, shares_hidden, together
+from bayesnet_track.inference.joint_members import Crowd, Edge, Member, Pair
+from bayesnet_track.inference.joint_messages import Stream, Talk, ragged, talk_over
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
-
-FARTHEST = 150.0
-"""A log-likelihood further below the best counts as so far below it: their ratio has to stay a number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +53,7 @@ class Marginal:
 
 
 def joint_marginals(
-    members: Mapping[str, Member],
-    edges: Sequence[Edge],
-    stream: Callable[[str, str], np.random.Generator],
-    closing: Sequence[Edge] = (),
+    members: Mapping[str, Member], edges: Sequence[Edge], stream: Stream, closing: Sequence[Edge] = ()
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The marginals of all members, and of each edge the probability that its first target is in front.
 
@@ -75,46 +66,29 @@ def joint_marginals(
     Raises:
         ValueError: the edges close a ring.
     """
-    members = {name: _bound(one) for name, one in members.items()}
-    weigh_all(members.values())
-    near = _near(members, edges)
-    above = _root_tree(near)
-    around = _near(members, (*closing, *edges))
-    messages: dict[Pair, Message] = {}
+    from bayesnet_track.numerics.kernels.speaking_kernels import conclude
 
-    def ask(speaker: str, hearer: str, others: Sequence[str]) -> Question:
-        said = together(members[speaker], others, speaker, messages)
-        edge = around[speaker][hearer]
-        return Question(
-            members[speaker],
-            members[hearer],
-            (members[speaker].hidden_by(hearer), members[hearer].hidden_by(speaker)),
-            said,
-            edge if edge.pair[0] == hearer else edge.turned,
-            stream(speaker, hearer),
+    above = _root_tree(_near(members, edges))
+    if not members:
+        return {}, {}
+    crowd = Crowd.of(members)
+    talk = Talk.along(crowd, edges, closing, above)
+    said = talk_over(crowd, members, talk, stream)
+    heard = [talk.heard[name] for name in members]
+    log, hides, fronts = conclude(
+        crowd.log_likelihood, crowd.seen, crowd.starts, talk.at, ragged(heard), said
+    )
+    marginals = {
+        name: Marginal(
+            log[crowd.starts[m] : crowd.starts[m + 1]], {talk.pairs[k][0]: float(hides[k]) for k in heard[m]}
         )
-
-    # Whoever has heard all others speaks: all of a depth at once.
-    waiting: dict[Pair, list[str]] = {}
-    for name, parent in above.items():
-        if parent is not None:
-            waiting[name, parent] = [other for other in around[name] if other != parent]
-            waiting[parent, name] = [other for other in around[parent] if other != name]
-    for pair in (edge.pair for edge in closing):
-        waiting[pair] = waiting[pair[::-1]] = []
-    while waiting:
-        ready = [
-            pair for pair, others in waiting.items() if all((one, pair[0]) in messages for one in others)
-        ]
-        answers = answer([ask(*pair, waiting.pop(pair)) for pair in ready])
-        messages.update(zip(ready, answers, strict=True))
-    marginals = {name: _marginal(one, list(around[name]), name, messages) for name, one in members.items()}
-    return marginals, {edge.pair: _order(edge, members, around, messages) for edge in (*edges, *closing)}
-
-
-def _bound(one: Member) -> Member:
-    best = one.log_likelihood.max()
-    return changed(one, log_likelihood=np.maximum(one.log_likelihood, best - FARTHEST))
+        for m, name in enumerate(members)
+    }
+    orders = {
+        edge.pair: edge.first_in_front if edge.factor is not None else float(front + 1.0 - back) / 2
+        for edge, front, back in zip(talk.edges[::2], fronts[::2], fronts[1::2], strict=True)
+    }
+    return marginals, orders
 
 
 def _near(members: Iterable[str], edges: Iterable[Edge]) -> dict[str, dict[str, Edge]]:
@@ -143,33 +117,3 @@ def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> dict[str, str | None]:
                 above[other] = name
                 waiting.append(other)
     return above
-
-
-def _marginal(one: Member, others: Sequence[str], name: str, messages: Mapping[Pair, Message]) -> Marginal:
-    said = together(one, others, name, messages).all
-    with np.errstate(divide="ignore"):
-        log = one.log_likelihood + np.log(said)
-    total, shares = float(one.seen @ said), shares_hidden(one, others, name, messages)
-    hidden = {other: float(one.seen @ share) / total if total > 0 else 0.0 for other, share in shares.items()}
-    return Marginal(log, hidden)
-
-
-def _order(
-    edge: Edge,
-    members: Mapping[str, Member],
-    near: Mapping[str, Mapping[str, Edge]],
-    messages: Mapping[Pair, Message],
-) -> float:
-    """P(first in front | all evidence): the mean of what both ends say, each an average over its partners."""
-    if edge.factor is not None:
-        return edge.first_in_front
-    found = []
-    for own, other in (edge.pair, edge.pair[::-1]):
-        one, message = members[own], messages[other, own]
-        rest = together(one, [name for name in near[own] if name != other], own, messages)
-        front = float(one.seen @ (rest.all * message.in_front))
-        behind = float(one.seen @ (rest.all * message.untouched + rest.free * message.hidden))
-        total = front + behind
-        share = front / total if total > 0 else 0.5
-        found.append(share if own == edge.pair[0] else 1.0 - share)
-    return sum(found) / 2

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import changed
 
 Pair = tuple[str, str]
-Hidden = tuple[float, float, float, float, int]
+
+FARTHEST = 150.0
+"""A log-likelihood further below the best counts as so far below it: their ratio has to stay a number."""
 
 STEEP, HALF = 4.0, 0.25
 """Log-odds at the best hypothesis, and share of a box whose misfit halves an agent's likelihood."""
@@ -44,50 +45,6 @@ class Member:
     agents: int = 1
     top: float = -np.inf
     states: Mapping[str, Floats] = field(default_factory=dict)
-
-    @cached_property
-    def losses(self) -> Floats:
-        """(N,) by how much log L is below that of a perfect match."""
-        return np.asarray(self._perfect - self.log_likelihood)
-
-    @cached_property
-    def bad(self) -> Floats:
-        """(N,) share of each box that does not match."""
-        return bad_shares(self.losses, self.agents)
-
-    @cached_property
-    def seen(self) -> Floats:
-        """(N,) prior weights times L, in units of the best hypothesis."""
-        return np.asarray(self.prior.weights * np.exp(self.log_likelihood - self.log_likelihood.max()))
-
-    @cached_property
-    def log_evidence(self) -> float:
-        """Log of the sum of prior weights times L, in units of a perfect match."""
-        return LogWeights.normalise(self.prior.log - self.losses)[1]
-
-    @cached_property
-    def by_place(self) -> NDArray[np.intp]:
-        """(N,) order along the axis on which the hypotheses spread most."""
-        centres = self.boxes[:, :2]
-        axis = int(np.argmax(centres.max(axis=0) - centres.min(axis=0)))
-        return np.argsort(centres[:, axis], kind="stable")
-
-    def hidden_by(self, other: str) -> Hidden:
-        """Shares that do not match: what stands for hidden pixels, W, the worst's and the best's; agents."""
-        level, worst, best, shares = self._hidden
-        return level, shares.get(other, best), worst, best, self.agents
-
-    @cached_property
-    def _hidden(self) -> tuple[float, float, float, dict[str, float]]:
-        worst, best = float(self.losses.max()), float(self.losses.min())
-        occluders = [min(max(self._perfect - log, best), worst) for log in self.on.values()]
-        losses = np.array([max(self._perfect - self.level, 0.0), worst, best, *occluders])
-        level, worst, best, *found = bad_shares(losses, self.agents).tolist()
-        return level, worst, best, dict(zip(self.on, found, strict=True))
-
-    @cached_property
-    def _perfect(self) -> float:
-        return max(self.top, float(self.log_likelihood.max()))
 
 
 Factor = Callable[[Mapping[str, Floats], Mapping[str, Floats]], Floats]
@@ -120,40 +77,98 @@ class Edge:
         return changed(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
 
 
-def weigh_all(members: Iterable[Member]) -> None:
-    """Find what members know of their hypotheses, at once where they have as many, to the same bits."""
-    alike: dict[int, list[Member]] = {}
-    for one in members:
-        alike.setdefault(len(one.boxes), []).append(one)
-    for several in alike.values():
-        _weigh(several)
+@dataclass(frozen=True, eq=False)
+class Crowd:
+    """The S hypotheses of M targets below each other, and what is known of each.
 
+    Attributes:
+        names: target -> its number.
+        starts: (M + 1,) where those of each target begin.
+        boxes: (S, 4) centre boxes, px.
+        prior: (S,) prior weights, and their logarithms.
+        log_likelihood: (S,) log L.
+        losses: (S,) by how much log L is below that of a perfect match.
+        bad: (S,) share of each box that does not match.
+        seen: (S,) prior weights times L, in units of the best hypothesis.
+        by_place: (S,) order of a target's hypotheses along the axis on which they spread most.
+        log_evidence: (M,) log of the sum of prior weights times L, in units of a perfect match.
+        perfect: (M,) log L of a perfect match.
+        worst: (M,) largest loss.
+        best: (M,) smallest one.
+        agents: (M,) number of agents.
+    """
 
-def _weigh(members: Sequence[Member]) -> None:
-    """Fill in the properties of members with the same number of hypotheses."""
-    log = np.array([one.log_likelihood for one in members])
-    best = log.max(axis=1)
-    perfect = np.maximum(best, [one.top for one in members])
-    losses = perfect[:, None] - log
-    bad = bad_shares(losses, np.array([one.agents for one in members])[:, None])
-    seen = np.array([one.prior.weights for one in members]) * np.exp(log - best[:, None])
-    weighed = np.array([one.prior.log for one in members]) - losses
-    top = weighed.max(axis=1)
-    if not np.isfinite(top).all():
-        return  # the one it is of will say so
-    evidence = top + np.log(np.exp(weighed - top[:, None]).sum(axis=1))
-    centres = np.array([one.boxes[:, :2] for one in members])
-    axes = np.argmax(centres.max(axis=1) - centres.min(axis=1), axis=1)
-    order = np.argsort(centres[np.arange(len(members)), :, axes], axis=1, kind="stable")
-    for k, one in enumerate(members):
-        one.__dict__.update(
-            losses=losses[k],
-            bad=bad[k],
-            seen=seen[k],
-            log_evidence=float(evidence[k]),
-            by_place=order[k],
-            _perfect=float(perfect[k]),
+    names: Mapping[str, int]
+    starts: Ints
+    boxes: Floats
+    prior: tuple[Floats, Floats]
+    log_likelihood: Floats
+    losses: Floats
+    bad: Floats
+    seen: Floats
+    by_place: Ints
+    log_evidence: Floats
+    perfect: Floats
+    worst: Floats
+    best: Floats
+    agents: Ints
+
+    @classmethod
+    def of(cls, members: Mapping[str, Member]) -> Crowd:
+        """That of members.
+
+        Raises:
+            DegenerateWeights: no hypothesis of a target has a positive, finite weight.
+        """
+        from bayesnet_track.numerics.kernels.speaking_kernels import weigh_members
+
+        several = list(members.values())
+        starts = np.cumsum([0, *(len(one.boxes) for one in several)])
+        prior, prior_log, log = (
+            np.concatenate(arrays)
+            for arrays in (
+                [one.prior.weights for one in several],
+                [one.prior.log for one in several],
+                [one.log_likelihood for one in several],
+            )
         )
+        agents = np.array([one.agents for one in several], dtype=np.int64)
+        tops = np.array([one.top for one in several], dtype=np.float64)
+        (log, losses, bad, seen), (perfect, evidence, worst, best) = weigh_members(
+            log, (prior, prior_log), starts, tops, agents, (FARTHEST, STEEP, HALF)
+        )
+        if not np.isfinite(evidence).all():
+            raise DegenerateWeights("no hypothesis of a joined target has a positive, finite weight")
+        names = {name: number for number, name in enumerate(members)}
+        boxes = np.concatenate([one.boxes for one in several])
+        each = (boxes, (prior, prior_log), log, losses, bad, seen, _by_place(boxes, starts))
+        return cls(names, starts, *each, evidence, perfect, worst, best, agents)
+
+    def hidden(self, members: Mapping[str, Member], pairs: Sequence[Pair]) -> Floats:
+        """(K, 5) what stands for pixels of the first of each pair that the second hides.
+
+        The shares that do not match: of hidden pixels, of a box of it on the second, of the worst hypothesis
+        and of the best; then its number of agents.
+        """
+        level = np.array([one.level for one in members.values()])
+        losses = np.concatenate([np.maximum(self.perfect - level, 0.0), self.worst, self.best])
+        level, worst, best = bad_shares(losses, np.tile(self.agents, 3)).reshape(3, -1)
+        own = np.array([self.names[first] for first, _ in pairs], dtype=np.intp)
+        said = [members[first].on.get(second, np.nan) for first, second in pairs]
+        away = np.minimum(np.maximum(self.perfect[own] - said, self.best[own]), self.worst[own])
+        on = bad_shares(np.where(np.isnan(said), self.best[own], away), self.agents[own])
+        return np.column_stack([level[own], on, worst[own], best[own], self.agents[own]])
+
+
+def _by_place(boxes: Floats, starts: Ints) -> Ints:
+    """(S,) the order of each target's hypotheses; as arrays where all have as many."""
+    sizes = np.diff(starts)
+    if (sizes == sizes[0]).all():
+        centres = boxes[:, :2].reshape(len(sizes), sizes[0], 2)
+        axes = np.argmax(centres.max(axis=1) - centres.min(axis=1), axis=1)
+        return np.argsort(centres[np.arange(len(sizes)), :, axes], axis=1, kind="stable").ravel()
+    pieces = [boxes[first:last] for first, last in pairwise(starts)]
+    return np.concatenate([_by_place(own, np.array([0, len(own)])) for own in pieces])
 
 
 def bad_shares(losses: Floats, agents: int | Ints) -> Floats:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesnet_track.inference.joint_members import Edge, Factor, Hidden, Member, Pair
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.inference.joint_members import Crowd, Edge, Factor, Member, Pair
+from bayesnet_track.numerics.arrays import Floats, Ints
+
+Stream = Callable[[str, str], np.random.Generator]
+"""(Who speaks, who hears) -> generator of the partners, good until the next is asked for."""
 
 MOST_LOG = 700.0
 """Densities of pairs are numbers up to e^700."""
@@ -19,164 +22,138 @@ COMMON_LOG = 50.0
 
 
 @dataclass(frozen=True, eq=False)
-class Message:
-    """What one target says of another's hypotheses: (N,) each."""
-
-    in_front: Floats
-    untouched: Floats
-    hidden: Floats
-    share: Floats
-
-    @cached_property
-    def free(self) -> Floats:
-        """Where it hides nothing of them."""
-        return self.in_front + self.untouched
-
-
-@dataclass(frozen=True, eq=False)
-class Said:
-    """What several targets say together: where none hides, and where one does."""
-
-    free: Floats
-    taken: Floats
-
-    @property
-    def all(self) -> Floats:
-        """Either way."""
-        return self.free + self.taken
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """What one target is asked: to say of another's hypotheses what pairs with its own do.
+class Talk:
+    """Who speaks to whom: two pairs for each edge, one in either direction.
 
     Attributes:
-        speaker: the target that is asked.
-        hearer: the other.
-        hidden: what stands for what they hide of each other: of the speaker's, of the hearer's.
-        said: what further targets say of the speaker.
-        edge: the pair, the hearer first.
-        rng: generator of the partners.
+        pairs: speaker and hearer of each of the K.
+        edges: edge of each, the hearer first.
+        ends: (K,) numbers of the speakers, and of the hearers.
+        at: (K,) where what is said begins: a column for each of the hearer's hypotheses.
+        columns: how many there are.
+        heard: target -> the pairs in which it hears.
+        before: of each pair the pairs that say what its speaker has to know.
+        order: the pairs, each after those.
     """
 
-    speaker: Member
-    hearer: Member
-    hidden: tuple[Hidden, Hidden]
-    said: Said
-    edge: Edge
-    rng: np.random.Generator
+    pairs: Sequence[Pair]
+    edges: Sequence[Edge]
+    ends: tuple[Ints, Ints]
+    at: Ints
+    columns: int
+    heard: Mapping[str, Sequence[int]]
+    before: Sequence[Sequence[int]]
+    order: Sequence[int]
+
+    @classmethod
+    def along(
+        cls, crowd: Crowd, edges: Sequence[Edge], closing: Sequence[Edge], above: Mapping[str, str | None]
+    ) -> Talk:
+        """That of a forest, in which `above` has the parents, after children, and of edges that close rings.
+
+        Along these a target says what it believes by itself, and no more.
+        """
+        every = [*closing, *edges]
+        pairs = [pair for edge in every for pair in (edge.pair[::-1], edge.pair)]
+        number = {pair: k for k, pair in enumerate(pairs)}
+        heard: dict[str, list[int]] = {name: [] for name in crowd.names}
+        for k, (_, hearer) in enumerate(pairs):
+            heard[hearer].append(k)
+        alone = 2 * len(closing)
+        before = [
+            [one for one in heard[speaker] if k >= alone and pairs[one][0] != hearer]
+            for k, (speaker, hearer) in enumerate(pairs)
+        ]
+        down = [(parent, name) for name, parent in above.items() if parent is not None]
+        order = [
+            *range(alone),
+            *(number[own[::-1]] for own in reversed(down)),
+            *(number[own] for own in down),
+        ]
+        speakers, hearers = (
+            np.array([crowd.names[pair[end]] for pair in pairs], dtype=np.int64) for end in (0, 1)
+        )
+        begins = np.cumsum([0, *np.diff(crowd.starts)[hearers].tolist()])
+        both = [own for edge in every for own in (edge, edge.turned)]
+        return cls(pairs, both, (speakers, hearers), begins[:-1], int(begins[-1]), heard, before, order)
 
 
-def together(one: Member, speakers: Sequence[str], hearer: str, messages: Mapping[Pair, Message]) -> Said:
-    """The product of what `speakers` say of one target, of which at most one may hide it."""
-    if not speakers:
-        return _nothing_said(len(one.boxes))
-    first, *others = (messages[speaker, hearer] for speaker in speakers)
-    free, taken = first.free, first.hidden
-    for said in others:
-        own = said.free
-        free, taken = free * own, taken * own + free * said.hidden
-    return Said(free, taken)
+def talk_over(crowd: Crowd, members: Mapping[str, Member], talk: Talk, stream: Stream) -> Floats:
+    """(4, ...) what all say, each in units of its own evidence.
+
+    In front; behind but not touched; behind and partly hidden; and the last times the share.
+    """
+    from bayesnet_track.numerics.kernels.speaking_kernels import ask, speak
+
+    said = np.zeros((4, talk.columns))
+    if not talk.pairs:
+        return said
+    known = (crowd.boxes, crowd.losses, crowd.bad, crowd.seen, *crowd.prior, crowd.by_place)
+    pairs, heard = (*talk.ends, talk.at), ragged(talk.before)
+    draws = _draw(crowd, talk, stream)
+    rules = (
+        crowd.hidden(members, talk.pairs),
+        crowd.hidden(members, [pair[::-1] for pair in talk.pairs]),
+        np.array([(edge.first_in_front, edge.nats) for edge in talk.edges]),
+    )
+    given = known, crowd.starts, crowd.log_evidence, pairs, heard, draws
+    for is_plain, some in groupby(talk.order, key=lambda k: talk.edges[k].factor is None):
+        if is_plain:
+            speak(np.array([*some]), *given, rules, said)
+            continue
+        for k in some:
+            partners, log_importance, free, taken = ask(k, *given, said)
+            (speaker, hearer), factor = talk.pairs[k], talk.edges[k].factor
+            assert factor is not None
+            own = slice(crowd.starts[talk.ends[0][k]], crowd.starts[talk.ends[0][k] + 1])
+            weight = np.exp(log_importance - crowd.losses[own]) * (free + taken)
+            ends = members[hearer].states, members[speaker].states
+            found = related(*ends, factor, partners, weight)
+            said[0, talk.at[k] : talk.at[k] + len(found)] = found
+    return said
+
+
+def ragged(several: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
+    """Numbers of several lists below each other: where each list begins, and all of them."""
+    starts = np.cumsum([0, *map(len, several)])
+    return starts, np.array([one for own in several for one in own], dtype=np.int64)
+
+
+def _draw(crowd: Crowd, talk: Talk, stream: Stream) -> tuple[Floats, Ints, Ints, Ints]:
+    """Random numbers of all partners: shifts, turns, where those of a pair begin, how many each has."""
+    rounds = np.array([edge.pairings for edge in talk.edges], dtype=np.int64)
+    sizes = np.diff(crowd.starts)[talk.ends[1]]
+    begins = np.cumsum([0, *(rounds * sizes).tolist()])
+    shifts, turns = np.empty(begins[-1]), np.empty(begins[-1], dtype=np.int64)
+    each = zip(talk.pairs, rounds.tolist(), sizes.tolist(), begins.tolist(), strict=False)
+    for pair, count, size, begin in each:
+        own = slice(begin, begin + count * size)
+        draw_partners(stream(*pair), shifts[own], turns[own].reshape(count, size))
+    return shifts, turns, begins[:-1], rounds
+
+
+def draw_partners(rng: np.random.Generator, shifts: Floats, turns: Ints) -> None:
+    """Fill in where in its stratum each partner is (R * N,), and which hypothesis it is for (R, N).
+
+    In each of R rounds every hypothesis has one from every stratum of as many.
+    """
+    rng.random(out=shifts)
+    rng.permuted(_straight(*turns.shape), axis=1, out=turns)
 
 
 @lru_cache(maxsize=64)
-def _nothing_said(size: int) -> Said:
-    return Said(np.ones(size), np.zeros(size))
+def _straight(rounds: int, size: int) -> Ints:
+    return np.tile(np.arange(size), (rounds, 1))
 
 
-def shares_hidden(
-    one: Member, speakers: Sequence[str], hearer: str, messages: Mapping[Pair, Message]
-) -> dict[str, Floats]:
-    """Speaker -> (N,) how much each hides of one target, where none of the others does."""
-    free = np.ones(len(one.boxes))
-    shares: dict[str, Floats] = {}
-    for speaker in speakers:
-        said = messages[speaker, hearer]
-        own = said.free
-        shares = {name: known * own for name, known in shares.items()}
-        shares[speaker] = free * said.share
-        free = free * own
-    return shares
-
-
-def answer(questions: Sequence[Question]) -> list[Message]:
-    """What the speakers say, each in units of its own evidence; those that are alike at once."""
-    alike: dict[Hashable, list[int]] = {}
-    for k, one in enumerate(questions):
-        sizes = len(one.speaker.boxes), len(one.hearer.boxes)
-        alike.setdefault((sizes, one.edge.pairings, one.edge.factor is None), []).append(k)
-    found: dict[int, Message] = {}
-    for places in alike.values():
-        found.update(zip(places, _answer([questions[k] for k in places]), strict=True))
-    return [found[k] for k in range(len(questions))]
-
-
-def _answer(questions: Sequence[Question]) -> list[Message]:
-    """Messages of targets with as many hypotheses and partners."""
-    # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.joint_kernels import pair_sums_of_each
-
-    speakers, hearers, edges = zip(*((one.speaker, one.hearer, one.edge) for one in questions), strict=True)
-    prior = np.array([one.prior.weights for one in speakers])
-    free, taken = (np.array([getattr(one.said, name) for one in questions]) for name in ("free", "taken"))
-    belief = np.array([one.seen for one in speakers]) * (free + taken)
-    shares = 0.5 * (prior + belief / belief.sum(axis=1)[:, None])
-    order, size = np.array([one.by_place for one in speakers]), len(hearers[0].boxes)
-    partners = draw_partners(order, shares, size, edges[0].pairings, [one.rng for one in questions])
-    evidence = np.array([one.log_evidence for one in speakers])
-    with np.errstate(divide="ignore"):
-        log_importance = np.array([one.prior.log for one in speakers]) - np.log(shares) - evidence[:, None]
-    losses, heard_losses = (np.array([one.losses for one in own]) for own in (speakers, hearers))
-    if edges[0].factor is not None:
-        weights = np.exp(log_importance - losses) * (free + taken)
-        return [
-            _related(one.hearer.states, one.speaker.states, one.edge.factor, own, weight)
-            for one, own, weight in zip(questions, partners, weights, strict=True)
-            if one.edge.factor is not None
-        ]
-    sums = pair_sums_of_each(
-        (np.array([one.boxes for one in hearers]), heard_losses, np.array([one.bad for one in hearers])),
-        np.array([one.hidden[1] for one in questions]),
-        (np.array([one.boxes for one in speakers]), losses, np.array([one.bad for one in speakers])),
-        np.array([one.hidden[0] for one in questions]),
-        partners,
-        (log_importance, free, taken),
-        np.array([(edge.first_in_front, edge.nats) for edge in edges]),
-    )
-    return [Message(*own) for own in sums]
-
-
-def draw_partners(
-    by_place: NDArray[np.intp],
-    shares: Floats,
-    size: int,
-    pairings: int,
-    rngs: Sequence[np.random.Generator],
-) -> NDArray[np.intp]:
-    """(K, pairings, size) indices of M hypotheses, each column one from every stratum of the `shares` (K, M).
-
-    The strata cut the hypotheses in the order `by_place` (K, M) into parts of equal share.
-    """
-    from bayesnet_track.numerics.kernels.joint_kernels import pick_in_strata_of_each
-
-    shifts = np.empty((len(rngs), pairings * size))
-    for own, rng in zip(shifts, rngs, strict=True):
-        rng.random(out=own)
-    bounds = np.cumsum(np.take_along_axis(shares, by_place, axis=1), axis=1)
-    chosen = pick_in_strata_of_each(by_place, bounds, shifts).reshape(-1, pairings, size)
-    for picked, rng in zip(chosen, rngs, strict=True):
-        rng.permuted(picked, axis=1, out=picked)
-    return chosen
-
-
-def _related(
+def related(
     hearer: Mapping[str, Floats],
     speaker: Mapping[str, Floats],
     factor: Factor,
-    partners: NDArray[np.intp],
+    partners: Ints,
     weight: Floats,
-) -> Message:
-    """The mean over partners of their weight times the pair's factor; without it where it is 0 for all.
+) -> Floats:
+    """(N,) mean over partners of their weight times the pair's factor; without it where it is 0 for all.
 
     Of a factor that is tiny or huge it is the mean but for a constant, which all hypotheses share.
     """
@@ -187,5 +164,4 @@ def _related(
         density = np.ones(partners.shape)
     else:
         density = np.exp(log - top if abs(top) > COMMON_LOG else log)
-    nothing = np.zeros(partners.shape[1])
-    return Message((weight[partners] * density).mean(axis=0), nothing, nothing, nothing)
+    return np.asarray((weight[partners] * density).mean(axis=0))

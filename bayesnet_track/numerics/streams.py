@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,17 +41,26 @@ class Streams:
         >>> [own.normal() == one for own in streams.of_each(["1", "2"], "square", 3, "shift")]
         [False, True]
         """
-        generator: np.random.Generator | None = None
+        one = self.reused()
         for target in targets:
-            digest = self._digest(target, node, frame, purpose)
-            if generator is None:
-                seed: Any = _Key(digest)
-                bits = np.random.Philox(seed)
-                generator, state = np.random.Generator(bits), bits.state
+            yield one(target, node, frame, purpose)
+
+    def reused(self) -> Callable[[str, str, int, str], np.random.Generator]:
+        """As `of`; the generator that it gives is good until it is asked for another."""
+        made: list[tuple[np.random.Generator, np.random.Philox, Any]] = []
+
+        def of(target: str, node: str, frame: int, purpose: str) -> np.random.Generator:
+            if not made:
+                first = self.of(target, node, frame, purpose)
+                bits: Any = first.bit_generator
+                made.append((first, bits, bits.state))
             else:  # a new one takes four times as long
-                state["state"]["key"] = np.frombuffer(digest, "<u8")
+                _, bits, state = made[0]
+                state["state"]["key"] = np.frombuffer(self._digest(target, node, frame, purpose), "<u8")
                 bits.state = state
-            yield generator
+            return made[0][0]
+
+        return of
 
     def uniforms(self, targets: Iterable[str], node: str, frame: int, purpose: str) -> NDArray[np.float64]:
         """(T,) what `of(target, node, frame, purpose).random()` gives for each of T targets.

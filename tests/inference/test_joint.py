@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from itertools import product
 
 import numpy as np
@@ -12,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from bayesnet_track.inference.joint import Marginal, joint_marginals
-from bayesnet_track.inference.joint_members import Edge, Member, bad_shares, weigh_all
-from bayesnet_track.inference.joint_messages import Question, Said, answer, draw_partners
-from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of
-from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.inference.joint_members import Crowd, Edge, Member, bad_shares
+from bayesnet_track.inference.joint_messages import draw_partners
+from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of, pick_in_strata
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
 
 def member(rng, centre, cells=9, copies=1, on=None):
@@ -302,7 +301,12 @@ def test_partners_are_drawn_in_proportion_and_one_from_each_stratum():
     rng = np.random.default_rng(8)
     one = member(rng, 50.0)
     boxes, shares = one.boxes, rng.dirichlet(np.ones(len(one.boxes)))
-    drawn = draw_partners(one.by_place[None], shares[None], 500, 4, [rng])[0]
+    order = Crowd.of({"a": one}).by_place
+    shifts, turns = np.empty(2000), np.empty((4, 500), dtype=np.int64)
+    draw_partners(rng, shifts, turns)
+    assert np.sort(turns, axis=1).tolist() == [list(range(500))] * 4
+    picked = pick_in_strata(order, np.cumsum(shares[order]), shifts).reshape(4, 500)
+    drawn = np.take_along_axis(picked, turns, axis=1)
     counts = np.bincount(drawn.ravel(), minlength=len(boxes))
     assert np.abs(counts - 2000 * shares).max() < 2  # systematic: within one draw at either end of a share
     assert np.all(np.diff(np.sort(boxes[drawn, 0].mean(axis=1))) >= 0)
@@ -352,28 +356,56 @@ def test_a_short_chain_agrees_with_enumeration():
     assert np.abs(orders - fronts).max() < 0.05
 
 
-def test_members_weighed_at_once_and_questions_asked_at_once_give_the_bits_of_one_alone():
+def test_what_is_known_of_a_target_is_what_its_own_weights_say():
+    """Of targets with different numbers of hypotheses, each as by itself."""
     rng = np.random.default_rng(12)
-    members = [
-        Member(one.boxes, one.prior, one.log_likelihood, one.level, agents=agents)
-        for agents, one in ((1, member(rng, 50.0)), (2, member(rng, 56.0)), (1, member(rng, 53.0, cells=4)))
-    ]
-    alone = [Member(**{field.name: getattr(one, field.name) for field in fields(one)}) for one in members]
-    weigh_all(members)
-    for one, by_itself in zip(members, alone, strict=True):
-        for name in ("losses", "bad", "seen", "log_evidence", "by_place"):
-            assert np.asarray(one.__dict__[name]).tobytes() == np.asarray(getattr(by_itself, name)).tobytes()
+    members = {
+        name: Member(one.boxes, one.prior, one.log_likelihood, one.level, {"b": -3.0}, agents)
+        for name, agents, one in (
+            ("a", 1, member(rng, 50.0)),
+            ("b", 2, member(rng, 56.0)),
+            ("c", 1, member(rng, 53.0, cells=4)),
+        )
+    }
+    together = Crowd.of(members)
+    hidden = together.hidden(members, [("a", "b"), ("c", "a")])
+    for m, (name, one) in enumerate(members.items()):
+        alone, own = Crowd.of({name: one}), slice(together.starts[m], together.starts[m + 1])
+        for column in ("losses", "bad", "seen", "by_place", "log_likelihood"):
+            assert getattr(together, column)[own].tobytes() == getattr(alone, column).tobytes()
+        assert together.log_evidence[m] == alone.log_evidence[0]
+        losses = one.log_likelihood.max() - one.log_likelihood
+        np.testing.assert_allclose(alone.losses, losses, atol=1e-14)
+        np.testing.assert_allclose(alone.bad, bad_shares(losses, one.agents), atol=1e-14)
+        evidence = one.prior.times(one.log_likelihood)[1] - one.log_likelihood.max()
+        assert alone.log_evidence[0] == pytest.approx(evidence, abs=1e-14)
+    for row, name, on in ((0, "a", -3.0), (1, "c", None)):
+        one = members[name]
+        perfect, worst = one.log_likelihood.max(), one.log_likelihood.max() - one.log_likelihood.min()
+        losses = [perfect - one.level, 0.0 if on is None else min(perfect - on, worst), worst, 0.0]
+        np.testing.assert_allclose(hidden[row], [*bad_shares(np.array(losses), 1), 1], atol=1e-14)
 
-    def asked(speaker, hearer, seed):
-        one, other = members[speaker], members[hearer]
-        said = Said(rng_said.random(len(one.boxes)), np.zeros(len(one.boxes)))
-        hidden = (one.hidden_by(""), other.hidden_by(""))
-        return Question(one, other, hidden, said, Edge(("x", "y"), 0.3), np.random.default_rng(seed))
 
-    found = []
-    for together in (True, False):
-        rng_said = np.random.default_rng(13)
-        questions = [asked(*pair, seed) for seed, pair in enumerate([(0, 1), (1, 0), (2, 1), (1, 2)])]
-        found.append(answer(questions) if together else [answer([one])[0] for one in questions])
-    for one, other in zip(*found, strict=True):
-        assert all(getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in vars(one))
+def test_groups_of_targets_have_the_bits_of_each_group_alone():
+    rng = np.random.default_rng(13)
+    members = {
+        name: member(rng, 50.0 + 4 * k, cells=9 if k < 3 else 4, on={"b": -2.0})
+        for k, name in enumerate("abcde")
+    }
+    chain, ring = [Edge(("a", "b"), 0.3, 1.0), Edge(("b", "c"), 0.6)], [Edge(("c", "a"), 0.5)]
+    pair = [Edge(("d", "e"), 0.8)]
+    _, orders, together = sampled(members, chain + pair, 3, ring)
+    for edges, closing, count in ((chain, ring, 2), (pair, [], 1)):
+        some = {name: members[name] for edge in edges for name in edge.pair}
+        _, own, alone = sampled(some, edges, 3, closing)
+        assert own.tobytes() == (orders[:2] if count == 2 else orders[2:]).tobytes()
+        for name, one in alone.items():
+            assert one.log_likelihood.tobytes() == together[name].log_likelihood.tobytes()
+            assert one.hidden == together[name].hidden
+
+
+def test_a_target_without_a_hypothesis_is_an_error():
+    one = member(np.random.default_rng(1), 50.0)
+    none = Member(one.boxes, one.prior, np.full(len(one.boxes), -np.inf), -1.0)
+    with pytest.raises(DegenerateWeights):
+        joint_marginals({"a": one, "b": none}, [Edge(("a", "b"), 0.5)], lambda *_: np.random.default_rng(0))

@@ -49,3 +49,19 @@ def test_the_key_is_the_hash_of_the_names():
     keyed = np.random.Generator(np.random.Philox(key=int.from_bytes(digest, "little")))
     found = Streams(7).of("1", "square", 3, "propagate")
     assert found.standard_normal(100).tolist() == keyed.standard_normal(100).tolist()
+
+
+def test_one_generator_serves_many_keys_with_the_numbers_of_each():
+    """Also after a draw that leaves half of a word behind."""
+
+    def draw(rng):
+        return rng.integers(0, 2**32, 3, dtype=np.uint32).tolist(), rng.standard_normal(5).tolist()
+
+    streams = Streams(7)
+    reused = streams.reused()
+    assert [draw(reused(name, "n", 3, "p")) for name in "abca"] == [
+        draw(streams.of(name, "n", 3, "p")) for name in "abca"
+    ]
+    assert [draw(rng) for rng in streams.of_each("ab", "n", 3, "p")] == [
+        draw(streams.of(name, "n", 3, "p")) for name in "ab"
+    ]

@@ -75,6 +75,16 @@ class FilteredRows(Mapping[str, Filtered]):
         return LogWeights.uniform(self.clouds.log.shape[1])
 
     @cached_property
+    def boxes(self) -> Floats:
+        """(T, N, 4) hypotheses of centre boxes, px, in C order."""
+        return np.ascontiguousarray(self.clouds.states[:, :, :4])
+
+    @cached_property
+    def extremes(self) -> list[tuple[float, float]]:
+        """Of each target the largest and the smallest log-likelihood."""
+        return list(zip(self.own.max(axis=1).tolist(), self.own.min(axis=1).tolist(), strict=True))
+
+    @cached_property
     def places(self) -> Ints:
         """(T,) the MAP hypotheses; -1 where a step looks further by itself."""
         known = Before(self.before.clouds.states, self.before.clouds.log)
@@ -113,10 +123,11 @@ class FilteredRows(Mapping[str, Filtered]):
             self.best,
         )
 
-    @property
-    def ess(self) -> Floats:
-        """(T,) effective numbers of hypotheses."""
-        return effective(self.clouds.log)
+    @cached_property
+    def ess(self) -> list[float]:
+        """Of each target the effective number of hypotheses."""
+        found: list[float] = effective(self.clouds.log).tolist()
+        return found
 
     def reweighted(self, said: Mapping[str, Floats], joins: Mapping[str, JoinMetrics]) -> FilteredRows:
         """With what a joint belief says of some targets: (N,) log-likelihoods, and in numbers.
@@ -223,6 +234,11 @@ class Together(Mapping[str, Filtered]):
 
     def __getitem__(self, target: str) -> Filtered:
         return self.others[target] if target in self.others else self._group[target][target]
+
+    def row(self, target: str) -> tuple[FilteredRows, int] | None:
+        """The group that a target is in, and its row; None for one by itself."""
+        group = self._group.get(target)
+        return None if group is None else (group, group.before.index[target])
 
     def __contains__(self, target: object) -> bool:
         return target in self.others or target in self._group

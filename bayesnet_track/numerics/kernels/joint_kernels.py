@@ -7,12 +7,9 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
 from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
 
 Indices = NDArray[np.intp]
-Hypotheses = tuple[Floats, Floats, Floats]
-Columns = tuple[Floats, Floats, Floats]
 
 LARGEST_LOG = 600.0
 """Losses below it have an exponential, and so has what they are compared with."""
@@ -139,59 +136,6 @@ def pair_sums(
                 sums[3, i] += own * value
     sums /= rounds
     return sums
-
-
-@compiled
-def pick_in_strata_of_each(orders: Indices, bounds: Floats, shifts: Floats) -> Indices:
-    """(K, R) `pick_in_strata` of each of K: orders and bounds (K, M), shifts (K, R)."""
-    chosen = np.empty(shifts.shape, np.intp)
-    for k in range(shifts.shape[0]):
-        copy_row(pick_in_strata(orders[k], bounds[k], shifts[k]), chosen[k])
-    return chosen
-
-
-@compiled
-def pair_sums_of_each(
-    hearers: Hypotheses,
-    hidden: Floats,
-    speakers: Hypotheses,
-    other_hidden: Floats,
-    partners: Indices,
-    said: Columns,
-    edges: Floats,
-) -> Floats:
-    """(K, 4, N) `pair_sums` of each of K pairs of targets.
-
-    Args:
-        hearers: (K, N, 4) boxes, (K, N) losses, (K, N) shares that do not match.
-        hidden: (K, 5).
-        speakers: the same of those who speak, M of them.
-        other_hidden: (K, 5).
-        partners: (K, R, N).
-        said: (K, M) log_importance, free and taken.
-        edges: (K, 2) probabilities that those who hear are in front, and log-odds.
-    """
-    found = np.empty((partners.shape[0], 4, partners.shape[2]))
-    for k in range(found.shape[0]):
-        own, other = hidden[k], other_hidden[k]
-        sums = pair_sums(
-            hearers[0][k],
-            hearers[1][k],
-            hearers[2][k],
-            (own[0], own[1], own[2], own[3], int(own[4])),
-            speakers[0][k],
-            speakers[1][k],
-            speakers[2][k],
-            (other[0], other[1], other[2], other[3], int(other[4])),
-            partners[k],
-            said[0][k],
-            said[1][k],
-            said[2][k],
-            edges[k, 0],
-            edges[k, 1],
-        )
-        copy_rows(sums, found[k])
-    return found
 
 
 @compiled
