@@ -4,6 +4,7 @@
 
 Detections only, no pixels are read: people wander over 1920x1080 px, 10 % of detections are missed, sizes are
 off by 5 %, positions by 3 px; beyond 200 people the image grows, so that the crowd is as dense as with 200.
+With `--beside GRAPH` another graph is timed on the same detections, each frame once by either, turn by turn.
 Everything runs on one thread, the peers first, then ours, in one run: ratios say more than times. Times are
 CPU time, medians over the frames after the thirtieth. Ours is the step, with association, UD, KL, metrics as
 columns and decisions: alone, as the peers run, and in a run that is written down ("recorded"). Beside
@@ -103,6 +104,17 @@ def advanced(
         yield frame, outcome, spent
 
 
+def beside(first: str, second: str, found: dict[int, Detections], size: tuple[int, int]) -> list[str]:
+    """Median milliseconds of the steps of two graphs that take turns, and their ratio."""
+    runs = []
+    for graph in (graph_of(first), graph_of(second)):
+        engine = make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+        runs.append(advanced(engine, graph, size, len(found)))
+    seconds = [[spent for _, _, spent in both] for both in zip(*runs, strict=True)]
+    medians = 1e3 * np.median(np.array(seconds)[WARM_UP:], axis=0)
+    return [*(f"{value:.2f}" for value in medians), f"{medians[1] / medians[0]:.2f}"]
+
+
 def measured(engine: Engine, graph: CheckedGraph, size: tuple[int, int], frames: int) -> Cost:
     """The cost of the frames after the warm-up: of steps alone, then of a run that is written down."""
     alone = [spent for _, _, spent in advanced(engine, graph, size, frames)]
@@ -153,6 +165,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--peers-python", help="interpreter of an environment with trackers and norfair")
     parser.add_argument("--graph", default="kalman_detections")
+    parser.add_argument("--beside", help="another graph, timed on the same detections, instead")
     parser.add_argument("--counts", default="10,50,200,1000", help="numbers of people")
     parser.add_argument("--frames", type=int, default=120, help="frames of each setting")
     parser.add_argument("--profile", action="store_true", help="say where the time goes, instead")
@@ -163,6 +176,9 @@ def main() -> None:
     names: list[str] = []
     for count in (int(word) for word in chosen.counts.split(",")):
         size, found = crowd(count, chosen.frames)
+        if chosen.beside:
+            rows.append([str(count), *beside(chosen.graph, chosen.beside, found, size)])
+            continue
         graph = graph_of(chosen.graph)
         engine = make_engine(graph, 0, detectors={"detections": FileDetector(found)})
         if chosen.profile:
@@ -186,6 +202,8 @@ def main() -> None:
         "bytes per target and frame",
     ]
     head += [f"{name} [ms]" for name in names] + (["step / SORT"] if names else [])
+    if chosen.beside:
+        head = ["people", f"{chosen.graph} [ms]", f"{chosen.beside} [ms]", "ratio"]
     if rows:
         print(table(head, rows))
 

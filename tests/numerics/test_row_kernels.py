@@ -12,7 +12,7 @@ from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_
 from bayesnet_track.numerics.kernels.cholesky_kernels import root_of
 from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
 from bayesnet_track.numerics.kernels.row_columns import ESS, FIT, LOG_EVIDENCE, UD
-from bayesnet_track.numerics.kernels.row_kernels import append_medians, predict_rows, update_rows
+from bayesnet_track.numerics.kernels.row_kernels import append_medians, predict_rows, take_median, update_rows
 from bayesnet_track.observation.cue import AssociationRule
 
 IMAGE = np.array([640.0, 480.0])
@@ -106,6 +106,14 @@ def test_groups_assigned_alone_are_the_assignment_of_all(seed):
     rows, columns = np.nonzero(np.isfinite(gain))
     found = assign_pairs(rows, columns, gain[rows, columns], 30, 25)
     assert found.tolist() == assign(gain).tolist()
+
+
+@pytest.mark.parametrize("levels", [1, 3, 1000])
+def test_the_median_is_that_of_numpy_also_of_equal_values(levels):
+    rng = np.random.default_rng(2)
+    for count in range(1, 52):
+        values = rng.integers(0, levels, 60) / 7.0
+        assert take_median(values.copy(), count) == np.median(values[:count])
 
 
 def test_windows_keep_the_last_values_and_know_their_medians():

@@ -133,9 +133,10 @@ def measure_and_mix_rows(
         width = root_of(covariance[t], lower, rest, scale, alone)
         points = 2 * width + 1
         far = math.sqrt(width + 1.0)
+        log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
         best, top = 0, -np.inf
         for n in range(points):
-            prior[n] = -math.log(width + 1.0) if n == 0 else -math.log(2.0 * (width + 1.0))
+            prior[n] = log_first if n == 0 else log_other
             for k in range(4):
                 value = mean[t, k]
                 if n > 0:

@@ -175,8 +175,9 @@ def update_rows(
         width = root_of(covariance[t], lower, rest, scale, alone)
         points = 2 * width + 1
         far = math.sqrt(width + 1.0)
+        log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
         for n in range(points):
-            prior[n] = -math.log(width + 1.0) if n == 0 else -math.log(2.0 * (width + 1.0))
+            prior[n] = log_first if n == 0 else log_other
             d2 = 0.0
             for k in range(4):
                 value = mean[t, k]
@@ -205,13 +206,16 @@ def update_rows(
             if log[n] > log[best]:
                 best = n
             top = max(top, prior[n] + log[n])
-        total = 0.0
+        total, share = 0.0, 0.0
         for n in range(points):
-            total += math.exp(prior[n] + log[n] - top)
+            if n < 2 or log[n] != log[n - 1]:  # all alike where nothing was seen
+                share = math.exp(prior[n] + log[n] - top)
+            total += share
         total = top + math.log(total)
-        moved, squares, agent_ud = 0.0, 0.0, 0.0
+        moved, squares, agent_ud, weight = 0.0, 0.0, 0.0, 0.0
         for n in range(points):
-            weight = math.exp(prior[n] + log[n] - total)
+            if n < 2 or log[n] != log[n - 1]:
+                weight = math.exp(prior[n] + log[n] - total)
             moved += weight * (log[n] - total)
             squares += weight * weight
             for k in range(4):
@@ -236,6 +240,33 @@ def update_rows(
 
 
 @compiled
+def take_median(values: Floats, count: int) -> float:
+    """The median of the first `count` of the values, whose order changes; by Hoare's selection."""
+    middle, low, high = count // 2, 0, count - 1
+    while low < high:
+        pivot, i, j = values[middle], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < middle:
+            low = i
+        if middle < i:
+            high = j
+    if count % 2:
+        return float(values[middle])
+    below = values[0]
+    for k in range(1, middle):
+        below = max(below, values[k])
+    return float((below + values[middle]) / 2)
+
+
+@compiled
 def append_medians(
     values: Floats, counts: Ints, new: Floats, adds: Bools, least: int
 ) -> tuple[Floats, Ints, Floats]:
@@ -245,7 +276,7 @@ def append_medians(
     """
     rows, size = values.shape
     after, held, medians = values.copy(), counts.copy(), np.full(rows, np.nan)
-    ordered = np.empty(size)
+    room = np.empty(size)
     for t in range(rows):
         if adds[t]:
             for k in range(size - 1):
@@ -255,11 +286,6 @@ def append_medians(
         n = held[t]
         if n >= least:
             for k in range(n):
-                value, at = after[t, size - n + k], k
-                while at > 0 and ordered[at - 1] > value:
-                    ordered[at] = ordered[at - 1]
-                    at -= 1
-                ordered[at] = value
-            middle = n // 2
-            medians[t] = ordered[middle] if n % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+                room[k] = after[t, size - n + k]
+            medians[t] = take_median(room, n)
     return after, held, medians
