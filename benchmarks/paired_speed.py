@@ -69,10 +69,11 @@ def main() -> None:
     print(f"{environment()}; load {os.getloadavg()[0]:.1f}")
     rows = []
     for setting in chosen.settings:
-        pairs = [
-            [turn(python, setting, chosen.frames) for python in (chosen.before, sys.executable)]
-            for _ in range(chosen.pairs)
-        ]
+        pairs: list[list[float]] = []
+        for _ in range(chosen.pairs):
+            old, new = (turn(python, setting, chosen.frames) for python in (chosen.before, sys.executable))
+            pairs.append([old, new])
+            print(f"{SETTINGS[setting]}: {old:.1f} and {new:.1f} ms, {old / new:.2f}", flush=True)
         before, after = np.median(pairs, axis=0)
         ratios = [old / new for old, new in pairs]
         span = f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
