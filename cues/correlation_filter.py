@@ -249,7 +249,8 @@ def _share_inside(boxes: Floats, width: int, height: int) -> Floats:
     x, y, w, h = boxes.T
     across = np.minimum(x + w / 2, width - 0.5) - np.maximum(x - w / 2, -0.5)
     down = np.minimum(y + h / 2, height - 0.5) - np.maximum(y - h / 2, -0.5)
-    return np.asarray(np.clip(across / w, 0.0, 1.0) * np.clip(down / h, 0.0, 1.0))
+    shares = (np.minimum(np.maximum(part / side, 0.0), 1.0) for part, side in ((across, w), (down, h)))
+    return np.asarray(math.prod(shares))
 
 
 def _make(parameters: CorrelationFilterParameters) -> Cue:
