@@ -47,8 +47,7 @@ def overlapping(
     No more than `rule.frames` of them; only pairs that overlap by `rule.overlap` in this frame. Of those born
     in one frame the later named is the younger. Targets whose centres lie a box apart are not compared.
     """
-    first, second = near_pairs(means)
-    first, second = _that_may_overlap(first, second, means, covariances, rule.overlap)
+    first, second = near_pairs(means, covariances, rule.overlap)
     if not len(first):
         return {}
     values = belief_overlap(means[first], covariances[first], means[second], covariances[second])
@@ -61,36 +60,27 @@ def overlapping(
     return streaks
 
 
-def _that_may_overlap(
-    first: Owners, second: Owners, means: Floats, covariances: Floats, least: float
-) -> tuple[Owners, Owners]:
-    """The pairs whose fields, each alone, do not rule out an overlap of `least`: cheap, and leaves few."""
-    if least <= 0.0 or not len(first):
-        return first, second
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    spread = (variances[first] + variances[second]) / 2
-    spread += (SAME_PLACE * ((means[first] + means[second]) / 2)[:, [2, 3, 2, 3]]) ** 2
-    away = (means[first] - means[second]) ** 2
-    may = (away <= -8.0 * np.log(least) * (1.0 + 1e-9) * spread).all(axis=1)
-    return first[may], second[may]
-
-
-def near_pairs(boxes: Floats) -> tuple[Owners, Owners]:
+def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[Owners, Owners]:
     """Rows i < j (P,) of centre boxes (T, 4) whose centres lie less than a box apart, in order.
 
-    >>> near_pairs(np.array([[0.0, 0, 4, 4], [9, 0, 4, 4], [3, 0, 4, 4]]))
+    Left out are those whose fields, each alone, rule out an overlap of `least`: cheap, and leaves few.
+
+    >>> near_pairs(np.array([[0.0, 0, 4, 4], [9, 0, 4, 4], [3, 0, 4, 4]]), np.zeros((3, 4, 4)))
     (array([0]), array([2]))
     """
-    order = np.argsort(boxes[:, 0], kind="stable")
-    x, sides = boxes[order, 0], np.sqrt(boxes[order, 2] * boxes[order, 3])
-    largest = float(sides.max(initial=0.0))
-    # Those that follow in x, up to where not even the largest box could be near.
-    counts = np.searchsorted(x, x + (sides + largest) / 2, side="right") - np.arange(1, len(x) + 1)
-    one = np.repeat(np.arange(len(x)), counts)
-    other = one + 1 + np.arange(len(one)) - np.repeat(np.cumsum(counts) - counts, counts)
-    away = np.hypot(x[one] - x[other], boxes[order[one], 1] - boxes[order[other], 1])
-    near = away / ((sides[one] + sides[other]) / 2) < 1.0
-    ends = order[one[near]], order[other[near]]
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
+
+    order, sides = np.argsort(boxes[:, 0], kind="stable"), np.sqrt(boxes[:, 2] * boxes[:, 3])
+    variances = np.ascontiguousarray(np.diagonal(covariances, axis1=1, axis2=2))
+    limit = -8.0 * np.log(least) * (1.0 + 1e-9) if least > 0.0 else np.inf
+    ends = pairs_alike(plain(boxes), sides, variances, order, limit, SAME_PLACE)
+    if not len(ends[0]):
+        return ends
     low, high = np.minimum(*ends), np.maximum(*ends)
+    away = np.hypot(boxes[low, 0] - boxes[high, 0], boxes[low, 1] - boxes[high, 1])
+    near = away / ((sides[low] + sides[high]) / 2) < 1.0
+    low, high = low[near], high[near]
     by_rows = np.lexsort((high, low))
     return low[by_rows], high[by_rows]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.duplicates import belief_overlap
+from bayesnet_track.adapt.duplicates import belief_overlap, near_pairs
 
 
 def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():
@@ -25,3 +25,23 @@ def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():
         exact *= np.sum(np.sqrt(p * q)) * (x[1] - x[0])
     found = belief_overlap(means[0], np.diag(variances[0]), means[1], np.diag(variances[1]))
     assert found == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5])
+def test_near_pairs_are_those_of_every_pair_looked_at(least):
+    rng = np.random.default_rng(4)
+    boxes = rng.uniform([0, 0, 5, 5], [120, 90, 30, 40], (60, 4))
+    spreads = rng.uniform(0.0, 60.0, (60, 4))[:, :, None] * np.eye(4)
+    sides = np.sqrt(boxes[:, 2] * boxes[:, 3])
+    expected = []
+    for i in range(60):
+        for j in range(i + 1, 60):
+            is_near = np.hypot(*(boxes[i] - boxes[j])[:2]) < (sides[i] + sides[j]) / 2
+            pair = boxes[i], spreads[i], boxes[j], spreads[j]
+            if is_near and (least == 0.0 or belief_overlap(*pair) >= least):
+                expected.append((i, j))
+    found = list(zip(*(one.tolist() for one in near_pairs(boxes, spreads, least)), strict=True))
+    assert found == sorted(found)
+    assert set(expected) <= set(found)
+    assert least > 0.0 or expected == found
+    assert 0 < len(found) < 1770 / 4

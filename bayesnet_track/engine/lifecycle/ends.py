@@ -22,6 +22,8 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
     own = set(tracks.of_plate(plate)) if before else set()
     others = {pair: streak for pair, streak in before.items() if not own.intersection(pair)}
     streaks = overlapping(held, *tracks.beliefs(held), before, rule.merge_duplicates)
+    if not streaks and not before:
+        return
     joined = {frozenset(pair) for pair in tracks.net.joins}
     streaks = {pair: streak for pair, streak in streaks.items() if frozenset(pair) not in joined}
     ended: set[str] = set()

@@ -107,22 +107,29 @@ class RowTable:
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
         if not self.lines:
-            return self.metrics.boxes[[self.rows.index[target] for target in targets]].reshape(-1, 4)
+            return self.metrics.boxes[self._rows_of(targets)].reshape(-1, 4)
         at: dict[str, Sequence[float]] = {line.target: line.centre_box for line in self.lines}
         index, own = self.rows.index, self.metrics.boxes
         found = [at[target] if target in at else own[index[target]] for target in targets]
         return np.array(found, dtype=np.float64).reshape(-1, 4)
 
+    def _rows_of(self, targets: Sequence[str]) -> list[int] | slice:
+        is_all = tuple(targets) == self.rows.ids
+        return slice(None) if is_all else [self.rows.index[target] for target in targets]
+
     def beliefs(self, targets: Sequence[str]) -> tuple[Floats, Floats, Sequence[int]]:
         """(K, 4) means and (K, 4, 4) covariances of the boxes, and the frames of the births."""
         now = self.rows.columns
         own = [target for target in targets if target not in self.born]
-        rows = [self.rows.index[target] for target in own]
+        rows = self._rows_of(own)
         assert targets[: len(own)] == own, "those that start come last"
+        since = now.since[rows].tolist()
+        if len(own) == len(targets):
+            return now.mean[rows, :4], now.covariance[rows, :4, :4], since
         new = [self.born[target] for target in targets[len(own) :]]
         means = [now.mean[rows, :4], np.array([one.belief.mean[:4] for one, _ in new]).reshape(-1, 4)]
         spreads = np.array([one.belief.covariance[:4, :4] for one, _ in new]).reshape(-1, 4, 4)
-        since = [*now.since[rows].tolist(), *(record.since for _, record in new)]
+        since += (record.since for _, record in new)
         return np.concatenate(means), np.concatenate([now.covariance[rows][:, :4, :4], spreads]), since
 
     def mark_seen(self, targets: Iterable[str]) -> None:

@@ -150,3 +150,40 @@ def find_distinct(corners: Corners, nominal: Floats) -> tuple[Corners, Corners]:
             kinds += 1
         kind[n] = table[slot]
     return first[:kinds].copy(), kind
+
+
+@compiled
+def pairs_alike(
+    boxes: Floats, sides: Floats, variances: Floats, order: Corners, limit: float, widened: float
+) -> tuple[Corners, Corners]:
+    """Pairs (P,) of centre boxes (T, 4) that may lie less than a box apart, with no field too far off.
+
+    A field is by d^2 > `limit` s^2, s^2 the mean of both `variances` (T, 4) and the square of the share
+    `widened` of the mean box; an infinite limit allows all. `sides` (T,) are those of squares of equal area,
+    `order` sorts the boxes by x.
+    """
+    count = boxes.shape[0]
+    largest = 0.0
+    for t in range(count):
+        largest = max(largest, sides[t])
+    first, second = np.empty(count, np.int64), np.empty(count, np.int64)
+    pairs = 0
+    for at in range(count):
+        one = order[at]
+        end = boxes[one, 0] + (sides[one] + largest) / 2
+        for after in range(at + 1, count):
+            other = order[after]
+            if boxes[other, 0] > end:
+                break
+            fits = True
+            for k in range(4):
+                if limit < np.inf and fits:
+                    place = widened * ((boxes[one, 2 + k % 2] + boxes[other, 2 + k % 2]) / 2)
+                    spread = (variances[one, k] + variances[other, k]) / 2 + place * place
+                    fits = (boxes[one, k] - boxes[other, k]) ** 2 <= limit * spread
+            if fits:
+                if pairs == first.shape[0]:
+                    first, second = np.append(first, first), np.append(second, second)
+                first[pairs], second[pairs] = one, other
+                pairs += 1
+    return first[:pairs].copy(), second[:pairs].copy()
