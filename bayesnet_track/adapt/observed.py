@@ -92,23 +92,19 @@ def observe(
     if not observed.shape[1]:
         return observed
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.observed_kernels import units_of
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.observed_kernels import append_detections, units_of
 
+    heading = np.empty((len(observed), 2))
     layout, after = Layout.of(rule, before[0].shape[1]), observed.copy()
     if layout.size:
         parting = ~is_given & (observed[:, GAP] == 0.0)
         after[parting, layout.mean] = before[0][parting]
         after[parting, layout.covariance] = before[1][parting].reshape(-1, layout.size**2)
     if layout.frames:
-        origin = earlier(layout, observed)
-        turned = is_given & ~np.isnan(origin[:, 0])
-        after[turned, layout.heading] = units_of(own[turned, :2] - origin[turned, :2])
-        newest = slice(layout.recent.stop - 4, layout.recent.stop)
-        after[:, layout.recent.start : newest.start] = observed[:, FIXED + 4 : layout.recent.stop]
-        after[:, newest] = np.where(is_given[:, None], own, np.nan)
-    after[is_given, LAST] = own[is_given]
-    after[:, GAP] = np.where(is_given, 0.0, observed[:, GAP] + 1.0)
-    after[:, COUNT] += is_given
+        ways = np.where(is_given[:, None], own[:, :2] - earlier(layout, observed)[:, :2], np.nan)
+        heading = units_of(ways)
+    append_detections(after, plain(own), is_given, FIXED, layout.frames, heading)
     return after
 
 
@@ -129,10 +125,9 @@ def direction_consistency(rule: AssociationRule, observed: Floats, boxes: Floats
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.observed_kernels import cosines_of
+    from bayesnet_track.numerics.kernels.observed_kernels import cosines_of, weigh_angles
 
     layout = Layout(rule.direction_frames, 0)
     heading, origin = observed[:, layout.heading], earlier(layout, observed)
-    angle = np.arccos(np.clip(cosines_of(plain(heading), origin, plain(boxes)), -1.0, 1.0))
-    consistency = rule.direction * scores * (0.5 - angle / np.pi)
-    return np.where(np.isnan(heading[:, :1]) | np.isnan(origin[:, :1]), 0.0, consistency)
+    angles = np.arccos(cosines_of(plain(heading), origin, plain(boxes)))
+    return np.asarray(weigh_angles(angles, rule.direction * scores))

@@ -155,8 +155,9 @@ def advance_tentative(
 def name_owners(owner: Owners, names: Sequence[str], found: int) -> tuple[str | None, ...]:
     """Whose each of the detections is: a target's, `TENTATIVE`, or nobody's."""
     whose: list[str | None] = [None] * found
-    for row in np.flatnonzero(owner != NOBODY).tolist():
-        whose[owner[row]] = names[row] if row < len(names) else TENTATIVE
+    for row, column in enumerate(owner.tolist()):
+        if column != NOBODY:
+            whose[column] = names[row] if row < len(names) else TENTATIVE
     return tuple(whose)
 
 

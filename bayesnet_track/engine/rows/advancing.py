@@ -19,6 +19,7 @@ from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.engine.frame_metrics import WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.assigning import advance_tentative, name_owners, tentative_tracks
 from bayesnet_track.engine.lifecycle.association import Associated
@@ -122,7 +123,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         ),
         RowMetrics(table, measured, work.engine.streams, frame, before.is_lost),
         tuple(decisions),
-        dict(zip(rows.ids, covariance, strict=True)),
+        WhenAsked(rows.ids, lambda target: covariance[rows.index[target]]),
         work.seconds,
         heard=RowHeard(table),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 from typing import overload
 
@@ -81,11 +82,17 @@ class RowMetrics(Sequence[FrameMetrics]):
         self._index, self._time_s = frame.index, frame.time_s
         high = np.array([frame.width - 1.0, frame.height - 1.0, 2.0 * frame.width, 2.0 * frame.height])
         self.boxes: Floats = np.minimum(np.maximum(rows.columns.mean[:, :4], LEAST), high)
-        variances = np.maximum(np.diagonal(rows.columns.covariance, axis1=1, axis2=2)[:, :4], 0.0)
-        self._sds = np.sqrt(variances)
-        area = np.maximum(measured.area, 1.0)
-        self._scores = measured.fit / (1.0 + measured.ud / area)
         self._made: tuple[FrameMetrics, ...] | None = None
+
+    @cached_property
+    def _sds(self) -> Floats:
+        variances = np.diagonal(self.rows.columns.covariance, axis1=1, axis2=2)[:, :4]
+        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+
+    @cached_property
+    def _scores(self) -> Floats:
+        area = np.maximum(self.measured.area, 1.0)
+        return self.measured.fit / (1.0 + self.measured.ud / area)
 
     def with_born(self, born: Sequence[FrameMetrics]) -> RowMetrics:
         """These, and targets that start."""

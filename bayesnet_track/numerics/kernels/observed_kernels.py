@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.compiled import compiled
 
 
@@ -42,14 +42,60 @@ def units_of(ways: Floats) -> Floats:
 
 @compiled
 def cosines_of(heading: Floats, origin: Floats, boxes: Floats) -> Floats:
-    """(T, N) cosines between the headings (T, 2) and the ways from (T, 4) to the centres of boxes (N, 4)."""
+    """(T, N) cosines between the headings (T, 2) and the ways from (T, 4) to the centres of boxes (N, 4).
+
+    Within -1 and 1, NaN where a heading or an origin is.
+    """
     cosines = np.empty((heading.shape[0], boxes.shape[0]))
     for t in range(heading.shape[0]):
         for n in range(boxes.shape[0]):
             x, y = boxes[n, 0] - origin[t, 0], boxes[n, 1] - origin[t, 1]
             length = math.sqrt(x * x + y * y) + 1e-6
-            cosines[t, n] = x / length * heading[t, 0] + y / length * heading[t, 1]
+            cosine = x / length * heading[t, 0] + y / length * heading[t, 1]
+            if cosine > 1.0:  # NaN stays
+                cosine = 1.0
+            if cosine < -1.0:
+                cosine = -1.0
+            cosines[t, n] = cosine
     return cosines
+
+
+@compiled
+def weigh_angles(angles: Floats, weights: Floats) -> Floats:
+    """(T, N) weight (N,) * (1/2 - angle / pi) of angles (T, N); 0 where they are NaN."""
+    weighed = np.zeros(angles.shape)
+    for t in range(angles.shape[0]):
+        for n in range(angles.shape[1]):
+            if not math.isnan(angles[t, n]):
+                weighed[t, n] = weights[n] * (0.5 - angles[t, n] / np.pi)
+    return weighed
+
+
+@compiled
+def append_detections(
+    observed: Floats, own: Floats, is_given: Bools, recent: int, frames: int, heading: Floats
+) -> None:
+    """What is remembered (T, H) after a frame in which rows were given the detections `own` (T, 4), in place.
+
+    The detections of the last frames begin in the column `recent`, the direction follows them; that of rows
+    whose `heading` (T, 2) is NaN stays.
+    """
+    newest, turn = recent + 4 * (frames - 1), recent + 4 * frames
+    for t in range(observed.shape[0]):
+        if frames > 0:
+            for k in range(recent, newest):
+                observed[t, k] = observed[t, k + 4]
+            for k in range(4):
+                observed[t, newest + k] = own[t, k] if is_given[t] else np.nan
+            for k in range(2):
+                if not math.isnan(heading[t, k]):
+                    observed[t, turn + k] = heading[t, k]
+        observed[t, 4] += 1.0
+        if is_given[t]:
+            for k in range(4):
+                observed[t, k] = own[t, k]
+            observed[t, 4] = 0.0
+            observed[t, 5] += 1.0
 
 
 @compiled
