@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, FramePair, Region
+from bayesnet_track.vision.planes.motion_planes import smaller_gray
 from bayesnet_track.vision.planes.pan_plane import PanPlane
 
 SIZE = (180, 320)
@@ -66,3 +70,14 @@ def test_a_picture_that_is_replaced_did_not_move():
         assert np.hypot(*PanPlane().compute(FramePair(again, plain), (), WHOLE)) < 0.01
     other = Frame(1, 1.0, np.ascontiguousarray(now.image[::-1, ::-1]))
     assert not PanPlane().compute(FramePair(now, other), (), WHOLE).any()
+
+
+def test_a_frame_is_shrunk_once_and_forgotten():
+    one = Frame(0, 0.0, np.zeros((200, 340, 3), np.uint8))
+    small, scale = smaller_gray(one)
+    assert (small.width, small.height, scale) == (85, 50, 4)
+    assert smaller_gray(one)[0] is small
+    kept = weakref.ref(small)
+    del one, small
+    gc.collect()
+    assert kept() is None

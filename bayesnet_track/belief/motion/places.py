@@ -33,7 +33,8 @@ class Places:
         """(N,) per px^2 at points (N, 2)."""
         x, y = points.T[:, :, None]
         inside = (x >= self.low[:, 0]) & (x < self.high[:, 0]) & (y >= self.low[:, 1]) & (y < self.high[:, 1])
-        return np.asarray(inside @ (self.shares / np.prod(self.high - self.low, axis=1)))
+        extent = (self.high - self.low).T
+        return np.asarray(inside @ (self.shares / (extent[0] * extent[1])))
 
 
 @dataclass(frozen=True, eq=False)

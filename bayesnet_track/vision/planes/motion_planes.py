@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,14 +195,23 @@ def _explains(matrix: Array, now: Array, then: Array) -> bool:
     return bool(ahead >= LEAST_CELLS and ahead >= 3 * behind)
 
 
-def smaller_gray(frame: Frame) -> tuple[Frame, int]:
-    """The frame in gray, halved until no side exceeds LONGEST_PX, and how many of its pixels one is wide."""
-    import cv2
+_SMALLER: WeakKeyDictionary[Frame, tuple[Frame, int]] = WeakKeyDictionary()
 
-    image, scale = gray(frame.image), 1
-    while max(image.shape) > LONGEST_PX:
-        image, scale = cv2.pyrDown(image), 2 * scale
-    return Frame(frame.index, frame.time, image), scale
+
+def smaller_gray(frame: Frame) -> tuple[Frame, int]:
+    """The frame in gray, halved until no side exceeds LONGEST_PX, and how many of its pixels one is wide.
+
+    Kept while the frame lives: it is compared with the frame before it, and then with the one after it.
+    """
+    found = _SMALLER.get(frame)
+    if found is None:
+        import cv2
+
+        image, scale = gray(frame.image), 1
+        while max(image.shape) > LONGEST_PX:
+            image, scale = cv2.pyrDown(image), 2 * scale
+        found = _SMALLER[frame] = Frame(frame.index, frame.time, image), scale
+    return found
 
 
 def _brightness(frame: Frame, region: Region) -> Array:
