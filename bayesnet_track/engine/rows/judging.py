@@ -41,9 +41,13 @@ def judge_rows(
     else:
         value = lost_value = unfit_value = updated.existence
         looks_lost, looks_found = value < exists, value >= exists
-    lost_count, lost_values = append_streaks(before.lost_count, before.lost_values, looks_lost, lost_value)
-    _, unfit_values = append_streaks(before.lost_count, before.unfit_values, looks_lost, unfit_value)
-    found_count, found_values = append_streaks(before.found_count, before.found_values, looks_found, value)
+    lost_count, lost_values, unfit_values = append_streaks(
+        before.lost_count, before.lost_values, before.unfit_values, looks_lost, lost_value, unfit_value
+    )
+    found, found_values = before.found_count, before.found_values
+    found_count, found_values, _ = append_streaks(
+        found, found_values, found_values, looks_found, value, value
+    )
     after = updated.changed(
         nats=before.nats + numbers[:, NATS],
         nat_frames=before.nat_frames + 1,

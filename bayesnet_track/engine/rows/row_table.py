@@ -66,18 +66,22 @@ class RowTable:
 
     def count(self, plates: Collection[str], frame: Frame) -> None:
         """One more frame for every live target of these plates."""
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.kernels.judging_kernels import count_frames
+
         now = self.rows.columns
-        is_new = now.since < 0
-        known = is_new | ~(now.is_lost | (now.lost_count > 0))
+        counted = (now.since, now.lost_frames, now.unseen_frames)
+        since, lost, unseen, known = count_frames(counted, now.is_lost, now.lost_count, frame.index)
         columns = now.changed(
-            since=np.where(is_new, frame.index, now.since),
+            since=since,
             known_mean=np.where(known[:, None], now.mean, now.known_mean),
             known_covariance=np.where(known[:, None, None], now.covariance, now.known_covariance),
             known_time=np.where(known, frame.time, now.known_time),
-            lost_frames=np.where(now.is_lost, np.where(known, 0, now.lost_frames) + 1, 0),
-            unseen_frames=np.where(is_new, 0, now.unseen_frames) + 1,
+            lost_frames=lost,
+            unseen_frames=unseen,
         )
         self.rows = self.rows.with_columns(columns, self.rows.time)
+        is_new = now.since < 0
         if is_new.any():  # the numbers of those that a table did not count before
             numbers = [int(target) for target in compress(self.rows.ids, is_new) if target.isdecimal()]
             self.history = changed(self.history, last_id=max([self.history.last_id, *numbers]))

@@ -30,14 +30,43 @@ def read_levels(
 
 
 @compiled
-def append_streaks(counts: Ints, values: Floats, holds: Bools, new: Floats) -> tuple[Ints, Floats]:
-    """Streaks (T,) with one frame more where it `holds`, else 0; their last values (T, F), from the right."""
+def append_streaks(
+    counts: Ints, values: Floats, others: Floats, holds: Bools, new: Floats, new_others: Floats
+) -> tuple[Ints, Floats, Floats]:
+    """Streaks (T,) with one frame more where it `holds`, else 0; their last values (T, F), from the right.
+
+    There are two values of each frame.
+    """
     rows, size = values.shape
-    after, last = np.zeros(rows, np.int64), np.empty((rows, size))
+    after, last, last_others = np.zeros(rows, np.int64), np.empty((rows, size)), np.empty((rows, size))
     for t in range(rows):
         if holds[t]:
             after[t] = counts[t] + 1
         for k in range(size - 1):
-            last[t, k] = values[t, k + 1]
-        last[t, size - 1] = new[t]
-    return after, last
+            last[t, k], last_others[t, k] = values[t, k + 1], others[t, k + 1]
+        last[t, size - 1], last_others[t, size - 1] = new[t], new_others[t]
+    return after, last, last_others
+
+
+@compiled
+def count_frames(
+    counted: tuple[Ints, Ints, Ints], is_lost: Bools, lost_count: Ints, frame: int
+) -> tuple[Ints, Ints, Ints, Bools]:
+    """Frames of birth, in which rows are lost and in which they are unseen (T,), with `frame` counted.
+
+    `counted` are those before; a birth of -1 is one of this frame. Also who is known well: new, or neither
+    lost nor about to be (`lost_count` frames look so).
+    """
+    since, lost_frames, unseen_frames = counted[0].copy(), counted[1].copy(), counted[2].copy()
+    known = np.empty(since.shape[0], np.bool_)
+    for t in range(since.shape[0]):
+        is_new = since[t] < 0
+        known[t] = is_new or not (is_lost[t] or lost_count[t] > 0)
+        if is_new:
+            since[t], unseen_frames[t] = frame, 0
+        if known[t] or not is_lost[t]:
+            lost_frames[t] = 0
+        if is_lost[t]:
+            lost_frames[t] += 1
+        unseen_frames[t] += 1
+    return since, lost_frames, unseen_frames, known
