@@ -123,8 +123,7 @@ def moments_of(
     tables = targets.tables if isinstance(targets, ParticleStates) else ()
     for table in tables:
         rows = [at[target] for target in table.ids]
-        boxes[rows] = table.clouds.means[:, :4]
-        variances[rows] = np.diagonal(table.clouds.covariances, axis1=1, axis2=2)[:, :4]
+        boxes[rows], variances[rows] = table.clouds.box_moments
     for target, one in (targets.others if isinstance(targets, ParticleStates) else targets).items():
         spread = known.get(target)
         boxes[at[target]] = one.belief.mean[:4]

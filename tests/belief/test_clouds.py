@@ -28,6 +28,9 @@ def test_rows_hold_what_the_beliefs_held():
             assert found.weights.weights.tobytes() == one.weights.weights.tobytes()
             assert clouds.means[row].tobytes() == one.mean.tobytes()
             assert clouds.covariances[row].tobytes() == one.covariance.tobytes()
+            means, variances = clouds.box_moments
+            np.testing.assert_allclose(means[row], one.mean[:4], rtol=1e-13)
+            np.testing.assert_allclose(variances[row], one.covariance.diagonal()[:4], rtol=1e-13)
             assert not found.weights.log.flags.writeable and clouds.log.flags.writeable
 
 

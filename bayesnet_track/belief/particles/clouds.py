@@ -68,6 +68,13 @@ class Clouds:
         return np.asarray(np.matmul(self.weights[:, None], self.states)[:, 0])
 
     @property
+    def box_moments(self) -> tuple[Floats, Floats]:
+        """(T, 4) means and (T, 4) variances of the centre boxes, px and px^2."""
+        weights, boxes = self.weights[:, None], self.states[:, :, :4]
+        means = np.matmul(weights, boxes)
+        return means[:, 0], np.matmul(weights, np.square(boxes - means))[:, 0]
+
+    @property
     def covariances(self) -> Floats:
         """(T, D, D), as `ParticleSet.covariance`."""
         away = self.states - np.matmul(self.weights[:, None], self.states)

@@ -18,7 +18,7 @@ FAST_ERROR = 1e-5
 
 exp(-x) is taken to be the 32nd power of the fourth-order series at x / 32: an error of about
 max x^5 e^-x / (32^4 5!) = 2e-7. The powers enlarge the rounding of a single (6e-8) 64 times, 4e-6; groups of
-32 sum with 2e-6."""
+32 sum with 2e-6. What lies beyond `_REACH` counts 1.3e-6."""
 
 _SLACK = 1e-9
 """Bounds are compared with this much room for the rounding of double precision, nats."""
@@ -27,8 +27,8 @@ _BLOCK = 256
 _GROUP = 16
 _LANES = 16
 _CELLS = 64
-_REACH = 6.3
-"""Standard deviations beyond which a component counts nothing: exp(-6.3^2 / 2) = 2e-9 is below the error."""
+_REACH = 5.2
+"""Standard deviations beyond which a component counts nothing: exp(-5.2^2 / 2) = 1.3e-6 is in the error."""
 _HEAVY = 0.1
 """Components with more than this share of the largest peak come first: they alone give up most points.
 
@@ -63,6 +63,24 @@ def add_sums(
             part[:width] = np.float32(0)
             for n in range(group * _GROUP, min((group + 1) * _GROUP, peaks.shape[0])):
                 peak = peaks[n]
+                if size == 4:  # the usual number, in one loop instead of three
+                    a, b = points[0, low:high], points[1, low:high]
+                    c, d = points[2, low:high], points[3, low:high]
+                    ma, mb, mc, md = means[n, 0], means[n, 1], means[n, 2], means[n, 3]
+                    sa, sb = precisions[n, 0] * eighth, precisions[n, 1] * eighth
+                    sc, sd = precisions[n, 2] * eighth, precisions[n, 3] * eighth
+                    for m in range(width):
+                        wa, wb = (a[m] - ma) * sa, (b[m] - mb) * sb
+                        wc, wd = (c[m] - mc) * sc, (d[m] - md) * sd
+                        t = min((wa * wa + wb * wb) + (wc * wc + wd * wd), most)
+                        e = one - t * (one - t * (half - t * (sixth - t * last)))
+                        e *= e
+                        e *= e
+                        e *= e
+                        e *= e
+                        e *= e
+                        part[m] += peak * e
+                    continue
                 y[:width] = np.float32(0)
                 for k in range(0, size, 2):
                     row, other = points[k, low:high], points[k + 1, low:high]
