@@ -183,7 +183,9 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     if measures.parts:
         quiet_of = partial(quiet_level, compiled.plate, net, decided.memory)
         at_parts = {part: own * seen for part, own in part_rates(rule, measures.parts, quiet_of).items()}
-    held = net.status == "tracking" or (net.status == "uncertain" and measured.scored.doubt > 0)
+    score, least = measured.score, None if rule is None else rule.score_above
+    likely = score is not None and least is not None and score > least
+    held = net.status == "tracking" or (net.status == "uncertain" and (likely or measured.scored.doubt > 0))
     held = held and measured.scored.missing is None
     every = min(work.net.targets[filtered.target].sampled.values(), default=1)
     # Between samples the others are less sure alone: what is learnt then would be their errors.

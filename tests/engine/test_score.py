@@ -92,6 +92,17 @@ def test_while_uncertain_nothing_is_learnt_and_lost_is_said(fakes):
     assert max(frame for frame, *_ in cues["a"].learnt) == GONE + 2
 
 
+@pytest.mark.parametrize(("least", "learns"), [(None, False), (0.5, True), (0.99, False)])
+def test_references_learn_while_uncertain_where_the_score_is_above_a_level(fakes, least, learns):
+    learn = {"below": {"ud_px2": 1e6}} | ({} if least is None else {"score_above": least})
+    lost = {"score_below": 0.3, "uncertain_below": 0.95, "frames": 2}
+    score = {"logistic": {"bias": 2.0, "memory_frames": 0}}  # 0.88 in every frame
+    outcomes, _ = run(fakes, 8, score=score, lost=lost, learn=learn)
+    lines = [one.metrics[0] for one in outcomes[4:]]
+    assert {line.status for line in lines} == {"uncertain"}
+    assert [line.learn_rate > 0 for line in lines] == [learns] * len(lines)
+
+
 def test_a_calibrated_line_survives_the_journal(fakes):
     outcomes, _ = run(fakes, 3, score=SCORE, localization_error={"sd_box": 0.1})
     line = outcomes[-1].metrics[0]

@@ -55,6 +55,11 @@ CASES = [
         "4:75: s: alarm of 19 videos is never raised: its e-value stays below 20, and has to reach 20; "
         "allowed: more videos, or a larger share",
     ),
+    (
+        "  learn: {below: {ud_box: 0.5}, score_above: 0.5}",
+        "4:33: s: learn.score_above without a score that is a probability; allowed: score at the root, or no "
+        "such key",
+    ),
 ]
 
 

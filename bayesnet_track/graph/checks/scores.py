@@ -10,7 +10,7 @@ from bayesnet_track.graph.text.messages import GraphMessage
 
 
 def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
-    """`lost.score_below`, `lost_sd_box` and `distractors` need a `score`, which is a probability."""
+    """`lost.score_below`, `distractors` and the like need a `score`, which is a probability."""
     for name, node in plate.inference.items():
         if node.parent is not None or node.score is not None:
             continue
@@ -21,6 +21,8 @@ def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
             needing.append(("localization_error", "lost_sd_box"))
         rules = {"distractors": node.distractors, "guarantee": node.guarantee, "alarm": node.alarm}
         needing += [(key,) for key, rule in rules.items() if rule is not None]
+        if node.learn is not None and node.learn.score_above is not None:
+            needing.append(("learn", "score_above"))
         for key in needing:
             found = f"{'.'.join(key)} without a score that is a probability"
             yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)

@@ -168,6 +168,11 @@ class Learn(Model):
         "learn_rate_max overrides both",
     )
     guard: Guard | None = Field(default=None, description="keeps references from drifting away")
+    score_above: Annotated[Number, Field(ge=0, lt=1)] | None = Field(
+        default=None,
+        description="score above which references also learn while the target is uncertain; needs `score`; "
+        "default: only while it is tracked",
+    )
 
 
 class Lost(Model):
@@ -175,8 +180,8 @@ class Lost(Model):
 
     With `score_below` the score alone decides, and has to be a probability (`score`): lost below it,
     uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
-    While a target is uncertain, references do not learn and baselines are not measured. With
-    `existence_below` the probability that it exists says so (`existence`).
+    While a target is uncertain, references do not learn, unless `learn` has a `score_above`, and baselines
+    are not measured. With `existence_below` the probability that it exists says so (`existence`).
     """
 
     above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
