@@ -18,6 +18,7 @@ from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.nested import Deviation, Nested, deviations_of, turning
 from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.engine.scoring.verifying import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
@@ -69,6 +70,7 @@ class CompiledPlate:
         opaque: agents that keep something which cannot be stored.
         declared: agent -> the declaration of its cue.
         modes: the target's hidden discrete states; None when it has none.
+        verifiers: what the score asks about the estimate.
     """
 
     plate: CheckedTarget
@@ -90,6 +92,7 @@ class CompiledPlate:
     opaque: frozenset[str] = frozenset()
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
     modes: Modes | None = None
+    verifiers: Mapping[str, VerifierAtWork] = field(default_factory=dict)
 
     @property
     def first_existence(self) -> float | None:
@@ -213,6 +216,7 @@ def _compile_plate(
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
         modes=None if own is not None or root.modes is None else make_modes(root.modes),
+        verifiers={} if root.score is None else make_verifiers(root.score.settings.verifiers, declarations),
     )
 
 

@@ -29,6 +29,7 @@ from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
+from bayesnet_track.engine.scoring.verifying import HELD, Verification
 from bayesnet_track.engine.state import TargetState, inside_frame_all
 from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
 from bayesnet_track.graph.spec import InferenceNode
@@ -137,7 +138,11 @@ def measure_target(
     if root.score is None:
         return Measured(state, box, net, measures, scored)
     rule, distractor = root.score.settings, None
-    scored = scored.after(rule, measures, filtered.step, measures.ud_px2[compiled.plate.root])
+    unfit = measures.fit < rule.full_fit
+    verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
+    verified = verification.verify(scored.references, unfit or scored.unfit)
+    ud_px2 = measures.ud_px2[compiled.plate.root]
+    scored = scored.after(rule, measures, filtered.step, ud_px2, verified.values)
     if root.distractors is not None:
         able = compiled.cues.keys() - live.quarantined
         distractor = find_distractor(
@@ -150,17 +155,25 @@ def measure_target(
     score = min(probability(rule, scored.smooth), bound)
     found: FoundAgain | None = None
     if root.lost is not None and root.lost.found_fit is not None:
-        weights, frame, name = filtered.step.support.weights, work.frame.index, filtered.target
-        surprise = kl(weights.log, filtered.step.prior.log)
-        x, y, w, h = box.tolist()
-        look = Look(frame, name, live.status, score, measures.fit, surprise, x, y, float(np.sqrt(w * h)))
+        look = _look(work, filtered, box, score, measures.fit)
         scored, most_now, found = follow_fit(scored, root.lost, look)
         bound = min(bound, most_now)
         score = min(score, bound)
     scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
     if found is not None:
         notices = (*notices, found)
+    if score >= HELD and not unfit:
+        verified = verification.follow(verified)
+    scored, notices = replace(scored, references=verified.references), (*notices, *verified.failed)
     return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
+
+
+def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:
+    """What the frame shows of a target whose estimate is `box` (4,)."""
+    target, (x, y, w, h) = filtered.target, box.tolist()
+    surprise = kl(filtered.step.support.weights.log, filtered.step.prior.log)
+    status = work.net.targets[target].status
+    return Look(work.frame.index, target, status, score, fit, surprise, x, y, float(np.sqrt(w * h)))
 
 
 def _follow(

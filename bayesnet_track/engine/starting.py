@@ -16,6 +16,8 @@ from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
+from bayesnet_track.engine.scoring.score import Scored
+from bayesnet_track.engine.scoring.verifying import first_references
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
@@ -85,6 +87,7 @@ def start(
         time=frame.time,
         watched=watch(references, compiled.looks, compiled.guard),
         motion_context=start_motion_context(compiled, box, work.cache.frames),
+        scored=Scored(references=first_references(compiled.verifiers, lesson.cache, box)),
         existence=compiled.first_existence,
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.scoring.score import FEATURES, marginal_points
+from bayesnet_track.engine.scoring.score import marginal_points
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -37,7 +37,7 @@ class CalibrationData:
     Attributes:
         video: its name.
         iou: (n,) overlap of estimate and truth.
-        features: name -> (n,) filtered features of the score.
+        features: name -> (n,) filtered features of the score, and the `most` that it may be.
         ud_box: (n,) UD at the root as a share of the estimate's area.
         offsets: (n, 32, 2) true centre less quantiles of the belief's (`marginal_points`), in sqrt(w h) of
             the estimate.
@@ -141,7 +141,7 @@ def calibration_data(
     return CalibrationData(
         video,
         overlap(at, np.array(boxes)),
-        {name: np.array([line.features[name] for line in lines]) for name in FEATURES},
+        {name: np.array([line.features[name] for line in lines]) for name in lines[0].features},
         np.array([line.ud_px2 for line in lines]) / (at[:, 2] * at[:, 3]),
         np.array(offsets),
         np.array([line.score for line in lines]),

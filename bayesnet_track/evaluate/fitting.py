@@ -31,7 +31,7 @@ SIGNS: Mapping[str, int] = {
     "agreement": 1,
     "log_size": -1,
 }
-"""What a larger value of each feature can only speak for: 1 on target, -1 off it."""
+"""What a larger value of each feature can only speak for: 1 on target, -1 off it; of a verifier it is 1."""
 
 USUAL_FEATURES = ("log_ud_box", "evidence")
 """Few features carry over to other videos better than many."""
@@ -78,7 +78,7 @@ def fit(
         raise ValueError("every frame is on target (IoU above 0.5); fitting also needs some that are not")
     weights = _weights(data, videos)
     table = {name: np.concatenate([one.features[name] for one in data]) for name in features}
-    logistic = fit_logistic(table, hits, weights, SIGNS)
+    logistic = fit_logistic(table, hits, weights, {name: SIGNS.get(name, 1) for name in features})
     scores = [one.scores if keep_score else score_of(logistic, one) for one in data]
     localization_error = fit_localization_error([one.offsets for one in data], scores)
     iou = np.concatenate([one.iou for one in data])

@@ -150,8 +150,7 @@ class CheckedGraph:
     @property
     def declarations(self) -> Mapping[str, CueDeclaration]:
         """Name -> declaration of every cue that can be used with it: its own, and the installed ones."""
-        plates = self.targets.values()
-        named = {plate.agent(agent).agent.cue for plate in plates for agent in plate.agents}
+        named = {one.cue for target in self.spec.targets.values() for _, _, one in target.cue_choices()}
         return {**installed_cues(named), **self.cues}
 
     def __repr__(self) -> str:

@@ -7,6 +7,7 @@ Every model is frozen and refuses unknown keys. A *choice* (`Fuse`, `Motion`, ..
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 from pydantic import Field
@@ -25,7 +26,7 @@ from bayesnet_track.graph.settings.adapt import (
     Lost,
     SelfCheck,
 )
-from bayesnet_track.graph.settings.base import Choice, Empty, Model, Name, Number
+from bayesnet_track.graph.settings.base import AgentChoice, Choice, Empty, Model, Name, Number
 from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
 from bayesnet_track.graph.settings.grid import Grid, Reset
@@ -61,7 +62,6 @@ from bayesnet_track.graph.settings.motion import (
     SizeReversion,
 )
 from bayesnet_track.graph.settings.net import (
-    AgentChoice,
     AgentNode,
     FactorNode,
     InferenceNode,
@@ -93,6 +93,7 @@ from bayesnet_track.graph.settings.scores import (
     Localization,
     Logistic,
     Score,
+    Verifier,
 )
 
 LANGUAGE_VERSION = 1
@@ -123,6 +124,15 @@ class Target(Model):
         "target by every detection that may be its own, as probable as it is that it is (JPDA)",
     )
     nodes: dict[Name, Node] = Field(min_length=1, description="the net: one tree under its root")
+
+    def cue_choices(self) -> Iterator[tuple[str, tuple[str, ...], AgentChoice]]:
+        """Node, keys inside it, and the cue chosen there: those of agents, and of verifiers of a score."""
+        for name, node in self.nodes.items():
+            if isinstance(node, AgentNode):
+                yield name, ("agent",), node.agent
+            elif isinstance(node, InferenceNode) and node.score is not None:
+                for verifier, one in node.score.settings.verifiers.items():
+                    yield name, ("score", "logistic", "verifiers", verifier, "agent"), one.agent
 
 
 class GraphSpec(Model):

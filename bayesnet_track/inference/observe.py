@@ -133,7 +133,7 @@ def observe(question: Question, observer: Observer, step: Observe) -> Answer:
             return _check_measurement(
                 cue.measure(planes, own, np.exp(question.prior_log), reference), _known(step, own)
             )
-        return _check(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
+        return check_log_likelihood(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
     except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
         return _failure(error)
     finally:
@@ -165,7 +165,7 @@ def _collect(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any]
         answer = wait()
         if step.measures:
             return _check_measurement(answer, _known(step, own))
-        return _check(real_numbers(answer), len(own))
+        return check_log_likelihood(real_numbers(answer), len(own))
     except FAULTS as error:
         return _failure(error)
     finally:
@@ -253,7 +253,8 @@ def _check_choices(
     return tuple(checked)
 
 
-def _check(log_likelihood: Floats | str, size: int) -> Floats | str:
+def check_log_likelihood(log_likelihood: Floats | str, size: int) -> Floats | str:
+    """What a cue returned for (size,) hypotheses, or in words what is wrong with it."""
     if isinstance(log_likelihood, str):
         return f"returned a value of type {log_likelihood}, not {size} real numbers"
     if log_likelihood.shape != (size,):

@@ -84,6 +84,21 @@ def test_what_is_not_estimated_of_lost_is_kept(data, capsys):
     assert lost.score_below != 0.2
 
 
+def test_coefficients_of_verifiers_are_fitted_and_their_settings_kept(data, capsys):
+    verifiers = "{texture: {agent: texture, every: 2}, first: {agent: intensity, learn_rate: 0}}"
+    score = f"score: {{logistic: {{bias: 1, verifiers: {verifiers}}}}}"
+    (data / "g.yaml").write_text(GRAPH.replace("# moves\n", f"# moves\n        {score}\n"))
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    out = data / "fitted.yaml"
+    assert main([*arguments, "--features", "log_fit,first", "--what", "score", "--out", str(out)]) == 0
+    root = load_graph(out).targets["target"].inference("target")
+    found = root.score.settings.verifiers
+    assert found["first"].coefficient > 0.01 and found["texture"].coefficient == 0.0
+    assert (found["texture"].every, found["first"].learn_rate) == (2, 0)
+    assert main([*arguments, "--features", "log_fit,second"]) == 2
+    assert "no 'second'; there are" in (said := capsys.readouterr().err) and "texture, first" in said
+
+
 POOLED = GRAPH.replace("# moves\n", "# moves\n        fuse: {pool: learned}  # dependent\n").replace(
     "agent: intensity}", "agent: intensity}\n      colors: {parent: target, agent: foreground_color}"
 )

@@ -7,7 +7,8 @@ import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.particles.belief import ParticleSet
-from bayesnet_track.engine.scoring.score import FEATURES, blur_regions, probability
+from bayesnet_track.engine.scoring.score import blur_regions, probability
+from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.spec import HeavyTail, Localization, Logistic
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.statuses import StatusChanged

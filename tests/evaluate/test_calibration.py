@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.engine.scoring.score import FEATURES
 from bayesnet_track.evaluate.calibration import (
     HEAVY_TAIL,
     auroc,
@@ -24,6 +23,7 @@ from bayesnet_track.evaluate.calibration import (
 )
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.evaluate.fitting import fit, leave_one_out
+from bayesnet_track.graph.settings.scores import FEATURES
 
 
 @settings(max_examples=60, deadline=None)

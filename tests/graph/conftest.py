@@ -240,7 +240,17 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
                 },
             ),
             "score": _choice(
-                [], logistic=_mapping({"bias": aside}, {"evidence": aside, "memory_frames": share})
+                [],
+                logistic=_mapping(
+                    {"bias": aside},
+                    {
+                        "evidence": aside,
+                        "memory_frames": share,
+                        "verifiers": _mapping(
+                            {}, {"v": _mapping({"agent": st.just("hue")}, {"every": frames})}
+                        ),
+                    },
+                ),
             ),
             "localization_error": _mapping(
                 {}, {"sd_box": sd, "lost_sd_box": positive, "heavy_tail": noise["heavy_tail"]}
@@ -380,7 +390,13 @@ def everything() -> dict[str, Any]:
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
             "learn": {"below": {"ud_baseline": 2}, "guard": {}},
             "lost": {"frames": 9, "score_below": 0.25, "uncertain_below": 0.6},
-            "score": {"logistic": {"bias": -1.5, "log_ud_box": -0.5}},
+            "score": {
+                "logistic": {
+                    "bias": -1.5,
+                    "log_ud_box": -0.5,
+                    "verifiers": {"v": {"agent": "hue", "coefficient": 0.5, "every": 3}},
+                }
+            },
             "localization_error": {"lost_sd_box": 3.5, "heavy_tail": {"weight": 0.25, "factor": 5}},
             "distractors": {"hold": 100},
             "guarantee": {"above": 0.75, "frames": 5},

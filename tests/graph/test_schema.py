@@ -12,7 +12,7 @@ from jsonschema import Draft7Validator
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
-from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.document import read_document
 from bayesnet_track.graph.text.schema import graph_schema
 from bayesnet_track.graphs import find_graph, graph_names
@@ -31,9 +31,8 @@ def _well_formed(data, cues):
     try:
         spec = GraphSpec.model_validate(data)
         for target in spec.targets.values():
-            for node in target.nodes.values():
-                if isinstance(node, AgentNode):
-                    cue_parameters(node.agent, cues[node.agent.cue])
+            for _, _, chosen in target.cue_choices():
+                cue_parameters(chosen, cues[chosen.cue])
             if target.birth is not None:
                 chosen = target.birth.detector
                 plugin_parameters(chosen, detectors_of_graphs()[chosen.detector].parameters)

@@ -60,6 +60,24 @@ CASES = [
         "4:33: s: learn.score_above without a score that is a probability; allowed: score at the root, or no "
         "such key",
     ),
+    (
+        "  score: {logistic: {bias: 1, verifiers: {log_fit: {agent: texture}}}}",
+        "4:43: s: a verifier named 'log_fit', as something else of the score; allowed: another name",
+    ),
+    (
+        "  score: {logistic: {bias: 1, verifiers: {v: {agent: textur}, w: {agent: {texture: {cell: 2}}}}}}",
+        "4:54: s: unknown cue 'textur'; allowed: camshift, color_blobs, color_histogram, "
+        "color_kernel_histogram, correlation_filter, detection, displacement, embedding, foreground_color, "
+        "intensity, klt, mean_shift, ... (8 more); nearest: texture\n"
+        "4:85: s: unknown key 'cell'; allowed: floor, sd_log_area, sd_log_aspect, form, cells, noise_gray, "
+        "alpha_share, alpha_min; nearest: cells",
+    ),
+    (
+        "  score: {logistic: {bias: 1, verifiers: {v: {agent: klt}, w: {agent: motion}}}}",
+        "4:54: s: verifier v: klt measures; allowed: a cue that scores boxes by looks\n"
+        "4:71: s: verifier w: motion does not go by the target's looks; allowed: a cue that scores boxes by "
+        "looks",
+    ),
 ]
 
 

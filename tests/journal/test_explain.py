@@ -24,7 +24,7 @@ from bayesnet_track.journal.events.by_hand import InputRefused, Released, Toggle
 from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
+from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted, VerifierFailed
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed, PairFactorChanged
 from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
 from bayesnet_track.journal.events.joins import Joined, Parted
@@ -509,6 +509,11 @@ GOLDEN = [
         SceneCut(50, "1", 0.83, 0.25, 0.9, 0.765),
         "frame 50: scene cut: distance from the scene before 0.83 > 0.25 (colours 0.9, structure 0.77) → "
         "target 1 lost; would have been ignored at scene_cut ≥ 0.83",
+    ),
+    (
+        VerifierFailed(50, "1", "texture", "raised RuntimeError: no memory"),
+        "frame 50: verifier texture raised RuntimeError: no memory → not asked again for this target; the "
+        "score goes on with what it last said",
     ),
     (AlarmEnded(50, "1"), "frame 50: scores are high again → alarm for target 1 ends"),
     (

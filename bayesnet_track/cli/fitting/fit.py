@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from bayesnet_track.evaluate.calibration_data import CalibrationData
     from bayesnet_track.evaluate.fitting import Checked, Fitted
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.graph.spec import Verifier
 
 WHAT = ("score", "localization_error", "lost", "ud", "temperature", "sds", "policy", "fusion")
 USUAL_WHAT = "score,localization_error,lost"
@@ -37,8 +38,8 @@ def fit(options: argparse.Namespace) -> int:
 
     promises = options.guarantee is not None or options.alarm is not None
     what = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
-    features = _choose("--features", options.features, tuple(SIGNS))
     graph, text = load_graph(options.graph), graph_text(options.graph)
+    features = _choose("--features", options.features, (*SIGNS, *_verifiers(graph)))
     out = None if options.out is None else Path(options.out)
     if out is not None:
         with writing(out):
@@ -88,6 +89,13 @@ def fit(options: argparse.Namespace) -> int:
     return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
 
 
+def _verifiers(graph: CheckedGraph) -> Mapping[str, Verifier]:
+    """Those of the first plate's score."""
+    plate = next(iter(graph.targets.values()))
+    score = plate.inference(plate.root).score
+    return {} if score is None else score.settings.verifiers
+
+
 def _put(out: Path | None, text: str, said: str) -> int:
     if out is None:
         say(text.removesuffix("\n"))
@@ -108,6 +116,7 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
     """The graph's text with what was estimated, each with a comment that says from what."""
     from bayesnet_track.evaluate.calibration import HEAVY_TAIL
     from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.write import as_plain
 
     name, plate = next(iter(graph.targets.items()))
     path = ("targets", name, "nodes", plate.root)
@@ -136,10 +145,17 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
         put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
     if "score" in what:
-        others = {} if spec.score is None else {"memory_frames": _short(spec.score.settings.memory_frames)}
+        others: dict[str, Any] = (
+            {} if spec.score is None else {"memory_frames": _short(spec.score.settings.memory_frames)}
+        )
         if spec.score is not None and spec.score.settings.full_fit > 0:
             others["full_fit"] = _short(spec.score.settings.full_fit)
         values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
+        verifiers = {
+            name: {**as_plain(one), "coefficient": values.pop(name, 0.0)}
+            for name, one in _verifiers(graph).items()
+        }
+        others |= {"verifiers": verifiers} if verifiers else {}
         put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
     if "localization_error" in what:
         sd, lost_sd = (_short(value) for value in fitted.localization_error)
@@ -272,7 +288,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         "--features",
         default="log_ud_box,evidence",
         metavar="LIST",
-        help="features of the score (default log_ud_box,evidence)",
+        help="features of the score, verifiers by name (default log_ud_box,evidence)",
     )
     fit.add_argument(
         "--guarantee",

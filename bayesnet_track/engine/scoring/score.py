@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from statistics import median
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,11 +16,9 @@ from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
+from bayesnet_track.observation.cue import Reference
 
 Region = tuple[float, float, float, float]
-
-FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size")
-"""What a score can go by; the coefficients of `Logistic` have these names."""
 
 USUAL_FRAMES = 20
 """Frames of an agent whose median log evidence counts as usual."""
@@ -50,6 +49,8 @@ class Scored:
         missing: frame since which nothing is seen that fits as the target did; None while something is.
         again: largest `found_fit` at which each of the last consecutive frames that show it would still do.
         place: x and y of the estimate before it was missing, px; empty while it is not.
+        references: verifier -> what it remembers; empty of one that failed.
+        unfit: whether nothing fitted in the last frame, so that the score was bounded by `full_fit`.
     """
 
     smooth: Mapping[str, float] = field(default_factory=dict)
@@ -66,9 +67,21 @@ class Scored:
     missing: int | None = None
     again: tuple[float, ...] = ()
     place: tuple[float, ...] = ()
+    references: Mapping[str, Reference] = field(default_factory=dict)
+    unfit: bool = False
 
-    def after(self, rule: Logistic, measures: Measures, step: Step[Posterior], ud_px2: float) -> Scored:
-        """With one frame more; `ud_px2` is the root's UD."""
+    def after(
+        self,
+        rule: Logistic,
+        measures: Measures,
+        step: Step[Posterior],
+        ud_px2: float,
+        verified: Mapping[str, float] = MappingProxyType({}),
+    ) -> Scored:
+        """With one frame more; `ud_px2` is the root's UD, `verified` what each verifier says.
+
+        The feature of a verifier that says nothing stays as it was.
+        """
         seeing = [agent for agent in measures.kl if agent not in measures.silent]
         own = {agent: _log_evidence(step, agent) for agent in seeing}
         usual = dict(self.usual)
@@ -84,15 +97,19 @@ class Scored:
             "log_fit": _log(max(measures.fit, rule.full_fit)),
             "agreement": _agreement(step, seeing),
             "log_size": abs(math.log(side / first)),
+            **{name: max(value, LEAST_LOG) for name, value in verified.items()},
         }
-        gain = (
-            1.0 if not self.smooth or rule.memory_frames == 0 else 1.0 - math.exp(-1.0 / rule.memory_frames)
-        )
+        unfit = measures.fit < rule.full_fit
+        # What verifiers said while nothing fitted, as in a black frame, is forgotten when something does.
+        before = {**found, **self.smooth, **(verified if unfit or self.unfit else {})}
+        gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if self.smooth and rule.memory_frames else 1.0
         smooth = {
-            name: value if gain == 1.0 else self.smooth[name] + gain * (value - self.smooth[name])
+            name: value if gain == 1.0 else before[name] + gain * (value - before[name])
             for name, value in found.items()
         }
-        return replace(self, smooth=smooth, usual=usual, side_px=first, doubt=max(self.doubt - 1, 0))
+        smooth = {name: smooth.get(name, self.smooth.get(name, 0.0)) for name in rule.coefficients}
+        doubt = max(self.doubt - 1, 0)
+        return replace(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
 
 
 def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
@@ -105,10 +122,11 @@ def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: i
 def probability(rule: Logistic, features: Mapping[str, float]) -> float:
     """1 / (1 + exp(-(bias + sum of coefficient times feature))).
 
-    >>> probability(Logistic(bias=1.0, log_ud_box=-0.5), dict.fromkeys(FEATURES, 2.0))
+    >>> rule = Logistic(bias=1.0, log_ud_box=-0.5)
+    >>> probability(rule, dict.fromkeys(rule.coefficients, 2.0))
     0.5
     """
-    odds = rule.bias + sum(getattr(rule, name) * features[name] for name in FEATURES)
+    odds = rule.bias + sum(slope * features[name] for name, slope in rule.coefficients.items())
     return 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Checks of the agents: installed cues, and parameters that these cues take."""
+"""Checks of the cues of agents and verifiers: installed, and with parameters that they take."""
 
 from __future__ import annotations
 
@@ -21,31 +21,30 @@ Parameters = TypeVar("Parameters", bound=BaseModel)
 
 
 def cues_are_installed(plate: Plate) -> Iterator[GraphMessage]:
-    """Every agent names an installed cue; one of another package must be allowed."""
-    for name, node in plate.agents.items():
-        cue = node.agent.cue
+    """Every agent and verifier names an installed cue; one of another package must be allowed."""
+    for name, where, chosen in plate.spec.cue_choices():
+        cue = chosen.cue
         if cue not in plate.cues:
-            absent = why_absent(ENTRY_POINT_GROUP, cue)
+            key, absent = (*where, cue), why_absent(ENTRY_POINT_GROUP, cue)
             if absent is not None:
-                yield plate.message(name, f"cue {absent[0]}", absent[1], key=("agent", cue), on_key=True)
+                yield plate.message(name, f"cue {absent[0]}", absent[1], key=key, on_key=True)
                 continue
             allowed = list(plate.cues) or "no cue is installed"
-            key = ("agent", cue)
             yield plate.message(name, f"unknown cue {cue!r}", allowed, key=key, word=cue, on_key=True)
 
 
 def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
     """Every parameter is one that the cue declares, of its type and within its range."""
-    for name, node in plate.agents.items():
-        declaration = plate.cues.get(node.agent.cue)
+    for name, where, chosen in plate.spec.cue_choices():
+        declaration = plate.cues.get(chosen.cue)
         if declaration is None:
             continue
         try:
-            cue_parameters(node.agent, declaration)
+            cue_parameters(chosen, declaration)
         except ValidationError as error:
-            path = ("targets", plate.name, "nodes", name, "agent", node.agent.cue)
+            path = ("targets", plate.name, "nodes", name, *where, chosen.cue)
             model = declaration.parameters
-            for message in explain(error, model, node.agent.parameters, plate.at, path):
+            for message in explain(error, model, chosen.parameters, plate.at, path):
                 field = model.model_fields.get(str(message.path[-1]))
                 meaning = field.description if field is not None else None
                 yield (
@@ -56,18 +55,18 @@ def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
-    """Files and parts of other libraries that an agent's parameters need are there."""
-    for name, node in plate.agents.items():
-        declaration = plate.cues.get(node.agent.cue)
+    """Files and parts of other libraries that a cue's parameters need are there."""
+    for name, where, chosen in plate.spec.cue_choices():
+        declaration = plate.cues.get(chosen.cue)
         if declaration is None or declaration.missing is None:
             continue
         try:
-            parameters = cue_parameters(node.agent, declaration)
+            parameters = cue_parameters(chosen, declaration)
         except ValidationError:
             continue
         absent = declaration.missing(parameters)
         if absent is not None:
-            yield plate.message(name, absent, key=("agent", node.agent.cue))
+            yield plate.message(name, absent, key=(*where, chosen.cue))
 
 
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> NoParameters:

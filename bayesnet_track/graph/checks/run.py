@@ -22,7 +22,7 @@ from bayesnet_track.graph.checks.measures import MEASURE_CHECKS, read_measures
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.trees import TREE_CHECKS
 from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
-from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
@@ -106,9 +106,8 @@ def mapped_cues(cues: Cues | None) -> Mapping[str, CueDeclaration]:
 
 
 def cues_named(spec: GraphSpec) -> frozenset[str]:
-    """The cues of all agents of a graph."""
-    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
-    return frozenset(node.agent.cue for node in nodes if isinstance(node, AgentNode))
+    """The cues of all agents and verifiers of a graph."""
+    return frozenset(chosen.cue for target in spec.targets.values() for _, _, chosen in target.cue_choices())
 
 
 def _violations(plate: Plate) -> list[GraphMessage]:

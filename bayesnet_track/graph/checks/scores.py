@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.adapt import Lost
+from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.text.messages import GraphMessage
 
 
@@ -87,10 +88,32 @@ def alarm_can_be_raised(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, allowed, key=("alarm", "videos"))
 
 
+def verifiers_can_be_asked(plate: Plate) -> Iterator[GraphMessage]:
+    """A verifier scores a box by its looks, and has a name that no other feature has."""
+    for name, where, chosen in plate.spec.cue_choices():
+        cue = plate.cues.get(chosen.cue)
+        if where[0] != "score" or cue is None:
+            continue
+        verifier = where[3]
+        if verifier in RESERVED:
+            found = f"a verifier named {verifier!r}, as something else of the score"
+            yield plate.message(name, found, "another name", key=where[:4], on_key=True)
+        why = "measures" if cue.measures else "keeps what cannot be stored" if cue.opaque else ""
+        if not cue.is_appearance and not why:
+            why = "does not go by the target's looks"
+        if why:
+            found = f"verifier {verifier}: {chosen.cue} {why}"
+            yield plate.message(name, found, "a cue that scores boxes by looks", key=(*where, chosen.cue))
+
+
+RESERVED = frozenset({*FEATURES, "most", "bias"})
+"""Names that a score or its journal uses already."""
+
 SCORE_CHECKS: tuple[Check, ...] = (
     score_serves_its_users,
     score_levels_in_order,
     distractors_are_noticed,
     localization_error_is_larger_when_lost,
     alarm_can_be_raised,
+    verifiers_can_be_asked,
 )

@@ -97,6 +97,17 @@ class PluginChoice(Model):
         return str(getattr(self, self.WORD))
 
 
+class AgentChoice(PluginChoice):
+    """The cue of an agent: a registered name and its parameters, not yet checked against the cue.
+
+    Written ``agent: motion`` or ``agent: {motion: {sd_px: 2}}``.
+    """
+
+    WORD = "cue"
+
+    cue: str = Field(max_length=64)
+
+
 def _plain_data(value: Any, depth: int = 0) -> Any:
     """`value` as YAML would carry it: words, numbers, lists and mappings."""
     if depth > 16:

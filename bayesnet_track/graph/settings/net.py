@@ -14,7 +14,7 @@ from bayesnet_track.graph.settings.adapt import (
     Lost,
     SelfCheck,
 )
-from bayesnet_track.graph.settings.base import Model, Name, Number, PluginChoice, Truth
+from bayesnet_track.graph.settings.base import AgentChoice, Model, Name, Number, Truth
 from bayesnet_track.graph.settings.modes import Modes
 from bayesnet_track.graph.settings.motion import (
     Motion,
@@ -32,17 +32,6 @@ from bayesnet_track.graph.settings.scores import (
     Localization,
     Score,
 )
-
-
-class AgentChoice(PluginChoice):
-    """The cue of an agent: a registered name and its parameters, not yet checked against the cue.
-
-    Written ``agent: motion`` or ``agent: {motion: {sd_px: 2}}``.
-    """
-
-    WORD = "cue"
-
-    cue: str = Field(max_length=64)
 
 
 class InferenceNode(Model):

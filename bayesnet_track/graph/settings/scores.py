@@ -2,12 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated
 
 from pydantic import Field
 
-from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNegative, Number, Positive
+from bayesnet_track.graph.settings.base import (
+    AgentChoice,
+    Choice,
+    FrameCount,
+    Model,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+)
 from bayesnet_track.graph.settings.motion import HeavyTail
+
+
+class Verifier(Model):
+    """A cue that is asked about the estimate alone: it moves no box, and tells whether it still looks right.
+
+    Its log-likelihood of the estimate is a feature of the score. It learns in the first frame, and whenever
+    it is asked and the score is at least one half. One that learns slowly remembers what the target was like
+    before.
+
+    Example::
+
+        texture: {agent: texture, learn_rate: 0.04, coefficient: 0.3}
+    """
+
+    agent: AgentChoice = Field(description="the cue, with its parameters")
+    coefficient: Number = Field(default=0.0, description="of its log-likelihood of the estimate, nats")
+    learn_rate: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.04, description="how far its reference moves toward the estimate in a frame; 0: never"
+    )
+    every: FrameCount = Field(default=1, description="frames from one question to the next")
 
 
 class Logistic(Model):
@@ -35,6 +66,9 @@ class Logistic(Model):
         "over these agents, nats",
     )
     log_size: Number = Field(default=0.0, description="|log| of the estimate's sqrt(w h) over the first one")
+    verifiers: dict[Name, Verifier] = Field(
+        default_factory=dict, description="further cues, each asked about the estimate alone"
+    )
     memory_frames: Annotated[Number, Field(ge=0, le=1e6)] = Field(
         default=10.0, description="frames over which features are smoothed; 0 takes them as they are"
     )
@@ -43,6 +77,16 @@ class Logistic(Model):
         description="the score is at most fit / full_fit of this frame, fit as in `log_fit`, neither logged "
         "nor smoothed, so that it falls at once when nothing fits; 0: no such bound",
     )
+
+    @cached_property
+    def coefficients(self) -> Mapping[str, float]:
+        """Feature -> its coefficient; those of verifiers by their names."""
+        further = {name: one.coefficient for name, one in self.verifiers.items()}
+        return {name: getattr(self, name) for name in FEATURES} | further
+
+
+FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size")
+"""What every score can go by; the coefficients of `Logistic` have these names."""
 
 
 class Score(Choice):

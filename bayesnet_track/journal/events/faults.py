@@ -123,9 +123,33 @@ class AgentMissed:
         return f"{self.node} gave no answer{asked}: {self.reason} → left out of this frame"
 
 
+@dataclass(frozen=True)
+class VerifierFailed:
+    """A verifier of the score failed; it is not asked again, and its feature stays as it was.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        verifier: its name in the graph.
+        reason: what was wrong.
+    """
+
+    frame: int
+    target: str
+    verifier: str
+    reason: str
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return (
+            f"verifier {self.verifier} {self.reason} → not asked again for this target; the score goes on "
+            "with what it last said"
+        )
+
+
 Decisions = Quarantined | Readmitted
 Switches = Decisions
-Events = Decisions | AgentMissed
+Events = Decisions | AgentMissed | VerifierFailed
 
 
 def _ordinal(number: int) -> str:

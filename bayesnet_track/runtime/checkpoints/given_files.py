@@ -8,7 +8,7 @@ from os import PathLike
 from pathlib import Path
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue_files import CueFile
 from bayesnet_track.observation.detector import detectors_of_graphs
@@ -40,9 +40,9 @@ def model_files(graph: CheckedGraph) -> list[str]:
     found: set[str] = set()
     cues = graph.declarations
     for plate in graph.targets.values():
-        for agent, parameters in plate.parameters.items():
-            files = cues[plate.agent(agent).agent.cue].files
-            found |= set(() if files is None else files(parameters))
+        for _, _, chosen in plate.spec.cue_choices():
+            files = cues[chosen.cue].files
+            found |= set(() if files is None else files(cue_parameters(chosen, cues[chosen.cue])))
         birth = plate.spec.birth
         if birth is not None:
             declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]

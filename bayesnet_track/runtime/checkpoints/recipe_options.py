@@ -43,7 +43,7 @@ def options_of(
         options[VIDEO_FORMAT] = "mp4"
     named: set[str] = set()
     for compiled in engine.plates.values():
-        named |= {compiled.plate.agent(agent).agent.cue for agent in compiled.plate.agents}
+        named |= {chosen.cue for _, _, chosen in compiled.plate.spec.cue_choices()}
         if compiled.lifecycle is not None and compiled.lifecycle.birth is not None:
             named.add(compiled.lifecycle.birth.detector.detector)
     theirs = sorted(named & plugins.allowed())

@@ -1,0 +1,165 @@
+"""Verifiers of a score: cues that are asked about the estimate alone, with references of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bayesnet_track.graph.checks.cues import cue_parameters
+from bayesnet_track.graph.spec import Verifier
+from bayesnet_track.inference.learn import check_references, over_frames
+from bayesnet_track.inference.observe import check_log_likelihood
+from bayesnet_track.journal.events.faults import VerifierFailed
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.capabilities import make_cue
+from bayesnet_track.observation.cue import Cue, CueDeclaration, Hypotheses, Reference, context_of
+from bayesnet_track.observation.guests import FAULTS, real_numbers, said
+from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes
+from bayesnet_track.observation.shared import shown
+
+HELD = 0.1
+"""Verifiers learn from frames with at least this score."""
+
+
+@dataclass(frozen=True, eq=False)
+class VerifierAtWork:
+    """A verifier of a graph, its cue loaded.
+
+    Attributes:
+        cue: what is asked.
+        learn_rate: how far its reference moves when it is asked.
+        every: frames from one question to the next.
+        needs_color: whether it is blind on a gray source.
+    """
+
+    cue: Cue
+    learn_rate: float
+    every: int
+    needs_color: bool
+
+    def planes(self, cache: PlaneCache, box: Floats) -> Planes:
+        """What the cue sees of a centre box (4,) and around it."""
+        return cache.planes(self.cue.needs, region_of_boxes(box[None], grow=context_of(self.cue)))
+
+    def first_reference(self, cache: PlaneCache, box: Floats) -> Reference | str:
+        """What is learnt in a centre box (4,), or why nothing is."""
+        if self.needs_color and not cache.frames.current.has_color:
+            return "needs colour, and the source is gray"
+        try:
+            return _checked(self.cue.learn(self.planes(cache, box), box.copy()))
+        except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+            return f"raised {said(error)}"
+
+    def log_likelihood(self, cache: PlaneCache, box: Floats, reference: Reference) -> float | str:
+        """Of the centre box (4,), or what was wrong."""
+        try:
+            at = Hypotheses(box[None].copy())
+            given = real_numbers(self.cue.log_likelihood(self.planes(cache, box), at, shown(reference)))
+        except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+            return f"raised {said(error)}"
+        value = check_log_likelihood(given, 1)
+        return value if isinstance(value, str) else float(value[0])
+
+    def follow(self, cache: PlaneCache, box: Floats, reference: Reference) -> Reference | str:
+        """The reference moved toward what the centre box (4,) holds, or what was wrong."""
+        if self.learn_rate == 0.0:
+            return reference
+        try:
+            seen = self.cue.learn(self.planes(cache, box), box.copy())
+            return _checked(self.cue.blend(shown(reference), seen, self.learn_rate))
+        except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+            return f"raised {said(error)}"
+
+
+def make_verifiers(
+    chosen: Mapping[str, Verifier], declarations: Mapping[str, CueDeclaration]
+) -> dict[str, VerifierAtWork]:
+    """The verifiers of a score, ready to be asked; raises CueError as `make_cue`."""
+    made = {}
+    for name, one in chosen.items():
+        declaration = declarations[one.agent.cue]
+        cue = make_cue(declaration, cue_parameters(one.agent, declaration))
+        assert isinstance(cue, Cue)
+        rate = over_frames(one.learn_rate, one.every)
+        made[name] = VerifierAtWork(cue, rate, one.every, declaration.needs_color)
+    return made
+
+
+def first_references(
+    verifiers: Mapping[str, VerifierAtWork], cache: PlaneCache, box: Floats
+) -> dict[str, Reference]:
+    """What each verifier learns in the centre box (4,); one that cannot is asked again in the next frame."""
+    learnt = {name: one.first_reference(cache, box) for name, one in verifiers.items()}
+    return {name: one for name, one in learnt.items() if not isinstance(one, str)}
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """What the verifiers of one target say of a frame.
+
+    Attributes:
+        values: verifier -> its log-likelihood of the estimate, of those that are asked in this frame.
+        references: verifier -> what it remembers; empty of one that failed.
+        failed: those that failed in this frame.
+    """
+
+    values: Mapping[str, float]
+    references: Mapping[str, Reference]
+    failed: tuple[VerifierFailed, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """One frame of one target: its verifiers are asked, and one that fails is out for the rest of the run.
+
+    Attributes:
+        verifiers: those of its plate.
+        cache: the planes of the frame.
+        frame: the frame's number.
+        target: target id.
+        box: (4,) the estimate, centre box.
+    """
+
+    verifiers: Mapping[str, VerifierAtWork]
+    cache: PlaneCache
+    frame: int
+    target: str
+    box: Floats
+
+    def verify(self, references: Mapping[str, Reference], everyone: bool = False) -> Verified:
+        """Ask those whose turn it is, or `everyone`.
+
+        Those that are asked in every third frame, say, are asked in different ones. One that has no reference
+        yet learns its first one here.
+        """
+        values, kept, faults = dict[str, float](), dict(references), dict[str, str]()
+        for place, (name, one) in enumerate(self.verifiers.items()):
+            if (self.frame + place) % one.every and not everyone:
+                continue
+            known = kept[name] if name in kept else one.first_reference(self.cache, self.box)
+            if not known:  # it failed before
+                continue
+            value = known if isinstance(known, str) else one.log_likelihood(self.cache, self.box, known)
+            if isinstance(known, str) or isinstance(value, str):
+                kept[name], faults[name] = {}, str(value)
+            else:
+                kept[name], values[name] = known, value
+        return Verified(values, kept, self._failed(faults))
+
+    def follow(self, verified: Verified) -> Verified:
+        """The same after those that were asked have learnt from the estimate."""
+        kept, faults = dict(verified.references), dict[str, str]()
+        for name in verified.values:
+            moved = self.verifiers[name].follow(self.cache, self.box, kept[name])
+            kept[name] = {} if isinstance(moved, str) else moved
+            if isinstance(moved, str):
+                faults[name] = moved
+        return Verified(verified.values, kept, (*verified.failed, *self._failed(faults)))
+
+    def _failed(self, faults: Mapping[str, str]) -> tuple[VerifierFailed, ...]:
+        return tuple(VerifierFailed(self.frame, self.target, name, why) for name, why in faults.items())
+
+
+def _checked(reference: Reference) -> Reference | str:
+    checked = check_references([reference])
+    return "made a reference that is not finite" if checked is None else checked[0]
