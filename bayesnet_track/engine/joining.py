@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -150,13 +151,8 @@ def _marginals(
         name: _member(of, name, levels[name], on[name], _states_of(of[name]) if relates else {})
         for name in neighbours
     }
-    streams, frame = work.engine.streams.reused(), work.frame.index
-    return joint_marginals(
-        members,
-        tree.edges,
-        lambda speaker, hearer: streams(speaker, hearer, frame, "partners"),
-        tree.closing,
-    )
+    keys = partial(work.engine.streams.keys, frame=work.frame.index, purpose="partners")
+    return joint_marginals(members, tree.edges, keys, tree.closing)
 
 
 def _member(

@@ -34,7 +34,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bayesnet_track.inference.joint_members import Crowd, Edge, Member, Pair
-from bayesnet_track.inference.joint_messages import Stream, Talk, ragged, talk_over
+from bayesnet_track.inference.joint_messages import Keys, Talk, ragged, talk_over
 from bayesnet_track.numerics.arrays import Floats
 
 
@@ -53,14 +53,14 @@ class Marginal:
 
 
 def joint_marginals(
-    members: Mapping[str, Member], edges: Sequence[Edge], stream: Stream, closing: Sequence[Edge] = ()
+    members: Mapping[str, Member], edges: Sequence[Edge], keys: Keys, closing: Sequence[Edge] = ()
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The marginals of all members, and of each edge the probability that its first target is in front.
 
     Args:
         members: target -> its hypotheses.
         edges: a forest over the targets.
-        stream: (who speaks, who hears) -> generator of the partners.
+        keys: (who speaks, who hears) of each pair -> keys of the generators of the partners.
         closing: edges that close rings. Along them each target says what it believes by itself, and no more.
 
     Raises:
@@ -73,7 +73,7 @@ def joint_marginals(
         return {}, {}
     crowd = Crowd.of(members)
     talk = Talk.along(crowd, edges, closing, above)
-    said = talk_over(crowd, members, talk, stream)
+    said = talk_over(crowd, members, talk, keys)
     heard = [talk.heard[name] for name in members]
     log, hides, fronts = conclude(
         crowd.log_likelihood, crowd.seen, crowd.starts, talk.at, ragged(heard), said

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.inference.joint_members import Crowd, Edge, Factor, Member, Pair
 from bayesnet_track.numerics.arrays import Floats, Ints
 
-Stream = Callable[[str, str], np.random.Generator]
-"""(Who speaks, who hears) -> generator of the partners, good until the next is asked for."""
+Keys = Callable[[Sequence[Pair]], NDArray[np.uint64]]
+"""(Who speaks, who hears) of K pairs -> (K, 2) keys of the generators of their partners."""
 
 MOST_LOG = 700.0
 """Densities of pairs are numbers up to e^700."""
@@ -78,7 +78,7 @@ class Talk:
         return cls(pairs, both, (speakers, hearers), begins[:-1], int(begins[-1]), heard, before, order)
 
 
-def talk_over(crowd: Crowd, members: Mapping[str, Member], talk: Talk, stream: Stream) -> Floats:
+def talk_over(crowd: Crowd, members: Mapping[str, Member], talk: Talk, keys: Keys) -> Floats:
     """(4, ...) what all say, each in units of its own evidence.
 
     In front; behind but not touched; behind and partly hidden; and the last times the share.
@@ -90,7 +90,7 @@ def talk_over(crowd: Crowd, members: Mapping[str, Member], talk: Talk, stream: S
         return said
     known = (crowd.boxes, crowd.losses, crowd.bad, crowd.seen, *crowd.prior, crowd.by_place)
     pairs, heard = (*talk.ends, talk.at), ragged(talk.before)
-    draws = _draw(crowd, talk, stream)
+    draws = _draw(crowd, talk, keys)
     rules = (
         crowd.hidden(members, talk.pairs),
         crowd.hidden(members, [pair[::-1] for pair in talk.pairs]),
@@ -119,31 +119,17 @@ def ragged(several: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
     return starts, np.array([one for own in several for one in own], dtype=np.int64)
 
 
-def _draw(crowd: Crowd, talk: Talk, stream: Stream) -> tuple[Floats, Ints, Ints, Ints]:
-    """Random numbers of all partners: shifts, turns, where those of a pair begin, how many each has."""
-    rounds = np.array([edge.pairings for edge in talk.edges], dtype=np.int64)
-    sizes = np.diff(crowd.starts)[talk.ends[1]]
-    begins = np.cumsum([0, *(rounds * sizes).tolist()])
-    shifts, turns = np.empty(begins[-1]), np.empty(begins[-1], dtype=np.int64)
-    each = zip(talk.pairs, rounds.tolist(), sizes.tolist(), begins.tolist(), strict=False)
-    for pair, count, size, begin in each:
-        own = slice(begin, begin + count * size)
-        draw_partners(stream(*pair), shifts[own], turns[own].reshape(count, size))
-    return shifts, turns, begins[:-1], rounds
+def _draw(crowd: Crowd, talk: Talk, keys: Keys) -> tuple[Floats, Ints, Ints, Ints]:
+    """Random numbers of all partners: shifts, turns, where those of a pair begin, how many each has.
 
-
-def draw_partners(rng: np.random.Generator, shifts: Floats, turns: Ints) -> None:
-    """Fill in where in its stratum each partner is (R * N,), and which hypothesis it is for (R, N).
-
-    In each of R rounds every hypothesis has one from every stratum of as many.
+    In each round of a pair every hypothesis of the hearer has one partner from every stratum of as many:
+    shifts say where in its stratum each partner is, turns for which hypothesis.
     """
-    rng.random(out=shifts)
-    rng.permuted(_straight(*turns.shape), axis=1, out=turns)
+    from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each
 
-
-@lru_cache(maxsize=64)
-def _straight(rounds: int, size: int) -> Ints:
-    return np.tile(np.arange(size), (rounds, 1))
+    rounds = np.array([edge.pairings for edge in talk.edges], dtype=np.int64)
+    begins = np.cumsum([0, *(rounds * np.diff(crowd.starts)[talk.ends[1]]).tolist()])
+    return *shuffled_of_each(keys(talk.pairs), begins, rounds), begins[:-1], rounds
 
 
 def related(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,39 +41,37 @@ class Streams:
         >>> [own.normal() == one for own in streams.of_each(["1", "2"], "square", 3, "shift")]
         [False, True]
         """
-        one = self.reused()
+        generator: np.random.Generator | None = None
         for target in targets:
-            yield one(target, node, frame, purpose)
-
-    def reused(self) -> Callable[[str, str, int, str], np.random.Generator]:
-        """As `of`; the generator that it gives is good until it is asked for another."""
-        made: list[tuple[np.random.Generator, np.random.Philox, Any]] = []
-
-        def of(target: str, node: str, frame: int, purpose: str) -> np.random.Generator:
-            if not made:
-                first = self.of(target, node, frame, purpose)
-                bits: Any = first.bit_generator
-                made.append((first, bits, bits.state))
+            if generator is None:
+                generator = self.of(target, node, frame, purpose)
+                bits: Any = generator.bit_generator
+                state = bits.state
             else:  # a new one takes four times as long
-                _, bits, state = made[0]
                 state["state"]["key"] = np.frombuffer(self._digest(target, node, frame, purpose), "<u8")
                 bits.state = state
-            return made[0][0]
+            yield generator
 
-        return of
+    def keys(self, names: Iterable[tuple[str, str]], frame: int, purpose: str) -> NDArray[np.uint64]:
+        """(K, 2) keys of the generators of K targets and nodes."""
+        digests = b"".join(self._digest(target, node, frame, purpose) for target, node in names)
+        return np.frombuffer(digests, "<u8").astype(np.uint64).reshape(-1, 2)
 
-    def uniforms(self, targets: Iterable[str], node: str, frame: int, purpose: str) -> NDArray[np.float64]:
-        """(T,) what `of(target, node, frame, purpose).random()` gives for each of T targets.
+    def uniforms(
+        self, targets: Iterable[str], node: str, frame: int, purpose: str, counts: Sequence[int] | None = None
+    ) -> NDArray[np.float64]:
+        """What `of(target, node, frame, purpose).random()` gives for each of T targets, or `random(count)`.
 
         >>> streams = Streams(seed=7)
         >>> one = streams.of("2", "square", frame=3, purpose="shift").random()
         >>> float(streams.uniforms(["1", "2"], "square", frame=3, purpose="shift")[1]) == one
         True
         """
-        from bayesnet_track.numerics.kernels.stream_kernels import first_uniforms
+        from bayesnet_track.numerics.kernels.stream_kernels import uniforms_of_each
 
-        digests = b"".join(self._digest(target, node, frame, purpose) for target in targets)
-        return first_uniforms(np.frombuffer(digests, "<u8").astype(np.uint64).reshape(-1, 2))
+        keys = self.keys(((target, node) for target in targets), frame, purpose)
+        starts = np.arange(len(keys) + 1) if counts is None else np.cumsum([0, *counts])
+        return uniforms_of_each(keys, starts)
 
     def _digest(self, target: str, node: str, frame: int, purpose: str) -> bytes:
         text = "\x1f".join((str(self.seed), target, node, str(frame), purpose))

@@ -12,8 +12,9 @@ from scipy.optimize import brentq
 
 from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Crowd, Edge, Member, bad_shares
-from bayesnet_track.inference.joint_messages import draw_partners
+from bayesnet_track.inference.joint_messages import Talk
 from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of, pick_in_strata
+from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
 
@@ -95,10 +96,13 @@ def enumerated(members, edges):
     return {name: one / total for name, one in weights.items()}, fronts / total
 
 
+def keys(seed):
+    return lambda pairs: np.array([[seed, 256 * ord(one) + ord(other)] for one, other in pairs], np.uint64)
+
+
 def sampled(members, edges, seed, closing=()):
     """The same by pairs of draws."""
-    streams = lambda speaker, hearer: np.random.default_rng([seed, ord(speaker), ord(hearer)])  # noqa: E731
-    marginals, orders = joint_marginals(members, edges, streams, closing)
+    marginals, orders = joint_marginals(members, edges, keys(seed), closing)
     found = {
         name: LogWeights.normalise(members[name].prior.log + one.log_likelihood)[0].weights
         for name, one in marginals.items()
@@ -133,7 +137,7 @@ def test_pairs_are_unbiased_before_they_are_normalised():
     truth, _ = enumerated(members, edges)
     b, a = members["b"], members["a"]
     exact = joint_marginals(  # as many partners as make each hypothesis of b certain to be met
-        members, [Edge(("a", "b"), 0.4, pairings=64)], lambda s, h: np.random.default_rng([9, ord(s), ord(h)])
+        members, [Edge(("a", "b"), 0.4, pairings=64)], keys(9)
     )[0]["a"]
     scale = np.exp(exact.log_likelihood) @ a.prior.weights
     expected = truth["a"] / a.prior.weights * scale
@@ -184,7 +188,7 @@ def test_a_chain_and_a_star_agree_with_enumeration():
 def test_without_an_edge_and_far_apart_marginals_are_independent():
     rng = np.random.default_rng(6)
     members = {"a": member(rng, 50.0), "b": member(rng, 500.0)}
-    alone, _ = joint_marginals(members, [], np.random.default_rng)
+    alone, _ = joint_marginals(members, [], keys(0))
     for name, one in members.items():
         assert alone[name].log_likelihood == pytest.approx(one.log_likelihood)
         assert alone[name].hidden == {}
@@ -284,7 +288,7 @@ def test_no_pixel_counts_for_two_joined_targets(places, sides, fronts):
         Edge((first, second), 1.0 - 1e-9 if front else 1e-9)
         for first, second, front in zip(names, names[1:], fronts, strict=False)
     ]
-    marginals, _ = joint_marginals(members, edges, lambda s, h: np.random.default_rng(0))
+    marginals, _ = joint_marginals(members, edges, keys(0))
     for name in names:
         assert 0 <= sum(marginals[name].hidden.values()) <= 1 + 1e-9
     if len(names) > 2:
@@ -302,9 +306,8 @@ def test_partners_are_drawn_in_proportion_and_one_from_each_stratum():
     one = member(rng, 50.0)
     boxes, shares = one.boxes, rng.dirichlet(np.ones(len(one.boxes)))
     order = Crowd.of({"a": one}).by_place
-    shifts, turns = np.empty(2000), np.empty((4, 500), dtype=np.int64)
-    draw_partners(rng, shifts, turns)
-    assert np.sort(turns, axis=1).tolist() == [list(range(500))] * 4
+    each = shuffled_of_each(np.array([[8, 0]], np.uint64), np.array([0, 2000]), np.array([4]))
+    shifts, turns = each[0], each[1].reshape(4, 500)
     picked = pick_in_strata(order, np.cumsum(shares[order]), shifts).reshape(4, 500)
     drawn = np.take_along_axis(picked, turns, axis=1)
     counts = np.bincount(drawn.ravel(), minlength=len(boxes))
@@ -408,4 +411,21 @@ def test_a_target_without_a_hypothesis_is_an_error():
     one = member(np.random.default_rng(1), 50.0)
     none = Member(one.boxes, one.prior, np.full(len(one.boxes), -np.inf), -1.0)
     with pytest.raises(DegenerateWeights):
-        joint_marginals({"a": one, "b": none}, [Edge(("a", "b"), 0.5)], lambda *_: np.random.default_rng(0))
+        joint_marginals({"a": one, "b": none}, [Edge(("a", "b"), 0.5)], keys(0))
+
+
+def test_each_pair_speaks_after_those_whom_its_speaker_has_to_hear():
+    rng = np.random.default_rng(14)
+    crowd = Crowd.of({name: member(rng, 50.0 + 4 * k) for k, name in enumerate("abcd")})
+    edges = [Edge(pair, 0.4) for pair in (("a", "b"), ("b", "c"), ("b", "d"))]
+    above = {"a": None, "b": "a", "c": "b", "d": "b"}
+    talk = Talk.along(crowd, edges, [Edge(("c", "a"), 0.4)], above)
+    assert sorted(talk.order) == list(range(8)) and talk.columns == 8 * 9
+    for turn, k in enumerate(talk.order):
+        assert set(talk.before[k]) <= set(talk.order[:turn])
+        heard = {talk.pairs[one] for one in talk.before[k]}
+        speaker, hearer = talk.pairs[k]
+        if {speaker, hearer} == {"a", "c"}:
+            assert not heard, "what closes a ring is said by itself"
+        else:
+            assert heard == {pair for pair in talk.pairs if pair[1] == speaker and pair[0] != hearer}

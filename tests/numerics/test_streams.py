@@ -58,10 +58,6 @@ def test_one_generator_serves_many_keys_with_the_numbers_of_each():
         return rng.integers(0, 2**32, 3, dtype=np.uint32).tolist(), rng.standard_normal(5).tolist()
 
     streams = Streams(7)
-    reused = streams.reused()
-    assert [draw(reused(name, "n", 3, "p")) for name in "abca"] == [
+    assert [draw(rng) for rng in streams.of_each("abca", "n", 3, "p")] == [
         draw(streams.of(name, "n", 3, "p")) for name in "abca"
-    ]
-    assert [draw(rng) for rng in streams.of_each("ab", "n", 3, "p")] == [
-        draw(streams.of(name, "n", 3, "p")) for name in "ab"
     ]

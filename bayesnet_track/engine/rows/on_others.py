@@ -87,9 +87,8 @@ def _means(log: Floats) -> list[float]:
 
 def _uniforms(work: FrameWork, neighbours: Mapping[str, Sequence[str]]) -> Floats:
     """The random numbers of all: of each target its own shift, a shift for each other, two for each box."""
-    streams = work.engine.streams.of_each(neighbours, "on", work.frame.index, "places")
-    own = zip(streams, neighbours.values(), strict=True)
-    return np.concatenate([rng.random(1 + len(others) * (1 + 2 * ON_SIZE)) for rng, others in own])
+    counts = [1 + len(others) * (1 + 2 * ON_SIZE) for others in neighbours.values()]
+    return work.engine.streams.uniforms(neighbours, "on", work.frame.index, "places", counts)
 
 
 def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Floats:
