@@ -69,7 +69,7 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> Results
     described = Described(bare, spreads, find_summaries(bare, filtered, spreads))
     finished = [done for group in groups if (done := finish_rows(work, group, described)) is not None]
     names = [*filtered]
-    together = {target for done in finished for target in done}
+    together = {target for done in finished for target in done.rows}
     left = {target: filtered[target] for target in names if target not in together}
     results: dict[str, TargetResult] = {}
     states = {target: estimate_target(work, one) for target, one in left.items()}

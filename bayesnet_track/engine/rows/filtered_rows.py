@@ -227,10 +227,12 @@ class Together(Mapping[str, Filtered]):
     """
 
     def __init__(
-        self, groups: Iterable[FilteredRows], others: Mapping[str, Filtered], order: Iterable[str]
+        self, groups: Iterable[FilteredRows], others: Mapping[str, Filtered], order: Sequence[str]
     ) -> None:
         self.groups, self.others, self.order = tuple(groups), others, order
-        self._group = {target: group for group in self.groups for target in group.ids}
+        self._group: dict[str, FilteredRows] = {}
+        for group in self.groups:
+            self._group |= dict.fromkeys(group.ids, group)
 
     def __getitem__(self, target: str) -> Filtered:
         return self.others[target] if target in self.others else self._group[target][target]
@@ -244,7 +246,8 @@ class Together(Mapping[str, Filtered]):
         return target in self.others or target in self._group
 
     def __iter__(self) -> Iterator[str]:
-        return (target for target in self.order if target in self)
+        every = len(self) == len(self.order)
+        return iter(self.order) if every else (target for target in self.order if target in self)
 
     def __len__(self) -> int:
         return len(self.others) + len(self._group)

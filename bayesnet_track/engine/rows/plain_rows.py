@@ -121,10 +121,12 @@ class Results(Mapping[str, TargetResult]):
         self, groups: Sequence[FinishedRows], others: Mapping[str, TargetResult], order: Sequence[str]
     ) -> None:
         self.groups, self.others, self.order = groups, others, order
-        self._at = {target: (group, row) for group in groups for target, row in group.rows.items()}
+        self._group: dict[str, FinishedRows] = {}
+        for group in groups:
+            self._group |= dict.fromkeys(group.rows, group)
 
     def __getitem__(self, target: str) -> TargetResult:
-        return self._at[target][0][target] if target in self._at else self.others[target]
+        return self._group.get(target, self.others)[target]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.order)
@@ -135,9 +137,10 @@ class Results(Mapping[str, TargetResult]):
     @property
     def lines(self) -> list[Callable[[], FrameMetrics]]:
         """What makes the line of each."""
+        known = self._group
         return [
-            partial(self._at[target][0].line, self._at[target][1])
-            if target in self._at
+            partial(known[target].line, known[target].rows[target])
+            if target in known
             else self.others[target].line
             for target in self.order
         ]
@@ -145,9 +148,10 @@ class Results(Mapping[str, TargetResult]):
     @property
     def boxes(self) -> dict[str, Floats]:
         """Target -> its box (4,)."""
+        known = self._group
         return {
-            target: self._at[target][0].boxes[self._at[target][1]]
-            if target in self._at
+            target: known[target].boxes[known[target].rows[target]]
+            if target in known
             else self.others[target].box
             for target in self.order
         }
