@@ -180,6 +180,7 @@ def test_targets_are_rows_until_something_is_decided_about_them():
     assert sorted([*table.ids, *state.targets.others]) == ["0", "1", "2", "3"] and list(state.targets) == [
         *"0123"
     ]
+    assert all(len(own.belief) == 1 and not own.references for own in table.base), "no arrays of old frames"
     one, *rest = table.ids
     assert state.targets[one] is state.targets[one]
     copied = pickle.loads(pickle.dumps(state.targets))

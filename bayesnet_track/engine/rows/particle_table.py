@@ -11,16 +11,21 @@ import numpy as np
 
 from bayesnet_track.adapt.plain_rules import PlainMemories
 from bayesnet_track.belief.particles.clouds import Clouds
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Ints
+from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.reference_rows import ReferenceRows
 from bayesnet_track.observation.shared import shown
+
+_NOBODY = ParticleSet(np.zeros((1, 0)), (), LogWeights.uniform(1))
+"""In the place of the belief of a target whose particles are a row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +114,10 @@ class ParticleTable:
     ) -> ParticleTable:
         """The same targets after a frame, all as columns."""
         live = tuple(nets[target] for target in self.ids)
-        after = ParticleTable(self.compiled, self.ids, self.base, time, clouds, references, memories, live)
+        base = tuple(
+            one if one.belief is _NOBODY else changed(one, belief=_NOBODY, references={}) for one in self.base
+        )  # else a row of an old frame keeps the arrays of all
+        after = ParticleTable(self.compiled, self.ids, base, time, clouds, references, memories, live)
         after.__dict__["index"] = self.index
         return after
 
