@@ -15,6 +15,7 @@ from bayesnet_track.adapt.memory import QUIET_WINDOW, Memory, Quiet, Streak
 from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
+from bayesnet_track.engine.rows.stacks import right_aligned, stack
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import changed
@@ -289,17 +290,3 @@ def observed_of(rule: RowRule, state: TargetState) -> Floats:
 def observed_width(rule: RowRule) -> int:
     """H."""
     return int(first_observed(rule.association, np.empty((0, 4)), len(rule.motion.fields)).shape[1])
-
-
-def stack(arrays: Sequence[Floats], *shape: int) -> Floats:
-    """(T, *shape) arrays as one, also when there are none."""
-    return np.array(arrays, dtype=np.float64).reshape(len(arrays), *shape)
-
-
-def right_aligned(values: Sequence[tuple[float, ...]], size: int) -> Floats:
-    """(T, size) the values, the last of each at its right end."""
-    table = np.zeros((len(values), size))
-    for row, several in enumerate(values):
-        if several:
-            table[row, size - len(several) :] = several
-    return table
