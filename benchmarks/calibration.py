@@ -20,7 +20,7 @@ import numpy as np
 from measuring import Image, environment, on_one_thread
 from sequences import find_sequences
 
-from bayesnet_track.cli.fitting.fit import calibration_table
+from bayesnet_track.cli.fitting.written import calibration_table
 from bayesnet_track.evaluate.calibration import HEAVY_TAIL, OFF_TARGET, longest_run
 from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
 from bayesnet_track.evaluate.fitting import USUAL_FEATURES, Fitted, fit, leave_one_out

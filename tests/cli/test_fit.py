@@ -11,6 +11,7 @@ import pytest
 
 from bayesnet_track.cli.commands.answer import UsageError
 from bayesnet_track.cli.fitting.promises import check_count
+from bayesnet_track.cli.fitting.written import verifiers_of
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 
@@ -92,7 +93,9 @@ def test_coefficients_of_verifiers_are_fitted_and_their_settings_kept(data, caps
     out = data / "fitted.yaml"
     assert main([*arguments, "--features", "log_fit,first", "--what", "score", "--out", str(out)]) == 0
     root = load_graph(out).targets["target"].inference("target")
-    found = root.score.settings.verifiers
+    found = verifiers_of(load_graph(out))
+    assert found == root.score.settings.verifiers
+    assert verifiers_of(load_graph("two_squares")) == {}
     assert found["first"].coefficient > 0.01 and found["texture"].coefficient == 0.0
     assert (found["texture"].every, found["first"].learn_rate) == (2, 0)
     assert main([*arguments, "--features", "log_fit,second"]) == 2

@@ -1,0 +1,119 @@
+"""What `fit` writes: a graph's text with what was estimated, and the table of videos that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.journal.text.wording import plural
+
+if TYPE_CHECKING:
+    from bayesnet_track.evaluate.fitting import Checked, Fitted
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.graph.spec import Verifier
+
+
+def verifiers_of(graph: CheckedGraph) -> Mapping[str, Verifier]:
+    """Those of the first plate's score."""
+    plate = next(iter(graph.targets.values()))
+    score = plate.inference(plate.root).score
+    return {} if score is None else score.settings.verifiers
+
+
+def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
+    """The graph's text with what was estimated, each with a comment that says from what."""
+    from bayesnet_track.evaluate.calibration import HEAVY_TAIL
+    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.write import as_plain
+
+    name, plate = next(iter(graph.targets.items()))
+    path = ("targets", name, "nodes", plate.root)
+    spec = plate.inference(plate.root)
+    from_what = f"{fitted.frames} frames of {plural(fitted.videos, 'video')}"
+
+    def put(key: tuple[str, ...], value: Any, comment: str) -> None:
+        nonlocal text
+        text = set_value(text, (*path, *key), value, comment)
+
+    if "temperature" in what:
+        for agent, factor in fitted.temperatures.items():
+            value = _short(plate.agent(agent).temperature * factor)
+            where = ("targets", name, "nodes", agent, "temperature")
+            text = set_value(
+                text, where, value, f"temperature: maximum likelihood of the ground truth; {from_what}"
+            )
+    if "ud" in what and spec.adapt is not None:
+        for rule, side in (("activate", "above"), ("deactivate", "below")):
+            chosen = getattr(getattr(spec.adapt, rule), side, None)
+            if chosen is not None:
+                share = "90" if rule == "activate" else "50"
+                said = f"{share} % of the frames on target lie below; {from_what}"
+                put(("adapt", rule, side), {"ud_box": _short(fitted.ud_box[rule])}, said)
+    if "ud" in what and spec.learn is not None:
+        said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
+        put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
+    if "score" in what:
+        others: dict[str, Any] = (
+            {} if spec.score is None else {"memory_frames": _short(spec.score.settings.memory_frames)}
+        )
+        if spec.score is not None and spec.score.settings.full_fit > 0:
+            others["full_fit"] = _short(spec.score.settings.full_fit)
+        values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
+        verifiers = {
+            name: {**as_plain(one), "coefficient": values.pop(name, 0.0)}
+            for name, one in verifiers_of(graph).items()
+        }
+        others |= {"verifiers": verifiers} if verifiers else {}
+        put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
+    if "localization_error" in what:
+        sd, lost_sd = (_short(value) for value in fitted.localization_error)
+        error = {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)}
+        put(("localization_error",), error, f"regions hold 50 % and 90 %; {from_what}")
+    if "lost" in what and "score" in what:
+        # A distractor puts the score at one half, which has to count as uncertain.
+        least = 0.0 if spec.distractors is None else 0.51
+        levels = {
+            "score_below": _short(fitted.levels.score_below),
+            "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),
+        }
+        set_here = {"above", *levels}
+        kept = {} if spec.lost is None else spec.lost.model_dump(exclude_none=True, exclude=set_here)
+        said = f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
+        put(("lost",), {**levels, **kept}, said)
+    return text
+
+
+def calibration_table(rows: Sequence[Checked], everyone: Checked) -> str:
+    """Coverage, ranking and reliability of videos that were not fitted on, in plain text."""
+    head = ["video", "frames", "on target", "said", "50 %", "90 %", "AUROC", "Brier"]
+    cells = [
+        [
+            one.name,
+            str(one.frames),
+            f"{one.on:.3f}",
+            f"{one.said:.3f}",
+            f"{one.coverage50:.3f}",
+            f"{one.coverage90:.3f}",
+            "-" if one.auroc is None else f"{one.auroc:.3f}",
+            f"{one.brier:.3f}",
+        ]
+        for one in (*rows, everyone)
+    ]
+    widths = [max(len(row[k]) for row in [head, *cells]) for k in range(len(head))]
+    lines = [
+        "  ".join(
+            c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in [head, *cells]
+    ]
+    lines += ["", "score         frames   said    was"]
+    lines += [
+        f"{one.low:.1f} to {one.high:.1f}  {one.frames:>8}  {one.said:.3f}  {one.was:.3f}"
+        for one in everyone.bins
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _short(value: float) -> float:
+    """Three digits, which is more than is known; whole numbers stay such."""
+    return float(f"{value:.3g}")
