@@ -55,6 +55,12 @@ def test_a_run_in_which_nothing_is_wrong(lines):
             None,
             "uncertain in 20 of 39 frames, first in frame 9; the best box has 0.018 of the likelihood",
         ),
+        (
+            {"status": "uncertain", "features": {"most": 1.0, "log_fit": -0.5, "texture": -3.0, "old": -1.0}},
+            range(9, 29),
+            None,
+            "0.61 of the likelihood of a perfect match (median); by the verifier texture it has 0.05",
+        ),
         ({"ess": 2.0}, range(40), "sharp", "the effective number of hypotheses is 2.0 (median; below 3)"),
         ({"log_evidence": -9.0}, range(20, 23), "bursts", "in 3 of 39 frames the evidence is far below"),
         ({"kl": {"color": 0.1, "filter": 5.0}}, range(40), "sharp", "filter contradicts the belief: KL 5.0"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from math import exp
 from statistics import median
 
+from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 
@@ -94,6 +95,11 @@ def _doubt(lines: Lines) -> Iterator[Finding]:
     fits = [line.features["log_fit"] for line in doubtful if "log_fit" in line.features]
     if fits:
         what += f"; the best box has {exp(median(fits)):.2g} of the likelihood of a perfect match (median)"
+    verifiers = sorted({name for line in doubtful for name in line.features} - {*FEATURES, "most"})
+    said = {name: median(line.features.get(name, 0.0) for line in doubtful) for name in verifiers}
+    if said:
+        worst = min(said, key=lambda name: said[name])
+        what += f"; by the verifier {worst} it has {exp(said[worst]):.2g}"
     yield Finding(lines[0].target, what, None, frame=doubtful[0].frame)
 
 
