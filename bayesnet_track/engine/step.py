@@ -96,6 +96,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     results = finish_targets(work, joint.filtered)
     if elsewhere.targets:
         others = {**results.others, **collect_elsewhere(work, elsewhere, before)}
+        others = {target: others[target] for target in before if target in others}
         results = Results(results.groups, others, [*before])
     outcome = carry_out(work, state, results, joint)
     return _manage(work, outcome, associated, given, cuts)
