@@ -154,12 +154,12 @@ def test_keys_answer_a_question_and_nothing_is_wider_than_a_phone(browser, comma
     out = tmp_path / "labels"
     (tmp_path / "mot.txt").write_text("1,1," + ",".join(f"{value:.2f}" for value in scene[1][0]) + ",1\n")
     run = command(
-        "annotate", scene[0], "--out", out, "--import", tmp_path / "mot.txt", "--threshold", "0.97", view=()
+        "annotate", scene[0], "--out", out, "--import", tmp_path / "mot.txt", "--threshold", "0.99", view=()
     )
     browser.open_view(run.address)
     browser.wait("return document.querySelector('.standing.asks')", 90)
     asked = frame(browser)
-    assert asked > 0 and "0.97" in browser.run("return document.querySelector('.reason').innerText")
+    assert asked > 0 and "0.99" in browser.run("return document.querySelector('.reason').innerText")
     picture = "const i = document.querySelector('.sheet img');"
     browser.wait(picture + f"return i.dataset.frame === '{asked}' && i.naturalWidth")
     for dark in (False, True):
