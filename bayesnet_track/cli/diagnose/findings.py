@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from math import exp
 from statistics import median
 
-from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 
@@ -82,6 +81,8 @@ def _effective(lines: Lines) -> Iterator[Finding]:
 
 
 def _doubt(lines: Lines) -> Iterator[Finding]:
+    from bayesnet_track.graph.settings.scores import FEATURES
+
     doubtful = [line for line in lines if line.status == "uncertain"]
     if len(doubtful) <= len(lines) // 10:
         return
