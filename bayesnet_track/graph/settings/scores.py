@@ -22,7 +22,7 @@ from bayesnet_track.graph.settings.motion import HeavyTail
 
 
 class Verifier(Model):
-    """A cue that is asked about the estimate alone: it moves no box, and tells whether it still looks right.
+    """A cue that is asked about the estimate alone: it moves no box, and shows whether it still looks right.
 
     Its log-likelihood of the estimate is a feature of the score. It learns in the first frame, and whenever
     it is asked and the score is at least one half. One that learns slowly remembers what the target was like
