@@ -101,7 +101,8 @@ class Scored:
         }
         unfit = measures.fit < rule.full_fit
         # What verifiers said while nothing fitted, as in a black frame, is forgotten when something does.
-        before = {**found, **self.smooth, **(verified if unfit or self.unfit else {})}
+        forgotten = {name: found[name] for name in verified} if unfit or self.unfit else {}
+        before = {**found, **self.smooth, **forgotten}
         gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if self.smooth and rule.memory_frames else 1.0
         smooth = {
             name: value if gain == 1.0 else before[name] + gain * (value - before[name])
