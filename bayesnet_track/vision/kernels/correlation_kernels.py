@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints, Singles
@@ -64,31 +66,36 @@ def fill_halves(kernel: Singles, parts: Singles) -> None:
 
 
 @compiled_summing
-def _add_twelve(w: Singles, rows: Singles, line: Singles) -> None:
-    """Add 12 rows (12, K) by their weights `w` (12,) to `line` (K,), in one pass over it."""
-    for k in range(len(line)):
-        one = line[k] + (w[0] * rows[0, k] + w[1] * rows[1, k] + w[2] * rows[2, k] + w[3] * rows[3, k])
-        one += w[4] * rows[4, k] + w[5] * rows[5, k] + w[6] * rows[6, k] + w[7] * rows[7, k]
-        line[k] = one + (w[8] * rows[8, k] + w[9] * rows[9, k] + w[10] * rows[10, k] + w[11] * rows[11, k])
+def _four(w: Singles, rows: Singles, first: int, k: int) -> Any:
+    """The sum of 4 rows (Q, K) at `k` by their weights `w` (Q,), from row `first` on."""
+    one = w[first] * rows[first, k] + w[first + 1] * rows[first + 1, k]
+    return one + w[first + 2] * rows[first + 2, k] + w[first + 3] * rows[first + 3, k]
 
 
 @compiled_summing
-def _add_four(w: Singles, rows: Singles, line: Singles) -> None:
-    """Likewise 4 rows."""
-    for k in range(len(line)):
-        line[k] += w[0] * rows[0, k] + w[1] * rows[1, k] + w[2] * rows[2, k] + w[3] * rows[3, k]
+def _add_twelve(start: Any, w: Singles, rows: Singles, first: int, k: int) -> Any:
+    """Likewise 12 rows, added to `start`."""
+    total = start + _four(w, rows, first, k)
+    return total + _four(w, rows, first + 4, k) + _four(w, rows, first + 8, k)
 
 
 @compiled_summing
 def _weigh(weights: Singles, rows: Singles, line: Singles) -> None:
     """Write the sum of the rows (Q, K) by their weights (Q,) into `line` (K,); Q is a multiple of 4."""
-    line[:] = np.float32(0.0)
-    first = 0
+    first = 12 if len(weights) >= 12 else 4
+    if first == 12:
+        for k in range(len(line)):
+            line[k] = _add_twelve(np.float32(0.0), weights, rows, 0, k)
+    else:
+        for k in range(len(line)):
+            line[k] = _four(weights, rows, 0, k)
     while first + 12 <= len(weights):
-        _add_twelve(weights[first : first + 12], rows[first : first + 12], line)
+        for k in range(len(line)):
+            line[k] = _add_twelve(line[k], weights, rows, first, k)
         first += 12
     while first < len(weights):
-        _add_four(weights[first : first + 4], rows[first : first + 4], line)
+        for k in range(len(line)):
+            line[k] += _four(weights, rows, first, k)
         first += 4
 
 
