@@ -204,11 +204,10 @@ class ColorHistogram:
             count_of_each,
             distinct_of_each,
         )
-        from bayesnet_track.vision.kernels.histograms.histogram_kernels import one_hot_rows
 
         values, crops, regions = crops_of(planes, self._plane)
         corners, visible, nominal, firsts, places = distinct_of_each(boxes, starts, regions)
-        counts = count_of_each(values, crops, corners, firsts, one_hot_rows(self.parameters.bins, np.uint16))
+        counts = count_of_each(values, crops, corners, firsts, self.parameters.bins)
         return counts, visible, nominal, firsts, places
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:

@@ -10,11 +10,7 @@ from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import (
     count_of_each,
     distinct_of_each,
 )
-from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
-    color_distances,
-    count_in_boxes,
-    one_hot_rows,
-)
+from bayesnet_track.vision.kernels.histograms.histogram_kernels import color_distances, count_in_boxes
 
 BINS = 8
 
@@ -35,7 +31,7 @@ def test_counts_and_distances_are_those_of_each_target_alone(spread_px, side):
     regions = np.array([[0, 0, 80, 60]] * 3)
     corners, visible, nominal, firsts, places = distinct_of_each(boxes, starts, regions)
     crops = np.array([[0, 80]] * 3)
-    counts = count_of_each(for_reading(binned.ravel()), crops, corners, firsts, one_hot_rows(BINS, np.uint16))
+    counts = count_of_each(for_reading(binned.ravel()), crops, corners, firsts, BINS)
     shares = rng.dirichlet(np.ones(BINS + 1), 3)
     distances, outside = color_distances_of_each(counts, visible, nominal, firsts, shares, 0.5)
     for t in range(3):

@@ -46,6 +46,15 @@ def test_three_ways_of_counting_are_one():
     assert count_in_boxes(binned, many, 4).tolist() == np.tile(expected[0], (30, 1)).tolist()
 
 
+def test_sums_that_outgrow_their_bits_leave_the_counts_of_other_bins_as_they_are():
+    binned = np.random.default_rng(1).integers(0, 6, (400, 400)).astype(np.uint8)
+    binned[:300] = 2  # 120,000 pixels above the boxes, 16 bits have room for 65,535
+    corners = np.array([[10, 310, 90, 390], [0, 250, 200, 400], [150, 0, 350, 300]])
+    expected = count_directly(binned, corners, 5)
+    assert count_by_integral(binned, corners, 5).tolist() == expected.tolist()
+    assert count_by_integral(binned, np.array([[0, 0, 400, 400]]), 5)[0, 2] > 2**16
+
+
 def test_circular_distances_of_four_bins():
     shares = np.array([1.0, 0.0, 0.0, 0.0, 0.0])  # all in the first bin
     counts = np.array([[8, 0, 0, 0], [0, 8, 0, 0], [0, 0, 8, 0], [0, 0, 0, 8], [4, 0, 4, 0]], np.int32)

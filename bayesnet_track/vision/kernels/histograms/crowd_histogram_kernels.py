@@ -14,12 +14,14 @@ from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.box_kernels import find_distinct, pixels_of_boxes
 from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
 from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
-    INTEGRAL_SHARE,
     cumulative_differences,
     gather,
     integrate,
+    occurring,
+    pays,
     price,
     spread,
+    visit,
 )
 
 Counts = NDArray[np.int32]
@@ -58,9 +60,7 @@ def distinct_of_each(boxes: Floats, starts: Ints, regions: Ints) -> tuple[Ints, 
 
 
 @compiled
-def count_of_each(
-    binned: Bins, crops: Ints, corners: Ints, firsts: Ints, one_hot: NDArray[np.uint16]
-) -> Counts:
+def count_of_each(binned: Bins, crops: Ints, corners: Ints, firsts: Ints, bins: int) -> Counts:
     """(U, B) pixels of each box in each bin.
 
     Args:
@@ -68,11 +68,9 @@ def count_of_each(
         crops: (T, 2) where each target's crop begins, and its columns.
         corners: (U, 4) of the boxes in their crops.
         firsts: (T + 1,) where the boxes of each target begin.
-        one_hot: (256, B) what a pixel of each bin adds.
+        bins: B.
     """
-    bins = one_hot.shape[1]
-    counts = np.empty((corners.shape[0], bins), np.int32)
-    row = np.zeros(256, np.int32)
+    counts = np.zeros((corners.shape[0], bins), np.int32)
     for t in range(firsts.shape[0] - 1):
         own = corners[firsts[t] : firsts[t + 1]]
         x0, y0, x1, y1, pixels, most = 2**62, 2**62, 0, 0, 0, 0
@@ -83,30 +81,21 @@ def count_of_each(
             if size > 0:
                 x0, y0 = min(x0, own[n, 0]), min(y0, own[n, 1])
                 x1, y1 = max(x1, own[n, 2]), max(y1, own[n, 3])
-        begin, columns = crops[t, 0], crops[t, 1]
         if most == 0:
-            counts[firsts[t] : firsts[t + 1]] = 0
-        elif (x1 - x0) * (y1 - y0) > INTEGRAL_SHARE * pixels or most >= 2**16:
-            for n in range(own.shape[0]):
-                row[:] = 0
-                for y in range(own[n, 1], own[n, 3]):
-                    at = begin + y * columns
-                    for x in range(own[n, 0], own[n, 2]):
-                        row[binned[at + x]] += 1
-                copy_row(row, counts[firsts[t] + n])
-        else:
-            crop = np.empty((y1 - y0, x1 - x0), np.uint8)
-            for y in range(y1 - y0):
-                at = begin + (y0 + y) * columns + x0
-                copy_row(binned[at:], crop[y])
-            integral = np.empty((y1 - y0 + 1, x1 - x0 + 1, bins), np.uint16)
-            integrate(crop, one_hot, integral)
-            moved = np.empty(own.shape, np.int64)
-            for n in range(own.shape[0]):
-                empty = own[n, 2] <= own[n, 0] or own[n, 3] <= own[n, 1]
-                for k in range(4):
-                    moved[n, k] = 0 if empty else own[n, k] - (x0 if k % 2 == 0 else y0)
-            gather(integral, moved, counts[firsts[t] : firsts[t + 1]])
+            continue
+        begin, columns, counted = crops[t, 0], crops[t, 1], counts[firsts[t] : firsts[t + 1]]
+        whole = binned[begin : begin + y1 * columns].reshape((y1, columns))
+        crop = whole[y0:y1, x0:x1]
+        if most >= 2**16 or not pays(crop, bins, pixels):
+            visit(whole, own, counted)
+            continue
+        moved = np.empty(own.shape, np.int64)
+        for n in range(own.shape[0]):
+            empty = own[n, 2] <= own[n, 0] or own[n, 3] <= own[n, 1]
+            for k in range(4):
+                moved[n, k] = 0 if empty else own[n, k] - (x0 if k % 2 == 0 else y0)
+        present = occurring(crop, bins)
+        gather(present, integrate(crop, present, 16), moved, 16, counted)
     return counts
 
 

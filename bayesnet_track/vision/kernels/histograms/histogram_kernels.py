@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
+from bayesnet_track.numerics.kernels.copy_kernels import copy_row
 
 Counts = NDArray[np.int32]
 Bins = NDArray[np.uint8]
+Words = NDArray[np.uint64]
 Corners = NDArray[np.int64]
-
-INTEGRAL_SHARE = 0.04
-"""An integral histogram is cheaper where the crop has less than this share of all boxes' pixels."""
 
 
 def count_in_boxes(binned: Bins, corners: Corners, bins: int) -> Counts:
@@ -31,78 +28,96 @@ def count_in_boxes(binned: Bins, corners: Corners, bins: int) -> Counts:
     """
     binned = np.ascontiguousarray(binned)  # one compiled version only
     pixels = (corners[:, 2] - corners[:, 0]) * (corners[:, 3] - corners[:, 1])
-    if binned.size > INTEGRAL_SHARE * int(pixels.sum()):
-        return count_directly(binned, corners, bins)
-    return count_by_integral(binned, corners, bins)
+    if pays(binned, bins, int(pixels.sum())):
+        return count_by_integral(binned, corners, bins)
+    return count_directly(binned, corners, bins)
 
 
 def count_directly(binned: Bins, corners: Corners, bins: int) -> Counts:
     """`count_in_boxes` by visiting each pixel of each box."""
-    counts: Counts = np.zeros((len(corners), 256), np.int32)
-    _visit(binned, corners, counts)
-    return np.ascontiguousarray(counts[:, :bins])
-
-
-def count_by_integral(binned: Bins, corners: Corners, bins: int) -> Counts:
-    """`count_in_boxes` by four reads of an integral histogram.
-
-    Sums are kept modulo 2^16 where no box has that many pixels: the differences are exact all the same,
-    and half as much memory is moved.
-    """
-    pixels = (corners[:, 2] - corners[:, 0]) * (corners[:, 3] - corners[:, 1])
-    dtype = np.uint16 if int(pixels.max(initial=0)) < 2**16 else np.uint32
-    rows, columns = binned.shape
-    integral = np.empty((rows + 1, columns + 1, bins), dtype)
-    integrate(binned, one_hot_rows(bins, dtype), integral)
     counts: Counts = np.empty((len(corners), bins), np.int32)
-    gather(integral, corners, counts)
+    visit(binned, corners, counts)
     return counts
 
 
-@lru_cache(maxsize=16)
-def one_hot_rows(bins: int, dtype: type[np.unsignedinteger]) -> NDArray[np.unsignedinteger]:
-    """(256, bins) what a pixel of each bin adds to the counts; only read."""
-    return np.eye(256, bins, dtype=dtype)
+def count_by_integral(binned: Bins, corners: Corners, bins: int) -> Counts:
+    """`count_in_boxes` by four reads of an integral histogram."""
+    pixels = (corners[:, 2] - corners[:, 0]) * (corners[:, 3] - corners[:, 1])
+    bits = 16 if int(pixels.max(initial=0)) < 2**16 else 32
+    counts: Counts = np.zeros((len(corners), bins), np.int32)
+    present = occurring(binned, bins)
+    gather(present, integrate(binned, present, bits), corners, bits, counts)
+    return counts
 
 
 @compiled
-def _visit(binned: Bins, corners: Corners, counts: Counts) -> None:
+def visit(binned: Bins, corners: Corners, counts: Counts) -> None:
+    """Fill in the counts (N, B), pixel by pixel."""
+    row = np.zeros(256, np.int32)
     for n in range(corners.shape[0]):
-        row = counts[n]
+        row[:] = 0
         for y in range(corners[n, 1], corners[n, 3]):
             for x in range(corners[n, 0], corners[n, 2]):
                 row[binned[y, x]] += 1
+        copy_row(row, counts[n])
 
 
 @compiled
-def integrate(
-    binned: Bins, one_hot: NDArray[np.unsignedinteger], integral: NDArray[np.unsignedinteger]
-) -> None:
-    """Fill the integral histogram (rows + 1, columns + 1, B) of `binned`; a row of `one_hot` is a bin's."""
-    rows, columns = binned.shape
-    bins = integral.shape[2]
-    integral[0] = 0
-    running = np.zeros(bins, integral.dtype)
-    for y in range(rows):
-        running[:] = 0
-        integral[y + 1, 0] = 0
-        for x in range(columns):
-            above, here, hot = integral[y, x + 1], integral[y + 1, x + 1], one_hot[binned[y, x]]
-            for k in range(bins):
-                total = running[k] + hot[k]
-                running[k] = total
-                here[k] = above[k] + total
+def pays(binned: Bins, bins: int, pixels: int) -> bool:
+    """Whether an integral histogram is cheaper than to visit all pixels of the boxes.
+
+    A pixel of a box takes 0.9 ns; one of the integral 0.6 ns, and 0.6 more for every four bins that occur.
+    """
+    if 4 * binned.size >= 6 * pixels:
+        return False
+    return (4 + occurring(binned, bins).shape[0]) * binned.size < 6 * pixels
 
 
 @compiled
-def gather(integral: NDArray[np.unsignedinteger], corners: Corners, counts: Counts) -> None:
-    """Fill the counts (N, B) of the boxes from an integral histogram."""
-    modulus = 1 << (8 * integral.itemsize)
+def occurring(binned: Bins, bins: int) -> Ints:
+    """Those of the first `bins` that occur."""
+    occurs = np.zeros(256, np.bool_)
+    for y in range(binned.shape[0]):
+        for x in range(binned.shape[1]):
+            occurs[binned[y, x]] = True
+    return np.flatnonzero(occurs[:bins])
+
+
+@compiled
+def integrate(binned: Bins, present: Ints, bits: int) -> Words:
+    """The integral histogram (W, rows + 1, columns + 1) of the bins that are `present`.
+
+    A word has the sums of several bins, of so many `bits` each. A sum may outgrow its bits, into those of the
+    next: differences of words have the counts of a box all the same, if it has fewer than 2^bits pixels.
+    """
+    lanes, (rows, columns) = 64 // bits, binned.shape
+    integral = np.empty(((present.shape[0] + lanes - 1) // lanes, rows + 1, columns + 1), np.uint64)
+    for w in range(integral.shape[0]):
+        adds = np.zeros(256, np.uint64)
+        for lane in range(min(lanes, present.shape[0] - w * lanes)):
+            adds[present[w * lanes + lane]] = np.uint64(1) << np.uint64(bits * lane)
+        for x in range(columns + 1):
+            integral[w, 0, x] = 0
+        for y in range(rows):
+            above, here, running = integral[w, y], integral[w, y + 1], np.uint64(0)
+            here[0] = running
+            for x in range(columns):
+                running += adds[binned[y, x]]
+                here[x + 1] = above[x + 1] + running
+    return integral
+
+
+@compiled
+def gather(present: Ints, integral: Words, corners: Corners, bits: int, counts: Counts) -> None:
+    """Fill in the bins of the boxes that are `present`, from their integral histogram, in counts (N, B)."""
+    lanes, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for n in range(corners.shape[0]):
         x0, y0, x1, y1 = corners[n, 0], corners[n, 1], corners[n, 2], corners[n, 3]
-        a, b, c, d = integral[y0, x0], integral[y0, x1], integral[y1, x0], integral[y1, x1]
-        for k in range(counts.shape[1]):
-            counts[n, k] = (np.int64(a[k]) + np.int64(d[k]) - np.int64(b[k]) - np.int64(c[k])) & (modulus - 1)
+        for w in range(integral.shape[0]):
+            word = integral[w, y0, x0] + integral[w, y1, x1] - integral[w, y0, x1] - integral[w, y1, x0]
+            for lane in range(min(lanes, present.shape[0] - w * lanes)):
+                own = (word >> np.uint64(bits * lane)) & mask
+                counts[n, present[w * lanes + lane]] = np.int32(own)
 
 
 def color_distances(
