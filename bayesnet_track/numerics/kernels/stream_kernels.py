@@ -13,41 +13,54 @@ Words = NDArray[np.uint64]
 _FACTORS = (np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157))
 _STEPS = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B))
 _ROUNDS = 10
+_WORDS = 256
+"""How many are made at once."""
+_ONE = np.uint64(1)
 _LOW = np.uint64(0xFFFFFFFF)
 
 
 @compiled
-def _high(a: np.uint64, b: np.uint64) -> np.uint64:
-    """The upper half of the product of two words."""
+def _product(a: np.uint64, b: np.uint64) -> tuple[np.uint64, np.uint64]:
+    """The upper and the lower half of the product of two words."""
     half = np.uint64(32)
     a0, a1, b0, b1 = a & _LOW, a >> half, b & _LOW, b >> half
-    middle = a1 * b0 + ((a0 * b0) >> half)
+    lowest = a0 * b0
+    middle = a1 * b0 + (lowest >> half)
     other = a0 * b1 + (middle & _LOW)
-    return a1 * b1 + (middle >> half) + (other >> half)
+    return a1 * b1 + (middle >> half) + (other >> half), (other << half) | (lowest & _LOW)
 
 
 @compiled
-def _block(keys: Words, count: int, words: Words) -> None:
-    """Fill in the four words of block `count`, from 1, of the generator with the keys (2,)."""
-    first, second = keys[0], keys[1]
-    a, b, c, d = np.uint64(count), np.uint64(0), np.uint64(0), np.uint64(0)
+def _fill_blocks(keys: Words, first: int, words: Words) -> None:
+    """Fill in the words of the blocks from `first`, counted from 0, of the generator with the keys (2,).
+
+    The inner loop runs over blocks, so that the compiler can use vector instructions.
+    """
+    size = words.shape[0] // 4
+    lanes = np.zeros((4, size), np.uint64)
+    a, b, c, d = lanes[0], lanes[1], lanes[2], lanes[3]
+    for k in range(size):
+        a[k] = np.uint64(first + k + 1)
+    one, other = keys[0], keys[1]
     for _ in range(_ROUNDS):
-        high, low = _high(_FACTORS[0], a), _FACTORS[0] * a
-        other_high, other_low = _high(_FACTORS[1], c), _FACTORS[1] * c
-        a, b, c, d = other_high ^ b ^ first, other_low, high ^ d ^ second, low
-        first += _STEPS[0]
-        second += _STEPS[1]
-    words[0], words[1], words[2], words[3] = a, b, c, d
+        for k in range(size):
+            high, low = _product(_FACTORS[0], a[k])
+            other_high, other_low = _product(_FACTORS[1], c[k])
+            a[k], b[k], c[k], d[k] = other_high ^ b[k] ^ one, other_low, high ^ d[k] ^ other, low
+        one += _STEPS[0]
+        other += _STEPS[1]
+    for k in range(size):
+        words[4 * k], words[4 * k + 1], words[4 * k + 2], words[4 * k + 3] = a[k], b[k], c[k], d[k]
 
 
 @compiled
-def _fill(keys: Words, words: Words, found: Floats) -> int:
-    """Fill in the first `random()` numbers of a generator; how many words they took."""
-    for n in range(found.shape[0]):
-        if n % 4 == 0:
-            _block(keys, n // 4 + 1, words)
-        found[n] = np.float64(words[n % 4] >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-    return int(found.shape[0])
+def _fill(keys: Words, words: Words, found: Floats) -> None:
+    """Fill in the first `random()` numbers of a generator."""
+    for first in range(0, found.shape[0], _WORDS):
+        count = min(_WORDS, found.shape[0] - first)
+        _fill_blocks(keys, first // 4, words[: (count + 3) // 4 * 4])
+        for n in range(count):
+            found[first + n] = np.float64(words[n] >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled
@@ -56,7 +69,7 @@ def uniforms_of_each(keys: Words, starts: Ints) -> Floats:
 
     Those of generator t are `starts[t]` to `starts[t + 1] - 1`.
     """
-    found, words = np.empty(starts[-1]), np.empty(4, np.uint64)
+    found, words = np.empty(starts[-1]), np.empty(_WORDS, np.uint64)
     for t in range(keys.shape[0]):
         _fill(keys[t], words, found[starts[t] : starts[t + 1]])
     return found
@@ -70,28 +83,31 @@ def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, I
     `permuted` of 0, 1, ... gives after its `random`, by the shuffle of Fisher and Yates.
     """
     found, turns = np.empty(starts[-1]), np.empty(starts[-1], np.int64)
-    words, held = np.empty(4, np.uint64), np.uint64(0)
+    words, chosen = np.empty(_WORDS, np.uint64), np.empty(np.diff(starts).max(), np.uint32)
+    halves, end = words.view(np.uint32), np.uint64(2 * _WORDS)  # the lower half first
     for t in range(keys.shape[0]):
-        used = _fill(keys[t], words, found[starts[t] : starts[t + 1]])
-        size = (starts[t + 1] - starts[t]) // rounds[t]
-        is_held = False
+        own = found[starts[t] : starts[t + 1]]
+        _fill(keys[t], words, own)
+        block, half, size = own.shape[0] // 4, np.uint64(2 * (own.shape[0] % 4)), own.shape[0] // rounds[t]
+        _fill_blocks(keys[t], block, words)
         for r in range(rounds[t]):
+            n, mask = np.uint64(size - 1), _ONE  # all bits up to the highest one of n
+            while mask < n:
+                mask = mask << _ONE | _ONE
+            while mask > 0:  # one that is too large is written over: no processor foresees such a branch
+                low = mask >> _ONE
+                while n > low:
+                    if half == end:
+                        block, half = block + _WORDS // 4, np.uint64(0)
+                        _fill_blocks(keys[t], block, words)
+                    value = np.uint64(halves[half]) & mask
+                    chosen[n] = value
+                    half += _ONE
+                    n -= np.uint64(value <= n)
+                mask = low
             row = turns[starts[t] + r * size : starts[t] + (r + 1) * size]
             for n in range(size):
                 row[n] = n
             for n in range(size - 1, 0, -1):
-                mask = np.uint64(n)  # all bits up to the highest one of n
-                for shift in (1, 2, 4, 8, 16):
-                    mask |= mask >> np.uint64(shift)
-                chosen = np.int64(n + 1)
-                while chosen > n:
-                    if is_held:
-                        value, is_held = held, False
-                    else:
-                        if used % 4 == 0:
-                            _block(keys[t], used // 4 + 1, words)
-                        value, held, is_held = words[used % 4] & _LOW, words[used % 4] >> np.uint64(32), True
-                        used += 1
-                    chosen = np.int64(value & mask)
-                row[n], row[chosen] = row[chosen], row[n]
+                row[n], row[chosen[n]] = row[chosen[n]], row[n]
     return found, turns
