@@ -34,6 +34,11 @@ def compiled_summing(function: Kernel) -> Kernel:
     return _compiled(function, {"reassoc", "contract", "nsz"})
 
 
+def compiled_fusing(function: Kernel) -> Kernel:
+    """As `compiled`, with leave to round a product and a sum once instead of twice."""
+    return _compiled(function, {"contract"})
+
+
 def plain(array: NDArray[np.float64]) -> NDArray[np.float64]:
     """`array` as float64, writable and in C order, so that a kernel has one compiled version only."""
     if array.dtype.char == "d" and array.flags.carray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, likelihood_of, loss_of, pair_sums
+from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of, pair_sums
 
 
 def behind(bad, share, level, occluder, worst, best, agents):
@@ -15,13 +15,6 @@ def test_a_quarter_of_a_box_that_does_not_match_halves_each_agents_likelihood():
     assert loss_of(0.25, 3) == pytest.approx(3 * loss_of(0.25, 1))
     assert loss_of(0.0, 5) == 0.0
     assert np.exp(-loss_of(1.0, 2)) == pytest.approx(((1 + np.exp(-4.0)) / (1 + np.exp(12.0))) ** 2)
-
-
-@pytest.mark.parametrize("agents", [1, 2, 5])
-def test_the_likelihood_is_what_the_loss_says(agents):
-    for bad in (0.0, 0.1, 0.25, 1.0, 3.0):
-        assert np.log(likelihood_of(bad, agents)) == pytest.approx(-loss_of(bad, agents), rel=1e-12)
-    assert likelihood_of(60.0, agents) == 0.0
 
 
 @pytest.mark.parametrize(

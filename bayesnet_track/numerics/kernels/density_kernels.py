@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints, Singles
-from bayesnet_track.numerics.compiled import compiled, compiled_summing
+from bayesnet_track.numerics.compiled import compiled, compiled_fusing
 
 FAST_ERROR = 1e-5
 """Largest error of `add_sums`, as a share of the sum of peaks, for coordinates without rounding.
@@ -35,7 +35,7 @@ _HEAVY = 0.1
 Where most are so heavy, all come at once."""
 
 
-@compiled_summing
+@compiled_fusing
 def add_sums(
     points: Singles, peaks: Singles, means: Singles, precisions: Singles, spans: Ints, sums: Floats
 ) -> None:

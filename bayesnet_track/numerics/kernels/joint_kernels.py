@@ -6,13 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.compiled import compiled, compiled_fusing
+from bayesnet_track.numerics.kernels.exponential_kernels import exp_of
 from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
 
 Indices = NDArray[np.intp]
+Hidden = tuple[float, float, float, float, int]
 
 LARGEST_LOG = 600.0
 """Losses below it have an exponential, and so has what they are compared with."""
+
+_AT_BEST = float(np.exp(-4.0))
 
 
 @compiled
@@ -24,17 +28,7 @@ def loss_of(bad: float, agents: int) -> float:
     return float(agents * np.log((1.0 + np.exp(16.0 * bad - 4.0)) / (1.0 + np.exp(-4.0))))
 
 
-@compiled
-def likelihood_of(bad: float, agents: int) -> float:
-    """exp(-loss_of(bad, agents)), without a logarithm."""
-    each = (1.0 + np.exp(-4.0)) / (1.0 + np.exp(16.0 * bad - 4.0))
-    product = each
-    for _ in range(agents - 1):
-        product *= each
-    return float(product)
-
-
-@compiled
+@compiled_fusing
 def bad_behind(bad: float, share: float, level: float, occluder: float, worst: float, best: float) -> float:
     """Share that does not match of a box of which `share` is hidden, all in shares; see `inference.joint`."""
     rest = min(max(bad - share * occluder, (1.0 - share) * best), (1.0 - share) * worst)
@@ -58,15 +52,55 @@ def pick_in_strata(order: Indices, bounds: Floats, shifts: Floats) -> Indices:
 
 
 @compiled
+def _edges(boxes: Floats, edges: Floats) -> None:
+    """Fill in the sides and the area (5, N) of centre boxes (N, 4)."""
+    for n in range(boxes.shape[0]):
+        for axis in range(2):
+            half = boxes[n, 2 + axis] / 2
+            edges[axis, n], edges[2 + axis, n] = boxes[n, axis] - half, boxes[n, axis] + half
+        edges[4, n] = boxes[n, 2] * boxes[n, 3]
+
+
+@compiled
+def _common(
+    x0: Floats,
+    y0: Floats,
+    x1: Floats,
+    y1: Floats,
+    others: tuple[Floats, Floats, Floats, Floats],
+    area: Floats,
+) -> None:
+    """Fill in the area (N,) that boxes have in common with others."""
+    other_x0, other_y0, other_x1, other_y1 = others
+    for n in range(area.shape[0]):
+        across = min(x1[n], other_x1[n]) - max(x0[n], other_x0[n])
+        down = min(y1[n], other_y1[n]) - max(y0[n], other_y0[n])
+        area[n] = max(across, 0.0) * max(down, 0.0)
+
+
+@compiled_fusing
+def _fit_behind(area: Floats, whole: Floats, bad: Floats, hidden: Hidden, fits: Floats) -> None:
+    """Fill in the likelihoods (N,) of boxes behind, of whose `whole` area so much is hidden: e^-`loss_of`."""
+    level, occluder, worst, best, agents = hidden
+    for n in range(area.shape[0]):
+        left = bad_behind(bad[n], min(area[n] / whole[n], 1.0), level, occluder, worst, best)
+        fits[n] = (1.0 + _AT_BEST) / (1.0 + exp_of(16.0 * left - 4.0))
+    each = fits.copy() if agents > 1 else fits
+    for _ in range(agents - 1):
+        for n in range(area.shape[0]):
+            fits[n] *= each[n]
+
+
+@compiled
 def pair_sums(
     boxes: Floats,
     losses: Floats,
     bad: Floats,
-    hidden: tuple[float, float, float, float, int],
+    hidden: Hidden,
     others: Floats,
     other_losses: Floats,
     other_bad: Floats,
-    other_hidden: tuple[float, float, float, float, int],
+    other_hidden: Hidden,
     partners: Indices,
     log_importance: Floats,
     free: Floats,
@@ -96,44 +130,41 @@ def pair_sums(
         (4, N) means over the partners: in front; behind but not touched; behind and partly hidden; and the
         last times the hidden share.
     """
-    rounds, size = partners.shape
-    sums = np.zeros((4, size))
+    (rounds, size), known = partners.shape, others.shape[0]
+    sums, met, facts = np.zeros((4, size)), np.empty((8, size)), np.empty((8, known))
+    own, gains = np.empty((5, size)), np.empty(size)
+    _edges(boxes, own)
+    _edges(others, facts)
+    for j in range(known):
+        weight = exp_of(log_importance[j])
+        facts[5, j], facts[6, j] = other_bad[j], in_front * weight * free[j]
+        facts[7, j] = weight * (free[j] + taken[j]) * exp_of(-other_losses[j])
+    for i in range(size):
+        gains[i] = (1.0 - in_front) * (exp_of(losses[i]) if losses[i] < LARGEST_LOG else 1.0)
     level, occluder, worst, best, agents = hidden
-    other_level, other_occluder, other_worst, other_best, other_agents = other_hidden
-    weights, all_seen = np.empty(others.shape[0]), np.empty(others.shape[0])
-    for j in range(others.shape[0]):
-        weights[j] = np.exp(log_importance[j])
-        all_seen[j] = weights[j] * (free[j] + taken[j]) * np.exp(-other_losses[j])
-    gains = np.exp(np.minimum(losses, LARGEST_LOG))
+    far, by_partner = np.flatnonzero(losses >= LARGEST_LOG), np.ascontiguousarray(facts.T)
+    area, front, behind = np.empty(size), np.empty(size), np.empty(size)
     for r in range(rounds):
         for i in range(size):
-            j = partners[r, i]
-            weight, seen = weights[j], all_seen[j]
-            across = min(boxes[i, 0] + boxes[i, 2] / 2, others[j, 0] + others[j, 2] / 2) - max(
-                boxes[i, 0] - boxes[i, 2] / 2, others[j, 0] - others[j, 2] / 2
-            )
-            down = min(boxes[i, 1] + boxes[i, 3] / 2, others[j, 1] + others[j, 3] / 2) - max(
-                boxes[i, 1] - boxes[i, 3] / 2, others[j, 1] - others[j, 3] / 2
-            )
-            if across <= 0 or down <= 0:
-                sums[0, i] += in_front * seen
-                sums[1, i] += (1.0 - in_front) * seen
-                continue
-            own = min(across * down / (boxes[i, 2] * boxes[i, 3]), 1.0)
-            share = min(across * down / (others[j, 2] * others[j, 3]), 1.0)
-            penalty = np.exp(-nats * max(own, share)) if nats != 0.0 else 1.0
-            if in_front > 0:
-                left = bad_behind(other_bad[j], share, other_level, other_occluder, other_worst, other_best)
-                sums[0, i] += in_front * penalty * weight * free[j] * likelihood_of(left, other_agents)
-            if in_front < 1:
-                left = bad_behind(bad[i], own, level, occluder, worst, best)
-                if losses[i] < LARGEST_LOG:
-                    gain = gains[i] * likelihood_of(left, agents)
-                else:
-                    gain = np.exp(losses[i] - loss_of(left, agents))
-                value = (1.0 - in_front) * penalty * seen * gain
-                sums[2, i] += value
-                sums[3, i] += own * value
+            for k in range(8):
+                met[k, i] = by_partner[partners[r, i], k]
+        _common(own[0], own[1], own[2], own[3], (met[0], met[1], met[2], met[3]), area)
+        _fit_behind(area, met[4], met[5], other_hidden, front)
+        _fit_behind(area, own[4], bad, hidden, behind)
+        for i in far:
+            left = bad_behind(bad[i], min(area[i] / own[4, i], 1.0), level, occluder, worst, best)
+            behind[i] = np.exp(losses[i] - loss_of(left, agents))
+        if nats != 0.0:
+            for i in range(size):
+                penalty = exp_of(-nats * min(max(area[i] / own[4, i], area[i] / met[4, i]), 1.0))
+                front[i], behind[i] = front[i] * penalty, behind[i] * penalty
+        for i in range(size):
+            is_hit, seen = area[i] > 0.0, met[7, i]
+            value = seen * gains[i] * behind[i] if is_hit else 0.0
+            sums[0, i] += met[6, i] * front[i] if is_hit else in_front * seen
+            sums[1, i] += 0.0 if is_hit else (1.0 - in_front) * seen
+            sums[2, i] += value
+            sums[3, i] += min(area[i] / own[4, i], 1.0) * value
     sums /= rounds
     return sums
 
