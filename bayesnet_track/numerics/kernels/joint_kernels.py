@@ -151,9 +151,9 @@ def pair_sums(
         _common(own[0], own[1], own[2], own[3], (met[0], met[1], met[2], met[3]), area)
         _fit_behind(area, met[4], met[5], other_hidden, front)
         _fit_behind(area, own[4], bad, hidden, behind)
-        for i in far:
-            left = bad_behind(bad[i], min(area[i] / own[4, i], 1.0), level, occluder, worst, best)
-            behind[i] = np.exp(losses[i] - loss_of(left, agents))
+        for n in far:
+            left = bad_behind(bad[n], min(area[n] / own[4, n], 1.0), level, occluder, worst, best)
+            behind[n] = np.exp(losses[n] - loss_of(left, agents))
         if nats != 0.0:
             for i in range(size):
                 penalty = exp_of(-nats * min(max(area[i] / own[4, i], area[i] / met[4, i]), 1.0))

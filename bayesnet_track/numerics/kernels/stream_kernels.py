@@ -91,11 +91,11 @@ def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, I
         block, half, size = own.shape[0] // 4, np.uint64(2 * (own.shape[0] % 4)), own.shape[0] // rounds[t]
         _fill_blocks(keys[t], block, words)
         for r in range(rounds[t]):
-            n, mask = np.uint64(size - 1), _ONE  # all bits up to the highest one of n
+            n, mask = np.uint64(size - 1), np.uint64(1)  # all bits up to the highest one of n
             while mask < n:
-                mask = mask << _ONE | _ONE
+                mask = np.uint64(mask << _ONE | _ONE)
             while mask > 0:  # one that is too large is written over: no processor foresees such a branch
-                low = mask >> _ONE
+                low = np.uint64(mask >> _ONE)
                 while n > low:
                     if half == end:
                         block, half = block + _WORDS // 4, np.uint64(0)
@@ -106,8 +106,8 @@ def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, I
                     n -= np.uint64(value <= n)
                 mask = low
             row = turns[starts[t] + r * size : starts[t] + (r + 1) * size]
-            for n in range(size):
-                row[n] = n
-            for n in range(size - 1, 0, -1):
-                row[n], row[chosen[n]] = row[chosen[n]], row[n]
+            for k in range(size):
+                row[k] = k
+            for k in range(size - 1, 0, -1):
+                row[k], row[chosen[k]] = row[chosen[k]], row[k]
     return found, turns

@@ -70,7 +70,7 @@ def pays(binned: Bins, bins: int, pixels: int) -> bool:
     """
     if 4 * binned.size >= 6 * pixels:
         return False
-    return (4 + occurring(binned, bins).shape[0]) * binned.size < 6 * pixels
+    return bool((4 + occurring(binned, bins).shape[0]) * binned.size < 6 * pixels)
 
 
 @compiled
