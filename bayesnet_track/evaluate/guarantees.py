@@ -13,13 +13,16 @@ from statistics import fmean
 
 import numpy as np
 
-from bayesnet_track.engine.scoring.assurance import next_rise
+from bayesnet_track.engine.scoring.assurance import level_afterwards, means_of, next_rise
 from bayesnet_track.evaluate.calibration import OFF_TARGET, ON_TARGET
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.numerics.arrays import Floats
 
 SLACK = 1e-12
 """Rounding that is forgiven where a bound is met exactly."""
+
+PARTS = 20
+"""Levels of a run that is over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +66,16 @@ def fewest_videos(share: float, alarm: bool = False) -> int:
     return math.floor(1.0 / share + 1e-9) if alarm else math.ceil(1.0 / share - 1.0 - 1e-9)
 
 
-def allowed_risk(videos: int, share: float) -> float:
-    """The calibrated risk at which the expected one is at most `share`: (share (n + 1) - 1) / n.
+def allowed_risk(videos: int, share: float, worst: float = 1.0) -> float:
+    """The calibrated risk at which the expected one is at most `share`: (share (n + 1) - worst) / n.
 
-    A new video may be wrong in every frame, which counts like one more calibration video that is.
+    A new video may be wrong in a share `worst` of its frames, in all where nothing else is known. That counts
+    like one more calibration video that is.
 
-    >>> round(allowed_risk(25, 0.05), 6)
-    0.012
+    >>> round(allowed_risk(25, 0.05), 6), round(allowed_risk(25, 0.05, worst=0.8), 6)
+    (0.012, 0.02)
     """
-    return (share * (videos + 1) - 1.0) / videos
+    return (share * (videos + 1) - worst) / videos
 
 
 def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
@@ -85,6 +89,29 @@ def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
         ValueError: there are too few videos for `share`.
     """
     _check_count(len(videos), fewest_videos(share), f"a guarantee of {share:g}")
+    allowed = allowed_risk(len(videos), share)
+    above = _lowest_level(videos, allowed)
+    return Controlled(above, share_wrong(videos, above), allowed, share_called(videos, above), len(videos))
+
+
+def control_afterwards(videos: Sequence[Sequence[Run]], share: float) -> tuple[float, ...]:
+    """Levels of a run that is over, the k-th for one with at most a share k / 20 of its frames above.
+
+    Off target it can be in no larger share. That bound takes the place of the 1 for a new video of which
+    nothing is known, and the argument of `control_risk` holds as before. It needs single runs: each pass over
+    the videos controls the risk by itself, and the highest level of them counts.
+
+    Raises:
+        ValueError: there are too few videos for `share`.
+    """
+    _check_count(len(videos), fewest_videos(share), f"a guarantee of {share:g}")
+    passes = [[[run] for run in one] for one in zip(*videos, strict=False)]
+    allowed = [allowed_risk(len(videos), share, (k + 1) / PARTS) for k in range(PARTS)]
+    return tuple(max(_lowest_level(one, least) for one in passes) for least in allowed)
+
+
+def _lowest_level(videos: Sequence[Sequence[Run]], allowed: float) -> float:
+    """The lowest level at which the mean loss is at most `allowed`."""
     levels, weights = [np.zeros(1)], [np.zeros(1)]
     for runs in videos:
         for run in runs:
@@ -96,10 +123,8 @@ def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
     level, weight = level[order], weight[order]
     last = np.searchsorted(level, level, side="right")
     risks = np.append(np.cumsum(weight[::-1])[::-1], 0.0)[last]  # weight of the frames above each level
-    allowed = allowed_risk(len(videos), share)
     first = int(np.argmax(risks <= allowed + SLACK))
-    above = _rounded_up(float(level[first]))
-    return Controlled(above, share_wrong(videos, above), allowed, share_called(videos, above), len(videos))
+    return _rounded_up(float(level[first]))
 
 
 def share_wrong(videos: Sequence[Sequence[Run]], above: float) -> float:
@@ -117,6 +142,21 @@ def share_called(videos: Sequence[Sequence[Run]], above: float) -> float:
         if len(good):
             shares.append(float((good > above).mean()))
     return fmean(shares) if shares else math.nan
+
+
+def share_called_afterwards(videos: Sequence[Sequence[Run]], levels: Sequence[float]) -> float:
+    """As `share_called`, each run at the level that is its own when it is over."""
+    return share_called([[_judged(run, levels) for run in runs] for runs in videos], 0.5)
+
+
+def share_wrong_afterwards(videos: Sequence[Sequence[Run]], levels: Sequence[float]) -> float:
+    """As `share_wrong`, each run at the level that is its own when it is over."""
+    return share_wrong([[_judged(run, levels) for run in runs] for runs in videos], 0.5)
+
+
+def _judged(run: Run, levels: Sequence[float]) -> Run:
+    """The run with 1 where it is called tracking, and 0 elsewhere."""
+    return Run((run.means > level_afterwards(levels, run.means)).astype(float), run.iou)
 
 
 def largest_evidence(scores: Iterable[float], iou: Iterable[float]) -> float:
@@ -144,8 +184,8 @@ def runs_of(data: Iterable[CalibrationData], frames: int) -> dict[str, list[Run]
     """Video -> its runs, with means over `frames` scores as the engine takes them."""
     found: dict[str, list[Run]] = {}
     for one in data:
-        means = [fmean(one.all_scores[max(0, k + 1 - frames) : k + 1]) for k in range(len(one.all_scores))]
-        found.setdefault(one.video, []).append(Run(np.array(means), one.all_iou))
+        means = means_of(one.all_scores.tolist(), frames)
+        found.setdefault(one.video, []).append(Run(means, one.all_iou))
     return found
 
 

@@ -189,6 +189,9 @@ def test_promises_are_written_into_the_graph_and_said(data, capsys):
     text, said = out.read_text(), capsys.readouterr().err
     root = load_graph(out).targets["target"].inference("target")
     assert root.guarantee is not None and (root.guarantee.share, root.guarantee.frames) == (0.4, 10)
+    levels = root.guarantee.afterwards
+    assert len(levels) == 20 and levels[0] <= levels[19] == root.guarantee.above
+    assert "are called tracking, 100 % where a run is judged when it is over" in said
     assert root.alarm is not None and (root.alarm.share, root.alarm.videos) == (0.5, 2)
     assert "# fit: expected share called tracking with IoU <= 0.5 at most 40 %" in text
     assert "# moves" in text and "bias: 3, log_fit: 1.5" in text

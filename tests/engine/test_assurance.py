@@ -14,6 +14,8 @@ from bayesnet_track.engine.scoring.assurance import (
     is_assured,
     judge_alarm,
     judge_assurance,
+    level_afterwards,
+    means_of,
     next_rise,
     said_status,
     with_evidence,
@@ -44,6 +46,26 @@ def test_tracking_is_said_while_the_mean_of_the_last_scores_is_above_the_level()
     assert said_status("tracking", second, None) == "tracking"
     assert judge_assurance(first, second, TWO, 7, "1") == AssuranceChanged(7, "1", False, 0.5, 0.5, 2, 0.05)
     assert judge_assurance(second, third, TWO, 8, "1") is None
+
+
+def test_a_run_that_is_over_has_the_lowest_level_that_its_share_allows():
+    assert means_of([0.75, 0.25, 0.5], 2).tolist() == [0.75, 0.5, 0.375]
+    means = np.array([0.9, 0.2, 0.5, 0.7])
+    # At most half of the frames above: from 0.5 on, and 0.3 is allowed there. All of them: only from 0.8 on.
+    assert level_afterwards((0.3, 0.8), means) == 0.5
+    assert level_afterwards((0.6, 0.8), means) == 0.6
+    assert level_afterwards((0.8, 0.8), means) == 0.8
+    assert level_afterwards((0.8, 0.1), means) == 0.1
+    # With equal means none may be above where not all may.
+    assert level_afterwards((0.3, 0.95), np.full(4, 0.9)) == 0.9
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        levels, some = np.sort(rng.random(5)), rng.random(7).round(1)
+        every = np.concatenate([levels, some, [0.0]])
+        fits = [
+            a for a in every if any(a >= levels[k] and (some > a).mean() <= (k + 1) / 5 for k in range(5))
+        ]
+        assert level_afterwards(levels.tolist(), some) == min(fits)
 
 
 @pytest.mark.parametrize(("score", "rise"), [(0.0, 3.0), (0.05, 3.0), (0.5, 1.0), (1.0, 1.0)])

@@ -13,12 +13,15 @@ from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.evaluate.guarantees import (
     Run,
     allowed_risk,
+    control_afterwards,
     control_risk,
     fewest_videos,
     largest_evidence,
     runs_of,
     share_called,
+    share_called_afterwards,
     share_wrong,
+    share_wrong_afterwards,
     total_evidence,
 )
 from bayesnet_track.graph.settings.scores import Alarm
@@ -66,6 +69,30 @@ def test_a_level_is_rounded_to_the_safe_side():
     assert found.above == 0.9124 and share_wrong([[run([0.912345], [0.2])]], found.above) == 0.0
 
 
+def test_what_a_run_may_be_wrong_in_takes_the_place_of_all_its_frames():
+    """As above, with (0.5 * 4 - k / 20) / 3 instead of 1 / 3: 20 - k / 2 wrong frames of thirty."""
+    one = run(np.arange(1, 11) / 20, np.zeros(10))
+    two = run(np.arange(1, 11) / 20 + 0.4, np.zeros(10))
+    levels = control_afterwards([[one], [two], [run(np.full(10, 0.7), np.ones(10))]], 0.5)
+    # 14 of the frames are above 0.3, of the first 4 and all of the second; 0.05, where 19 are, is the lowest.
+    assert (levels[19], levels[11], levels[1]) == (0.45, 0.3, 0.05) and len(levels) == 20
+    assert all(low <= high for low, high in pairwise(levels))
+    assert allowed_risk(3, 0.5, 0.6) == pytest.approx(14 / 30)
+    with pytest.raises(ValueError, match="needs 19 calibration videos or more"):
+        control_afterwards([[one]] * 18, 0.05)
+
+
+def test_of_several_passes_over_the_videos_the_highest_level_counts():
+    low, high = ([run(np.full(10, mean), np.zeros(10))] for mean in (0.3, 0.8))
+    both = [low + high, high + low, low + low]
+    # In each pass one video is wrong up to 0.8, and 10 of 30 frames are allowed only for k = 20.
+    assert control_afterwards(both, 0.5)[0] == max(
+        control_afterwards([one[k : k + 1] for one in both], 0.5)[0] for k in range(2)
+    )
+    worse = [low + high, low + high, low + high]
+    assert control_afterwards(worse, 0.5) == control_afterwards([high] * 3, 0.5)
+
+
 def test_loss_and_called_share_fall_as_the_level_rises():
     videos = simulated(np.random.default_rng(0), 30)
     levels = np.linspace(0.0, 1.0, 101)
@@ -97,6 +124,23 @@ def test_the_mean_share_of_new_videos_is_bounded():
     error = np.std(losses) / math.sqrt(len(losses))
     assert np.mean(losses) <= 0.05 + 3 * error
     assert np.mean(losses) > 0.005  # it is not kept by calling nothing
+
+
+@pytest.mark.slow
+def test_judged_afterwards_the_mean_share_is_bounded_and_more_is_called():
+    """The same 1500 draws, each new video at the level of its own share."""
+    rng = np.random.default_rng(1)
+    losses, called = [], []
+    for _ in range(1500):
+        *videos, new = simulated(rng, 26)
+        levels = control_afterwards(videos, 0.05)
+        losses.append(share_wrong_afterwards([new], levels))
+        live = share_called([new], control_risk(videos, 0.05).above)
+        called.append((share_called_afterwards([new], levels), live))
+    error = np.std(losses) / math.sqrt(len(losses))
+    assert np.mean(losses) <= 0.05 + 3 * error
+    afterwards, live = np.nanmean(called, axis=0)
+    assert afterwards > live + 0.05
 
 
 def test_frames_without_a_true_box_count_as_wrong_and_means_are_those_of_the_engine():

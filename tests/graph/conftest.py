@@ -256,7 +256,9 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
                 {}, {"sd_box": sd, "lost_sd_box": positive, "heavy_tail": noise["heavy_tail"]}
             ),
             "distractors": _mapping({}, {"within_nats": positive, "hold": frames}),
-            "guarantee": _mapping({"above": share}, {"frames": frames}),
+            "guarantee": _mapping(
+                {"above": share}, {"frames": frames, "afterwards": st.lists(share, max_size=3)}
+            ),
             "alarm": _mapping({"total": positive, "videos": frames}, {}),
         },
     )
@@ -399,7 +401,7 @@ def everything() -> dict[str, Any]:
             },
             "localization_error": {"lost_sd_box": 3.5, "heavy_tail": {"weight": 0.25, "factor": 5}},
             "distractors": {"hold": 100},
-            "guarantee": {"above": 0.75, "frames": 5},
+            "guarantee": {"above": 0.75, "frames": 5, "afterwards": [0.25, 0.75]},
             "alarm": {"total": 30.5, "videos": 24},
         },
         "b": {

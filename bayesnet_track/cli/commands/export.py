@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, complain, writing
 from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.journal.text.wording import plural
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.recording.run_reader import Run
 
 WITH_LOST = ("csv", "jsonl")
 """Formats that say of a box that its target is lost."""
@@ -24,6 +28,8 @@ def export(options: argparse.Namespace) -> int:
     if options.draws is not None:
         raise UsageError(f"--draws beside --format {options.format}; it is for --format arviz")
     run = open_run(options.run, complain)
+    if options.afterwards:
+        run = _judged(run)
     lost = options.lost or (options.format in WITH_LOST and not options.no_lost)
     text = FORMATS[options.format](run, lost)
     if options.out is None:
@@ -37,6 +43,24 @@ def export(options: argparse.Namespace) -> int:
     return OK
 
 
+def _judged(run: Run) -> Run:
+    """The run judged as a whole; says what changed."""
+    from bayesnet_track.runtime.recording.afterwards import judge_afterwards
+
+    run, found = judge_afterwards(run)
+    if not found:
+        raise UsageError(
+            f"--afterwards: no target of {run.name} has a guarantee with levels for it; "
+            "`bayesnet-track fit --guarantee` writes them"
+        )
+    for one in found:
+        complain(
+            f"target {one.target}: tracking in {one.afterwards} of {plural(one.frames, 'frame')} instead of "
+            f"{one.live}, where the mean score is above {one.level:.4g}"
+        )
+    return run
+
+
 def _export_beliefs(options: argparse.Namespace) -> int:
     """Write draws of the kept beliefs for ArviZ."""
     from bayesnet_track.runtime.lifetimes import KeptBeliefsError
@@ -45,6 +69,8 @@ def _export_beliefs(options: argparse.Namespace) -> int:
 
     if options.lost or options.no_lost:
         raise UsageError("--lost and --no-lost are not for --format arviz, which writes every belief")
+    if options.afterwards:
+        raise UsageError("--afterwards judges statuses; --format arviz writes beliefs")
     if options.out is None:
         raise UsageError("--format arviz writes a binary file; give its name with --out")
     out = Path(options.out)
@@ -80,4 +106,9 @@ def add_export(commands: argparse._SubParsersAction[Any]) -> None:
         "--lost", action="store_true", help="include the boxes of lost targets (default for csv, jsonl)"
     )
     lost.add_argument("--no-lost", action="store_true", help="leave them out (default for mot, coco)")
+    export.add_argument(
+        "--afterwards",
+        action="store_true",
+        help="statuses as the graph's guarantee allows now that the run is over",
+    )
     export.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

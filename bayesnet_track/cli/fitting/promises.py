@@ -64,15 +64,21 @@ def write_promises(
 
 
 def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationData], share: float) -> str:
-    from bayesnet_track.evaluate.guarantees import control_risk, runs_of
+    from bayesnet_track.evaluate.guarantees import (
+        control_afterwards,
+        control_risk,
+        runs_of,
+        share_called_afterwards,
+    )
     from bayesnet_track.graph.settings.scores import Guarantee
     from bayesnet_track.graph.text.edit import set_value
 
     name, plate = next(iter(graph.targets.items()))
     before = plate.inference(plate.root).guarantee
     frames = (Guarantee(above=0.0) if before is None else before).frames
+    videos = list(runs_of(data, frames).values())
     with users_mistake():
-        found = control_risk(list(runs_of(data, frames).values()), share)
+        found, afterwards = control_risk(videos, share), control_afterwards(videos, share)
     promised = f"{100 * share:g} %"
     complain(
         f"guarantee: tracking only while the mean score of {plural(frames, 'frame')} is above "
@@ -84,8 +90,12 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
     if not found.called > 0.0:
         complain("guarantee: no frame of these videos would be called tracking; the score does not separate")
     elif math.isfinite(found.called):
-        complain(f"guarantee: {100 * found.called:.0f} % of the frames with IoU > 0.5 are called tracking.")
-    value = {"above": found.above, "frames": frames, "share": share}
+        later = share_called_afterwards(videos, afterwards)
+        complain(
+            f"guarantee: {100 * found.called:.0f} % of the frames with IoU > 0.5 are called tracking, "
+            f"{100 * later:.0f} % where a run is judged when it is over."
+        )
+    value = {"above": found.above, "frames": frames, "share": share, "afterwards": list(afterwards)}
     comment = (
         f"expected share called tracking with IoU <= 0.5 at most {promised}; {100 * found.risk:.2g} % in "
         f"{plural(found.videos, 'video')}"

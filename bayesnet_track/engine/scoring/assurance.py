@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from statistics import fmean
+
+import numpy as np
 
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.graph.settings.scores import Alarm, Guarantee
 from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
+from bayesnet_track.numerics.arrays import Floats
 
 SHIFT_NATS = 1.0
 """Log odds of being off target above which the alarm's evidence rises: at scores below 0.27."""
@@ -30,6 +34,32 @@ def is_assured(scored: Scored, rule: Guarantee | None) -> bool:
 def said_status(status: str, scored: Scored, rule: Guarantee | None) -> str:
     """The status as it is reported: at most uncertain where the guarantee does not hold otherwise."""
     return "uncertain" if status == "tracking" and not is_assured(scored, rule) else status
+
+
+def means_of(scores: Sequence[float], frames: int) -> Floats:
+    """(n,) mean of the last `frames` scores after each of n frames, fewer at the start.
+
+    >>> means_of([0.5, 1.0, 0.0], 2).tolist()
+    [0.5, 0.75, 0.5]
+    """
+    return np.array([fmean(scores[max(0, k + 1 - frames) : k + 1]) for k in range(len(scores))])
+
+
+def level_afterwards(levels: Sequence[float], means: Floats) -> float:
+    """The level of a run that is over: the lowest that is allowed for the share of its frames above.
+
+    `levels` are a guarantee's `afterwards`; `means` (n,) of every frame after the first, 0 where there was no
+    target any more.
+
+    >>> level_afterwards([0.2, 0.6], np.array([0.1, 0.5, 0.5, 0.9]))
+    0.5
+    """
+    above = np.sort(means)[::-1]
+    kept = (
+        float(above[count]) if (count := k * len(above) // len(levels)) < len(above) else 0.0
+        for k in range(1, len(levels) + 1)
+    )  # the lowest level with at most `count` frames above
+    return min(max(level, lowest) for level, lowest in zip(levels, kept, strict=True))
 
 
 def next_rise(rise: float, score: float) -> float:

@@ -134,13 +134,19 @@ class Guarantee(Model):
 
     The status is tracking only while the mean score of the last `frames` frames is above `above`; else it is
     at most uncertain. Only what is reported changes: motion, learning and rules go by the status as it is
-    without. `bayesnet-track fit --guarantee` finds `above` by conformal risk control over whole videos.
+    without. `bayesnet-track fit --guarantee` finds `above` by conformal risk control over whole videos, and
+    lower levels for a run that is over: `bayesnet-track export --afterwards`.
     """
 
     above: Annotated[Number, Field(ge=0, le=1)] = Field(description="level of the mean score")
     frames: FrameCount = Field(default=10, description="frames of the mean, fewer at the start")
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
         default=0.05, description="expected share of such frames that it was calibrated for; only reported"
+    )
+    afterwards: tuple[Annotated[Number, Field(ge=0, le=1)], ...] = Field(
+        default=(),
+        description="levels of a run that is over: the k-th of n is for one with at most k / n of its frames "
+        "above",
     )
 
 

@@ -1,0 +1,68 @@
+"""A run that is over, judged as a whole: which of its frames its guarantee lets be called tracking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from bayesnet_track.engine.scoring.assurance import level_afterwards, means_of
+from bayesnet_track.graph.spec import Guarantee, InferenceNode, Target
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.runtime.recording.run_reader import Run
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What became of a target's statuses.
+
+    Attributes:
+        target: target id.
+        level: the mean score above which its frames are called tracking.
+        live: frames that were called tracking during the run.
+        afterwards: frames that are called so now.
+        frames: frames after its first.
+    """
+
+    target: str
+    level: float
+    live: int
+    afterwards: int
+    frames: int
+
+
+def judge_afterwards(run: Run) -> tuple[Run, tuple[Judged, ...]]:
+    """The run with the statuses that the guarantees of its graph allow now that it is over.
+
+    A frame is tracking where the mean of its last scores is above the level for the whole run, and the target
+    is not lost; else it is at most uncertain. The first frame of a target, in which it was shown, stays as it
+    is, and so do targets whose type has no levels for it.
+    """
+    lines, found = {(line.target, line.frame): line for line in run.metrics}, list[Judged]()
+    for target, kind in run.kinds.items():
+        rule = _rule(run.spec.targets[kind])
+        own = [line for line in run.metrics if line.target == target][1:]
+        if rule is None or not rule.afterwards or not own:
+            continue
+        level, changed = _judge(rule, own)
+        lines.update(((line.target, line.frame), line) for line in changed)
+        found.append(Judged(target, level, _count(own), _count(changed), len(own)))
+    return replace(run, metrics=tuple(lines.values())), tuple(found)
+
+
+def _rule(kind: Target) -> Guarantee | None:
+    nodes = (node for node in kind.nodes.values() if isinstance(node, InferenceNode))
+    return next((node.guarantee for node in nodes if node.guarantee is not None), None)
+
+
+def _count(lines: Sequence[FrameMetrics]) -> int:
+    return sum(line.status == "tracking" for line in lines)
+
+
+def _judge(rule: Guarantee, own: Sequence[FrameMetrics]) -> tuple[float, list[FrameMetrics]]:
+    means = means_of([line.score for line in own], rule.frames)
+    level = level_afterwards(rule.afterwards, means)
+    assured = zip(own, (means > level).tolist(), strict=True)
+    return level, [
+        line if line.status == "lost" else replace(line, status="tracking" if is_above else "uncertain")
+        for line, is_above in assured
+    ]
