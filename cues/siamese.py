@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Bytes
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from bayesnet_track.vision.siamese.memory import Memory
 
 
-class SiameseParameters(CueParameters):
-    """Parameters of the Siamese network."""
+class NetworkParameters(CueParameters):
+    """Where the network is."""
 
     backbone: str = Field(
         default="",
@@ -45,6 +46,11 @@ class SiameseParameters(CueParameters):
         default="plain",
         description="Without model files: use plain pixels, to try out a graph, or refuse to start.",
     )
+
+
+class SiameseParameters(NetworkParameters):
+    """Parameters of the Siamese network."""
+
     sharpness: float = Field(
         default=6.0,
         gt=0,
@@ -71,8 +77,8 @@ class SiameseParameters(CueParameters):
 
 
 NEEDED = (
-    "cue 'siamese' needs the two ONNX files of a Siamese tracker, which are not part of the package: copy "
-    "the graph and write into the agent that uses it `siamese: {backbone: PATH, head: PATH}`, with your paths"
+    "the network needs the two ONNX files of a Siamese tracker, which are not part of the package: copy the "
+    "graph and write `backbone: PATH, head: PATH` into the settings of the agent, with your paths"
 )
 
 
@@ -94,16 +100,8 @@ class Siamese:
         return (WholeFrame(),)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
-        """The crop around the box: the network describes it when it is first compared."""
-        from bayesnet_track.vision.siamese.crops import template_crop
-        from bayesnet_track.vision.siamese.networks import TEMPLATE
-
-        box = np.array(box, dtype=np.float64)
-        return {
-            "template": template_crop(box).cut(planes[WholeFrame()], TEMPLATE),
-            "place": box[:2],
-            "size": box[2:],
-        }
+        """The crop around the box."""
+        return learn_template(planes[WholeFrame()], box)
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """The old template with the newest place and size: what the target looks like is not learnt anew."""
@@ -130,7 +128,8 @@ class Siamese:
             return floored(np.minimum(log + np.log(share), 0.0), p.floor)
 
 
-def _make(parameters: SiameseParameters) -> Cue:
+def open_network(parameters: NetworkParameters) -> Memory:
+    """The network of the files, or plain pixels; raises SiameseError."""
     import cv2  # noqa: F401  load before the first frame
 
     from bayesnet_track.vision.siamese.memory import Memory
@@ -139,22 +138,41 @@ def _make(parameters: SiameseParameters) -> Cue:
 
     p = parameters
     if p.backbone or p.head:
-        return Siamese(p, Memory(load_networks(p.backbone, p.head)))
+        return Memory(load_networks(p.backbone, p.head))
     if p.without_files == "refuse":
         raise SiameseError(NEEDED)
-    return Siamese(p, Memory(plain()))
+    return Memory(plain())
 
 
-def _missing(parameters: SiameseParameters) -> str | None:
+def missing_files(parameters: NetworkParameters) -> str | None:
+    """What is wrong with the files, in words; None when they can be used, or none are named."""
     if not parameters.backbone and not parameters.head:
         return None
     from bayesnet_track.vision.siamese.networks import SiameseError
 
     try:
-        _make(parameters)
+        open_network(parameters)
     except SiameseError as error:
         return str(error)
     return None
+
+
+def files_of(parameters: NetworkParameters) -> tuple[str, ...]:
+    """The paths that are named."""
+    return tuple(path for path in (parameters.backbone, parameters.head) if path)
+
+
+def learn_template(image: Bytes, box: Floats) -> Reference:
+    """The crop around a centre box (4,): the network describes it when it is first compared."""
+    from bayesnet_track.vision.siamese.crops import template_crop
+    from bayesnet_track.vision.siamese.networks import TEMPLATE
+
+    box = np.array(box, dtype=np.float64)
+    return {"template": template_crop(box).cut(image, TEMPLATE), "place": box[:2], "size": box[2:]}
+
+
+def _make(parameters: SiameseParameters) -> Cue:
+    return Siamese(parameters, open_network(parameters))
 
 
 CUE = CueDeclaration(
@@ -164,6 +182,6 @@ CUE = CueDeclaration(
     make=_make,
     cost_ms=6.0,
     rate_max=0.05,
-    missing=_missing,
-    files=lambda parameters: tuple(path for path in (parameters.backbone, parameters.head) if path),
+    missing=missing_files,
+    files=files_of,
 )

@@ -31,7 +31,7 @@ MEASURED: Mapping[str, str] = MappingProxyType(
 """Graph -> what a page has measured, with that page."""
 
 DEPTH = ("stereo",)
-NETWORK = ("siamese", "onnx")
+NETWORK = ("siamese", "siamese_box", "onnx")
 
 HEAD = """\
 # The installed graphs

@@ -7,7 +7,6 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import GraphError, load_graph
-from bayesnet_track.graphs import find_graph
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.siamese.memory import Memory
@@ -132,15 +131,3 @@ def test_the_graph_deep_is_valid_and_starts_with_files_only():
     assert "siamese" in text
     with pytest.raises(SiameseError, match="backbone: PATH, head: PATH"):
         Tracker("deep").init(bright((160, 120)).current.image, (140, 100, 40, 40))
-
-
-def test_deep_follows_a_target_by_plain_pixels_in_the_networks_place(tmp_path, scene):
-    graph = tmp_path / "deep.yaml"
-    graph.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
-    tracker = Tracker(graph, seed=0)
-    x, y, w, h = scene.box()
-    tracker.init(scene.image(scene.start), (x - w / 2 + 0.5, y - h / 2 + 0.5, w, h))
-    for k in range(1, 16):
-        _, found = tracker.update(scene.image(scene.start + np.array([2, 1]) * k))
-    centre = np.array(found[:2]) + np.array(found[2:]) / 2 - 0.5
-    assert np.abs(centre - scene.start - np.array([30, 15])).max() < 8.0

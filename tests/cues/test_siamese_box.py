@@ -1,0 +1,77 @@
+"""The box of a Siamese network: which proposal is chosen, how sure it is said to be, and the graph `deep`."""
+
+import numpy as np
+import pytest
+
+from bayesnet_track import Tracker
+from bayesnet_track.graphs import find_graph
+from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.vision.siamese.memory import Memory
+from bayesnet_track.vision.siamese.networks import STRIDE, Networks, Response
+
+SIDE = 40.0
+BOX = np.array([159.5, 119.5, SIDE, SIDE])
+
+
+def network(probable, size=1.0):
+    """A network that proposes boxes: `probable` has how many cells right of the middle, and how probable."""
+
+    def compare(template, crop, expected):
+        probabilities = np.full((16, 16), 1e-6, np.float32)
+        for right, probability in probable:
+            probabilities[8, 8 + right] = probability
+        sides = np.empty((4, 16, 16), np.float32)
+        sides[:] = np.tile(size * expected / 2, 2)[:, None, None]
+        return Response(probabilities, sides, STRIDE)
+
+    return Memory(Networks(lambda crop: np.zeros(0, np.float32), compare))
+
+
+@pytest.fixture
+def measured(ask):
+    """(what the network proposes, size, parameters) -> the measurement around BOX."""
+
+    def measure(probable, size=1.0, **parameters):
+        asked = ask("siamese_box", **parameters)
+        object.__setattr__(asked.cue, "memory", network(probable, size))
+        pair = FramePair(Frame(1, 1.0, np.zeros((240, 320, 3), np.uint8)), None)
+        return asked.measure(pair, BOX[None], asked.learn(pair, BOX))
+
+    return measure
+
+
+def test_it_measures_the_most_probable_box(measured):
+    found = measured([(0, 0.2), (1, 0.99)])
+    assert found.fields == ("x", "y", "w", "h")
+    cell = STRIDE * 80.0 / 127.0  # the template shows a square of twice the side
+    np.testing.assert_allclose(found.mean, BOX + [cell, 0, 0, 0], atol=1.0)
+
+
+def test_a_near_box_is_preferred_to_a_slightly_more_probable_one_far_away(measured):
+    assert measured([(0, 0.9), (6, 0.99)]).mean[0] < 165
+    assert measured([(0, 0.9), (6, 0.99)], window=0.0).mean[0] > 190
+
+
+def test_the_less_probable_the_less_sure(measured):
+    sure, unsure = (measured([(0, p)]).covariance[0, 0] for p in (0.99, 0.7))
+    assert unsure > 1.5 * sure
+    grown = measured([(0, 0.99)], size=2.0).covariance[0, 0]
+    assert grown > 4.0 * sure  # twice the side, and a penalty for the change
+
+
+def test_nothing_probable_is_not_seen(measured):
+    assert measured([]) is None
+    assert measured([(0, 0.05)]) is None
+    assert measured([(0, 0.05)], min_probability=0.01) is not None
+
+
+def test_deep_follows_a_target_by_plain_pixels_in_the_networks_place(tmp_path, scene):
+    graph = tmp_path / "deep.yaml"
+    graph.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
+    tracker = Tracker(graph, seed=0)
+    x, y, w, h = scene.box()
+    tracker.init(scene.image(scene.start), (x - w / 2 + 0.5, y - h / 2 + 0.5, w, h))
+    for k in range(1, 16):
+        _, found = tracker.update(scene.image(scene.start + np.array([2, 1]) * k))
+    centre = np.array(found[:2]) + np.array(found[2:]) / 2 - 0.5
+    assert np.abs(centre - scene.start - np.array([30, 15])).max() < 5.0
