@@ -141,28 +141,20 @@ class Population:
         """After detections (N, 4)."""
         if not len(boxes):
             return self
-        logs = np.log(np.maximum(boxes[:, 2:], 1.0))
-        mean, held, count = logs.mean(axis=0), self.sizes, len(logs)
-        away = logs - mean
-        share = count / (held + count)
-        shift = mean - self.size_mean if held else np.zeros(2)
-        before = self.size_covariance + (1.0 - share) * np.outer(shift, shift)
-        spread = (1.0 - share) * before + share * (away.T @ away) / count
-        return changed(
-            self,
-            size_mean=self.size_mean + share * shift if held else mean,
-            size_covariance=spread if held else SIZE_SD**2 * np.eye(2) / 2 + (away.T @ away) / (2 * count),
-            sizes=min(held + count, MEMORY_SIZES),
-        )
+        from bayesnet_track.numerics.kernels.size_kernels import follow_sizes
+
+        known = self.size_mean, self.size_covariance, float(self.sizes)
+        mean, covariance = follow_sizes(np.ascontiguousarray(boxes), *known, SIZE_SD**2)
+        sizes = min(self.sizes + len(boxes), MEMORY_SIZES)
+        return changed(self, size_mean=mean, size_covariance=covariance, sizes=sizes)
 
     def log_density(self, boxes: Floats, area_px2: float) -> Floats:
         """(N,) log density of a box (N, 4) that may be anywhere, of the sizes that detections have."""
-        logs = np.log(np.maximum(boxes[:, 2:], 1.0))
-        spread = self.size_covariance + LEAST_SIZE_SD**2 * np.eye(2)
-        away = logs - self.size_mean
-        d2 = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away.T).T)
-        half = 0.5 * float(np.linalg.slogdet(spread)[1]) + math.log(2.0 * math.pi)
-        return np.asarray(-0.5 * d2 - half - logs.sum(axis=1) - math.log(area_px2))
+        from bayesnet_track.numerics.kernels.size_kernels import log_size_densities
+
+        known = self.size_mean, self.size_covariance
+        sizes = log_size_densities(np.ascontiguousarray(boxes), *known, LEAST_SIZE_SD**2)
+        return np.asarray(sizes - math.log(area_px2))
 
     def after_look(self, false: float) -> Population:
         """After a frame with so many false detections."""
