@@ -7,8 +7,9 @@ off by 5 %, positions by 3 px; beyond 200 people the image grows, so that the cr
 With `--beside GRAPH` another graph is timed on the same detections, each frame once by either, turn by turn.
 Everything runs on one thread, the peers first, then ours, in one run: ratios say more than times. Times are
 CPU time, medians over the frames after the thirtieth. Ours is the step, with association, UD, KL, metrics as
-columns and decisions: alone, as the peers run, and in a run that is written down ("recorded"). Beside
-it is what writing the frame takes ("files"), in which the lines of metrics and their clouds are made.
+columns and decisions: alone, and in a run that is written down ("recorded"). "Update" is the `update` of a
+`DetectionsTracker`, the call that the peers have, too. "Files" is what writing the frame takes, in which the
+lines of metrics and their clouds are made.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from measuring import environment, on_one_thread, table
 
+from bayesnet_track import DetectionsTracker
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -60,6 +63,7 @@ class Cost:
     """
 
     step_ms: float
+    update_ms: float
     recorded_ms: float
     files_ms: float
     targets: int
@@ -115,9 +119,23 @@ def beside(first: str, second: str, found: dict[int, Detections], size: tuple[in
     return [*(f"{value:.2f}" for value in medians), f"{medians[1] / medians[0]:.2f}"]
 
 
-def measured(engine: Engine, graph: CheckedGraph, size: tuple[int, int], frames: int) -> Cost:
+def updates(graph: CheckedGraph, found: dict[int, Detections], size: tuple[int, int]) -> Iterator[float]:
+    """The seconds of each update of a `DetectionsTracker`."""
+    tracker = DetectionsTracker(graph, size)
+    for index in sorted(found):
+        left = corner_from_centre(found[index].boxes)
+        corners = np.column_stack([left[:, :2], left[:, :2] + left[:, 2:]])
+        given = SimpleNamespace(xyxy=corners, confidence=found[index].scores)
+        started = time.process_time()
+        tracker.update(given)
+        yield time.process_time() - started
+
+
+def measured(graph: CheckedGraph, found: dict[int, Detections], size: tuple[int, int]) -> Cost:
     """The cost of the frames after the warm-up: of steps alone, then of a run that is written down."""
+    engine, frames = make_engine(graph, 0, detectors={"detections": FileDetector(found)}), len(found)
     alone = [spent for _, _, spent in advanced(engine, graph, size, frames)]
+    whole = list(updates(graph, found, size))
     steps, files, live = [], [], 0
     with tempfile.TemporaryDirectory() as folder:
         directory = RunDirectory(Path(folder) / "run")
@@ -132,7 +150,7 @@ def measured(engine: Engine, graph: CheckedGraph, size: tuple[int, int], frames:
                 steps.append(spent)
                 live = len(outcome.state.targets)
         written = sum(one.stat().st_size for one in directory.path.iterdir())
-    median = [1e3 * float(np.median(seconds[WARM_UP:])) for seconds in (alone, steps, files)]
+    median = [1e3 * float(np.median(seconds[WARM_UP:])) for seconds in (alone, whole, steps, files)]
     return Cost(*median, live, written / max(frames * live, 1))
 
 
@@ -152,11 +170,17 @@ def peers(python: str, found: dict[int, Detections]) -> dict[str, Any]:
 def row(count: int, cost: Cost, others: dict[str, Any]) -> list[str]:
     """A line of the table."""
     cells = [str(count), str(cost.targets), f"{cost.step_ms:.2f}", f"{1e3 * cost.step_ms / count:.0f}"]
-    cells += [f"{cost.recorded_ms:.2f}", f"{cost.files_ms:.2f}", f"{cost.bytes_a_target:.0f}"]
+    cells += [
+        f"{cost.update_ms:.2f}",
+        f"{cost.recorded_ms:.2f}",
+        f"{cost.files_ms:.2f}",
+        f"{cost.bytes_a_target:.0f}",
+    ]
     for one in others.values():
         cells.append(f"{1e3 * float(np.median(one['seconds'][WARM_UP:])):.2f}")
     if "SORT" in others:
-        cells.append(f"{cost.step_ms / (1e3 * float(np.median(others['SORT']['seconds'][WARM_UP:]))):.2f}")
+        sort = 1e3 * float(np.median(others["SORT"]["seconds"][WARM_UP:]))
+        cells += [f"{cost.step_ms / sort:.2f}", f"{cost.update_ms / sort:.2f}"]
     return cells
 
 
@@ -180,10 +204,9 @@ def main() -> None:
             rows.append([str(count), *beside(chosen.graph, chosen.beside, found, size)])
             continue
         graph = graph_of(chosen.graph)
-        engine = make_engine(graph, 0, detectors={"detections": FileDetector(found)})
         if chosen.profile:
             profile = cProfile.Profile()
-            profile.runcall(measured, engine, graph, size, chosen.frames)
+            profile.runcall(measured, graph, found, size)
             pstats.Stats(profile).sort_stats("tottime").print_stats(45)
             continue
         others: dict[str, Any] = {}
@@ -191,17 +214,18 @@ def main() -> None:
             answer = peers(chosen.peers_python, found)
             others, names = answer["figures"], [*answer["figures"]]
             print(f"{count} people: {answer['versions']}")
-        rows.append(row(count, measured(engine, graph, size, chosen.frames), others))
+        rows.append(row(count, measured(graph, found, size), others))
     head = [
         "people",
         "targets",
         "step [ms]",
         "per person [us]",
+        "update [ms]",
         "recorded [ms]",
         "files [ms]",
         "bytes per target and frame",
     ]
-    head += [f"{name} [ms]" for name in names] + (["step / SORT"] if names else [])
+    head += [f"{name} [ms]" for name in names] + (["step / SORT", "update / SORT"] if names else [])
     if chosen.beside:
         head = ["people", f"{chosen.graph} [ms]", f"{chosen.beside} [ms]", "ratio"]
     if rows:

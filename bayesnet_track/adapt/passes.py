@@ -10,7 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.assign import assign_total, assign_total_pairs
 from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.observed import LAST, direction_consistency
-from bayesnet_track.numerics.arrays import Bools, Floats
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.observation.cue import AssociationRule
 
 Pass = Literal["first", "second", "last"]
@@ -69,13 +69,23 @@ def share_by_overlap(
     return share_in_passes(rule, scores, len(expected), ask)
 
 
-def _by_overlap_alone(rule: AssociationRule, reference: Floats, boxes: Floats) -> Owners:
+def overlapping_pairs(reference: Floats, boxes: Floats) -> tuple[Ints, Ints, Floats]:
+    """Rows, columns and intersections over union (P,) of centre boxes (T, 4) and (N, 4) that overlap at all.
+
+    >>> known, found = np.array([[5.0, 5, 4, 4]]), np.array([[90.0, 5, 4, 4], [7.0, 5, 4, 4]])
+    >>> [one.tolist() for one in overlapping_pairs(known, found)]
+    [[0], [1], [0.3333333333333333]]
+    """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import overlap_rows
 
     order = np.argsort(boxes[:, 0], kind="stable")
-    places, reach = boxes[order, 0], (reference[:, 2] + boxes[:, 2].max()) / 2
+    places, reach = boxes[order, 0], (reference[:, 2] + boxes[:, 2].max(initial=0.0)) / 2
     starts = np.searchsorted(places, reference[:, 0] - reach)
     ends = np.searchsorted(places, reference[:, 0] + reach, side="right")
-    pairs = overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), order, starts, ends)
+    return overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), order, starts, ends)
+
+
+def _by_overlap_alone(rule: AssociationRule, reference: Floats, boxes: Floats) -> Owners:
+    pairs = overlapping_pairs(reference, boxes)
     return assign_total_pairs(*pairs, len(reference), len(boxes), rule.min_overlap)

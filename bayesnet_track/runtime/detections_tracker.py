@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
@@ -11,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.passes import overlapping_pairs
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -18,7 +21,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
-from bayesnet_track.numerics.boxes import centre_from_xyxy, overlap
+from bayesnet_track.numerics.boxes import centre_from_xyxy
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.images import to_bgr
@@ -76,12 +79,18 @@ class DetectionsTracker:
         self._engine: Engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
         self._state: State | None = None
         self._index = 0
-        self.targets: tuple[FrameMetrics, ...] = ()
+        self._metrics: Sequence[FrameMetrics] = ()
+
+    @property
+    def targets(self) -> tuple[FrameMetrics, ...]:
+        """What was measured of every target in the last frame, also of lost ones."""
+        return tuple(self._metrics)
 
     def __repr__(self) -> str:
         """The graph, the frames so far, and the targets."""
-        live = "; ".join(map(repr, self.targets[:3])) + ("; …" if len(self.targets) > 3 else "")
-        frames = f"{plural(self._index, 'frame')}, {plural(len(self.targets), 'target')}"
+        count = len(self._metrics)
+        live = "; ".join(map(repr, self._metrics[:3])) + ("; …" if count > 3 else "")
+        frames = f"{plural(self._index, 'frame')}, {plural(count, 'target')}"
         return f"<DetectionsTracker {self._graph.spec.name!r}, {frames}{': ' + live if live else ''}>"
 
     def update(self, detections: Any, frame: NDArray[np.uint8] | None = None) -> Any:
@@ -105,23 +114,33 @@ class DetectionsTracker:
             outcome = start_targets(self._graph, self._engine, now, [])
         else:
             outcome = step(self._engine, self._state, now)
-        self._state, self._index, self.targets = outcome.state, self._index + 1, tuple(outcome.metrics)
+        self._state, self._index, self._metrics = outcome.state, self._index + 1, outcome.metrics
         marked = copy.copy(detections)
-        marked.tracker_id = owners(boxes, [one for one in self.targets if one.status != "lost"])
+        marked.tracker_id = owners(boxes, self._metrics)
         return marked
 
 
-def owners(boxes: NDArray[np.float64], targets: list[FrameMetrics]) -> NDArray[np.int64]:
-    """The target of each centre box (n, 4), the best overlap first; a target has at most one."""
+def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
+    """The target of each centre box (n, 4), best overlaps first; a target has one at most."""
+    ids, places = _held(targets)
     found = np.full(len(boxes), NO_TARGET, dtype=np.int64)
-    if not len(boxes) or not targets:
-        return found
-    shares = overlap(boxes[:, None], np.array([one.centre_box for one in targets])[None])
-    for row, column in zip(*np.unravel_index(np.argsort(-shares, axis=None), shares.shape), strict=True):
-        number = int(targets[column].target)
-        if shares[row, column] >= LEAST_OVERLAP and found[row] == NO_TARGET and number not in found:
-            found[row] = number
+    columns, rows, shares = overlapping_pairs(places, boxes)
+    order = np.lexsort((columns, rows, -shares))
+    taken: set[int] = set()
+    for pair in order[shares[order] >= LEAST_OVERLAP].tolist():
+        row, column = rows[pair], int(columns[pair])
+        if found[row] == NO_TARGET and column not in taken:
+            found[row] = int(ids[column])
+            taken.add(column)
     return found
+
+
+def _held(targets: Sequence[FrameMetrics]) -> tuple[list[str], NDArray[np.float64]]:
+    """Ids and (T, 4) centre boxes of the targets that are not lost."""
+    if isinstance(targets, RowMetrics):
+        return targets.held()
+    held = [one for one in targets if one.status != "lost"]
+    return [one.target for one in held], np.array([one.centre_box for one in held]).reshape(-1, 4)
 
 
 def _boxes(detections: Any) -> NDArray[np.float64]:

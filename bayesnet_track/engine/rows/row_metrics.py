@@ -102,6 +102,14 @@ class RowMetrics(Sequence[FrameMetrics]):
         after.__dict__.update(self.__dict__, born=(*self.born, *born), _made=None)
         return after
 
+    def held(self) -> tuple[list[str], Floats]:
+        """Ids and (T, 4) centre boxes, px, of the targets that are not lost."""
+        rows = np.flatnonzero(~self._was_lost)
+        born = [one for one in self.born if one.status != "lost"]
+        places = np.array([one.centre_box for one in born]).reshape(-1, 4)
+        ids = [self.rows.ids[row] for row in rows.tolist()]
+        return ids + [one.target for one in born], np.concatenate([self.boxes[rows], places])
+
     def _region(self, share: float) -> Floats:
         """(T, 4) the central `share` of the centres."""
         centre = self.rows.columns.mean[:, :2]
