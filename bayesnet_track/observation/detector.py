@@ -52,6 +52,18 @@ class DetectorParameters(BaseModel):
     )
 
 
+class GivenParameters(DetectorParameters):
+    """Parameters of detections that are given: whoever made them has said which count."""
+
+    min_area_px: float = Field(default=1.0, ge=1, description="Least area of a detection's box (pixels).")
+    max_area_share: float = Field(
+        default=1.0, gt=0, le=1, description="Largest area of a detection's box (share of the frame)."
+    )
+    max_count: int = Field(
+        default=1000, ge=1, le=1000, description="Detections kept of a frame, the best (count)."
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Detections:
     """What was found in one frame, the best first.
@@ -173,7 +185,7 @@ def detectors_of_graphs(named: Iterable[str] = ()) -> Mapping[str, DetectorDecla
     given = DetectorDeclaration(
         name=GIVEN,
         summary="What a file of detections holds.",
-        parameters=DetectorParameters,
+        parameters=GivenParameters,
         make=_not_given,
         cost_ms=0.0,
     )

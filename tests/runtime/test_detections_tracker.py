@@ -4,9 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from bayesnet_track import DetectionsTracker
-from bayesnet_track.runtime.detections_tracker import NO_TARGET
+from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.runtime.detections_tracker import NO_TARGET, owners
 
 
 def crossing(frame, order=(0, 1)):
@@ -57,3 +61,42 @@ def test_it_says_what_it_holds_and_what_it_takes():
     for _ in range(4):
         tracker.update(SimpleNamespace(xyxy=[[20, 100, 60, 200]], confidence=[0.9]))
     assert ", 4 frames, 1 target: <target 1 in frame 3" in repr(tracker)
+
+
+def standing(count):
+    """People who stand apart from each other in rows of ten."""
+    left, top = 60.0 * (np.arange(count) % 10), 120.0 * (np.arange(count) // 10)
+    return SimpleNamespace(
+        xyxy=np.stack([left, top, left + 40, top + 100], axis=1), confidence=np.ones(count)
+    )
+
+
+@pytest.mark.parametrize("graph", ["kalman_detections", "jpda", "people_detections", "sort"])
+def test_everybody_in_a_crowd_is_tracked(graph):
+    tracker, people = DetectionsTracker(graph, size=(640, 1600)), standing(120)
+    for _ in range(8):
+        found = tracker.update(people).tracker_id
+    assert sorted(found) == list(range(1, 121))
+
+
+boxes_in_a_row = arrays(np.float64, st.tuples(st.integers(0, 8), st.just(4)), elements=st.integers(1, 12))
+
+
+@given(boxes_in_a_row, boxes_in_a_row, st.data())
+def test_the_best_overlaps_come_first(boxes, places, data):
+    statuses = data.draw(st.lists(st.sampled_from(["tracking", "lost"]), min_size=8, max_size=8))
+    targets = [
+        SimpleNamespace(target=str(number + 1), centre_box=tuple(place), status=status)
+        for number, (place, status) in enumerate(zip(places, statuses, strict=False))
+    ]
+    held = [one for one in targets if one.status != "lost"]
+    shares = {
+        (row, one.target): float(overlap(box, np.array(one.centre_box)))
+        for row, box in enumerate(boxes)
+        for one in held
+    }
+    expected = np.full(len(boxes), NO_TARGET)
+    for row, target in sorted(shares, key=lambda pair: (-shares[pair], pair[0], int(pair[1]))):
+        if shares[row, target] >= 0.3 and expected[row] == NO_TARGET and int(target) not in expected:
+            expected[row] = int(target)
+    assert owners(boxes, targets).tolist() == expected.tolist()
