@@ -20,6 +20,7 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.journal.encoder import written
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import effective
@@ -155,10 +156,8 @@ def _summarise_rows(
     chosen = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
     clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
     return {
-        target: Summary(
-            variances[t], ess[t], surprises[t], list(map(tuple, regions[t])), tuple(map(tuple, cloud))
-        )
-        for t, (target, cloud) in enumerate(zip(targets, clouds.tolist(), strict=True))
+        target: Summary(variances[t], ess[t], surprises[t], list(map(tuple, regions[t])), cloud)
+        for t, (target, cloud) in enumerate(zip(targets, written(clouds), strict=True))
     }
 
 

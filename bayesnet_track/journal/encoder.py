@@ -11,11 +11,13 @@ import operator
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import lru_cache
 from itertools import chain
 from json.encoder import encode_basestring_ascii
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 FLOAT_DIGITS = 9
+_FORM = f"%.{FLOAT_DIGITS}g"
 NON_FINITE: Mapping[str, float] = types.MappingProxyType(
     {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 )
@@ -25,6 +27,28 @@ Encoder = Callable[[Any], str]
 
 _NOTHING = object()
 """Equal to no value."""
+
+
+class Written(tuple[tuple[int, ...], ...]):
+    """Lists of whole numbers with their text, which was made with those of other targets."""
+
+    text: str
+
+
+def written(lists: Any) -> list[Written]:
+    """Of each of the lists (T, N, 4), whole numbers.
+
+    >>> written(np.array([[[1, 2, 3, 4]], [[5, 6, 7, 8]]]))[1].text
+    '[[5, 6, 7, 8]]'
+    """
+    from bayesnet_track.numerics.kernels.text_kernels import texts_of
+
+    numbers, size = iter(lists.ravel().tolist()), lists.shape[1]
+    rows = [*zip(numbers, numbers, numbers, numbers, strict=True)]
+    found = [Written(rows[first : first + size]) for first in range(0, len(rows), size)]
+    for one, text in zip(found, texts_of(lists), strict=True):
+        one.text = text
+    return found
 
 
 class JournalError(ValueError):
@@ -68,11 +92,12 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
         for item in fields(kind)
     ]
 
+    values_of = operator.attrgetter(*(name for name, *_ in parts), "__class__")
+
     def members(value: Any) -> list[str]:
         written = []
-        for name, hint, key, encode, left_out in parts:
-            one = getattr(value, name)
-            if one is left_out or one == left_out:
+        for one, (name, hint, key, encode, left_out) in zip(values_of(value), parts, strict=False):
+            if left_out is not _NOTHING and one == left_out:
                 continue
             try:
                 written.append(key + encode(one))
@@ -119,6 +144,8 @@ def _of_union(inner: tuple[Any, ...], where: str) -> Encoder:
 def _of_list(item: Any, where: str) -> Encoder:
     if item is int:
         return _ints
+    if item is float:
+        return _floats
     if item == tuple[int, ...]:
         return _int_lists
     encode_item = _encoder_of(item, where)
@@ -148,13 +175,22 @@ def _of_mapping(item: Any, where: str) -> Encoder:
 
 
 def _float(value: Any) -> str:
-    number = float(value)
-    text = f"{number:.{FLOAT_DIGITS}g}"
+    text = f"{value:.{FLOAT_DIGITS}g}"
     if "." in text and "e" not in text:
         return text  # as Python's own shortest form of these digits
+    number = float(value)
     if not math.isfinite(number):
         return '"NaN"' if math.isnan(number) else '"Infinity"' if number > 0 else '"-Infinity"'
     return repr(float(text) + 0.0)
+
+
+def _floats(value: Any) -> str:
+    """All at once, where all are written with a point and without an exponent."""
+    numbers = tuple(value)
+    text = _list_of(_FORM, len(numbers)) % numbers
+    if text.count(".") == len(numbers) and "e" not in text:
+        return text
+    return f"[{', '.join(map(_float, numbers))}]"
 
 
 def _int(value: Any) -> str:
@@ -170,10 +206,18 @@ def _ints(value: Any) -> str:
 
 
 def _int_lists(value: Any) -> str:
-    """A cloud has hundreds of numbers: they are written at once where all are Python's own."""
-    if {*map(type, value)} <= {tuple} and {*map(type, chain.from_iterable(value))} <= {int}:
-        return repr([*map(list, value)])
+    """A cloud has hundreds of numbers, four a row: they are written at once where all are Python's own."""
+    if type(value) is Written:
+        return value.text
+    numbers = (*chain.from_iterable(value),)
+    if {*map(len, value)} == {4} and {*map(type, numbers)} == {int}:
+        return _list_of("[%d, %d, %d, %d]", len(value)) % numbers
     return f"[{', '.join(map(_ints, value))}]"
+
+
+@lru_cache(maxsize=64)
+def _list_of(form: str, count: int) -> str:
+    return f"[{', '.join([form] * count)}]"
 
 
 def _bool(value: Any) -> str:

@@ -20,7 +20,7 @@ from bayesnet_track.journal.codec import (
     to_json,
     type_hints,
 )
-from bayesnet_track.journal.encoder import FLOAT_DIGITS, members_encoder
+from bayesnet_track.journal.encoder import FLOAT_DIGITS, members_encoder, written
 from bayesnet_track.journal.events.endings import TargetDied
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
 from bayesnet_track.journal.events.sources import SourceDamaged
@@ -240,6 +240,15 @@ def test_frame_metrics_keep_their_cloud():
 @dataclass
 class Drawn:
     cloud: tuple[tuple[int, ...], ...]
+
+
+def test_clouds_that_are_made_together_have_the_text_of_each():
+    drawn = np.random.default_rng(0).integers(-5, 2000, (3, 6, 4))
+    write = members_encoder(Drawn, "drawn")
+    for one, numbers in zip(written(drawn), drawn.tolist(), strict=True):
+        own = tuple(map(tuple, numbers))
+        assert one == own
+        assert write(Drawn(one)) == write(Drawn(own)) == [f'"cloud": {numbers}']
 
 
 @pytest.mark.parametrize(

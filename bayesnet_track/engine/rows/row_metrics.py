@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.gaussian.belief import draw_boxes
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.engine.summaries import CLOUD_SIZE
+from bayesnet_track.journal.encoder import Written, written
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import roots
@@ -21,8 +22,6 @@ from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
 from bayesnet_track.numerics.predictive import p_after
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.planes import Frame
-
-Cloud = tuple[tuple[int, ...], ...]
 
 LEAST = np.array([0.0, 0.0, 1.0, 1.0])
 """Least centre and sides of an estimate, px (`engine.state.inside_frame`)."""
@@ -118,28 +117,44 @@ class RowMetrics(Sequence[FrameMetrics]):
 
     def _lines(self) -> tuple[FrameMetrics, ...]:
         if self._made is None:
-            regions = self._region(0.5).tolist(), self._region(0.9).tolist()
-            columns = zip(*regions, self._clouds(), self._p_values(), strict=True)
-            self._made = (*map(self._line, range(len(self.rows.ids)), columns), *self.born)
+            now, count = self.rows.columns, len(self.rows.ids)
+            columns = zip(
+                self.rows.ids,
+                _tuples(self.boxes),
+                _tuples(now.mean[:, :4]),
+                _tuples(self._sds),
+                self.measured.numbers.tolist(),
+                self.measured.quiet.tolist(),
+                self._was_lost.tolist(),
+                self._scores.tolist(),
+                _tuples(self._region(0.5)),
+                _tuples(self._region(0.9)),
+                self._clouds(),
+                (now.given == GIVEN).tolist(),
+                [None] * count if self.rows.rule.crowd is None else now.existence.tolist(),
+                self._p_values(),
+                strict=True,
+            )
+            self._made = (*map(self._line, columns), *self.born)
         return self._made
 
-    def _line(self, row: int, drawn: tuple[list[float], list[float], Cloud, float | None]) -> FrameMetrics:
-        rule, target, now = self.rows.rule, self.rows.ids[row], self.rows.columns
-        log_evidence, nats, ess, size, agent_ud, ud, _, _ = self.measured.numbers[row].tolist()
-        quiet = float(self.measured.quiet[row])
-        region50, region90, cloud, p_value = drawn
+    def _line(self, column: tuple[Any, ...]) -> FrameMetrics:
+        rule = self.rows.rule
+        target, box, place, sd, numbers, quiet, was_lost, score, region50, region90, cloud, *more = column
+        log_evidence, nats, ess, size, agent_ud, ud, _, _ = numbers
+        is_given, existence, p_value = more
         return FrameMetrics(
             frame=self._index,
             time_s=self._time_s,
             target=target,
-            centre_box=tuple(self.boxes[row].tolist()),
-            map=tuple(now.mean[row, :4].tolist()),
-            sd=tuple(self._sds[row].tolist()),
+            centre_box=box,
+            map=place,
+            sd=sd,
             ud_px2=ud,
             ud_nodes={rule.root: ud},
             quiet_px2=None if quiet != quiet else quiet,
-            status="lost" if self._was_lost[row] else "tracking",
-            score=float(self._scores[row]),
+            status="lost" if was_lost else "tracking",
+            score=score,
             log_evidence=log_evidence,
             surprise=nats,
             ess=ess,
@@ -150,22 +165,22 @@ class RowMetrics(Sequence[FrameMetrics]):
             agent_ud_px2={rule.agent: agent_ud},
             strength={rule.agent: nats},
             learn_rate=0.0,
-            region50=tuple(region50),
-            region90=tuple(region90),
+            region50=region50,
+            region90=region90,
             cloud=cloud,
-            silent=() if now.given[row] == GIVEN else (rule.agent,),
-            existence=None if rule.crowd is None else float(now.existence[row]),
+            silent=() if is_given else (rule.agent,),
+            existence=existence,
             p_values={} if p_value is None else {rule.agent: p_value},
         )
 
-    def _clouds(self) -> list[Cloud]:
+    def _clouds(self) -> list[Written]:
         """Hypotheses drawn from the belief of each row."""
         now, root = self.rows.columns, self.rows.rule.root
         clouds = np.empty((len(self.rows.ids), CLOUD_SIZE, 4))
-        for row, lower in enumerate(roots(now.covariance[:, :4, :4])):
-            rng = self._streams.of(self.rows.ids[row], root, self._index, "cloud")
+        streams = self._streams.of_each(self.rows.ids, root, self._index, "cloud")
+        for row, (lower, rng) in enumerate(zip(roots(now.covariance[:, :4, :4]), streams, strict=True)):
             clouds[row] = draw_boxes(now.mean[row], lower, CLOUD_SIZE, rng)
-        return [tuple(map(tuple, cloud)) for cloud in np.rint(clouds).astype(np.int64).tolist()]
+        return written(np.rint(clouds).astype(np.int64))
 
     def _p_values(self) -> list[float | None]:
         """How well each row's detection was predicted; None of one that several targets share."""
@@ -194,3 +209,7 @@ class RowMetrics(Sequence[FrameMetrics]):
 
     def __len__(self) -> int:
         return len(self.rows.ids) + len(self.born)
+
+
+def _tuples(rows: Floats) -> list[Any]:
+    return [*map(tuple, rows.tolist())]

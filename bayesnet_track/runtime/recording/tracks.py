@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -45,6 +45,13 @@ class MotWriter(LineFile):
         self.append(mot_line(metrics, number))
 
 
+@dataclass(frozen=True)
+class _Lines:
+    """Where `csv` writes: whole lines."""
+
+    write: Callable[[str], None]
+
+
 class CsvWriter(LineFile):
     """CSV with the header `CSV_COLUMNS`.
 
@@ -54,14 +61,14 @@ class CsvWriter(LineFile):
 
     def __init__(self, path: Path, after: int | None = None) -> None:
         super().__init__(path, after)
+        self._rows = csv.writer(_Lines(self.append), lineterminator="")
         if after is None:
             self.append(",".join(CSV_COLUMNS))
             self.flush()
 
     def write(self, metrics: FrameMetrics) -> None:
         """Add the line of one target in one frame to the next flush."""
-        line = io.StringIO()
-        csv.writer(line, lineterminator="").writerow(
+        self._rows.writerow(
             (
                 metrics.frame,
                 _fix(metrics.time_s, 6),
@@ -73,13 +80,13 @@ class CsvWriter(LineFile):
                 " ".join(metrics.active),
             )
         )
-        self.append(line.getvalue())
 
 
 def _corner(metrics: FrameMetrics) -> list[str]:
-    return [_fix(float(value), 3) for value in metrics.xywh]
+    x, y, w, h = metrics.centre_box
+    return [_fix(value, 3) for value in (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)]
 
 
 def _fix(value: float, digits: int) -> str:
-    # Adding 0.0 turns -0.0 into 0.0.
-    return f"{round(float(value), digits) + 0.0:.{digits}f}"
+    text = f"{value:.{digits}f}"
+    return text[1:] if text[0] == "-" and float(text) == 0.0 else text
