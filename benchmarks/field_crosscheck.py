@@ -8,11 +8,9 @@ target has a box, the detection that it was given, in frames in which it was giv
 the third such frame on end after a gap, as the package reports. OC-SORT is compared with the package's filter
 of corners, whose state is the graph's, and with its default, a filter of area and aspect.
 
-Frames per second are of CPU time on one thread, of the frames after the thirtieth: `update` of the peers, and
-ours the step with association, metrics as columns and decisions, no file written. The steps are timed in a
-run of their own: the tracks are read from lines of metrics, which are made when they are asked for, and what
-that leaves behind in caches and to the garbage collector is no part of a step. No pixel is read. "Places of
-five" are those of each graph among itself, SORT, ByteTrack, OC-SORT and norfair.
+Frames per second are of CPU time on one thread, of the frames after the thirtieth, of the same call: `update`
+of the peers and of our `DetectionsTracker`, which gives every detection its target. No pixel is read, no file
+written. "Places of five" are those of each graph among itself, SORT, ByteTrack, OC-SORT and norfair.
 """
 
 from __future__ import annotations
@@ -23,13 +21,15 @@ import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from measuring import environment, on_one_thread, table
 
+from bayesnet_track import DetectionsTracker
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import Outcome, make_engine, step
@@ -67,30 +67,35 @@ def own_box(outcome: Outcome, line: FrameMetrics) -> list[float]:
     return [float(value) for value in xyxy_from_centre(box)]
 
 
-def advanced(name: str, detector: FileDetector, count: int) -> Iterator[tuple[Outcome, float]]:
-    """The outcome of each frame and the seconds of its step."""
+def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, int]:
+    """Tracks, and frames that went as rows."""
     graph = load_graph(name)
     engine = make_engine(graph, 0, detectors={"detections": detector})
     image, outcome = np.zeros((SIZE[1], SIZE[0], 3), np.uint8), None
+    tracks: Tracks = []
+    rows = 0
     for index in range(count):
         frame = Frame(index=index, time=float(index), time_s=index / 25, image=image)
-        started = time.process_time()
         if outcome is None:
             outcome = start_targets(graph, engine, frame, ())
         else:
             outcome = step(engine, outcome.state, frame)
-        yield outcome, time.process_time() - started
-
-
-def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, list[float], int]:
-    """Tracks, the seconds of each step, and frames that went as rows."""
-    tracks: Tracks = []
-    rows = 0
-    for outcome, _ in advanced(name, detector, count):
         rows += isinstance(outcome.metrics, RowMetrics)
         live = [one for one in outcome.metrics if not one.silent and one.target in outcome.state.targets]
         tracks.append([[float(one.target), *own_box(outcome, one)] for one in live])
-    return tracks, [seconds for _, seconds in advanced(name, detector, count)], rows
+    return tracks, rows
+
+
+def updates(name: str, detector: FileDetector, count: int) -> list[float]:
+    """Seconds of each update."""
+    tracker, seconds = DetectionsTracker(name, SIZE), []
+    for index in range(count):
+        found = detector.found.get(index, NOTHING)
+        given = SimpleNamespace(xyxy=xyxy_from_centre(found.boxes), confidence=found.scores)
+        started = time.process_time()
+        tracker.update(given)
+        seconds.append(time.process_time() - started)
+    return seconds
 
 
 def reported(tracks: Tracks, least: int) -> Tracks:
@@ -160,8 +165,8 @@ def main() -> None:
             for name, other in PAIRS:
                 tracks = reported(own[name][0], STREAK.get(name, 1))
                 value = idf1(tracks, figures[other]["tracks"], Path(folder))
-                agreement.append([sequence, name, other, f"{value:.4f}", f"{own[name][2]} of {count}"])
-        rates = {name: rate(seconds) for name, (_, seconds, _) in own.items()}
+                agreement.append([sequence, name, other, f"{value:.4f}", f"{own[name][1]} of {count}"])
+        rates = {name: rate(updates(name, detector, count)) for name in own}
         others = {name: rate(figures[name]["seconds"]) for name in names}
         speed.append(
             [
