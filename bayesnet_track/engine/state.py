@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -59,7 +60,13 @@ def with_agents(compiled: CompiledPlate, state: TargetState, agents: frozenset[s
     """The state with a plan for exactly these agents."""
     if agents == state.plan.active:
         return state
-    return replace(state, plan=compile_plan(compiled.plate, agents, compiled.cues))
+    return replace(state, plan=_plan_for(compiled, agents))
+
+
+@lru_cache(maxsize=256)
+def _plan_for(compiled: CompiledPlate, agents: frozenset[str]) -> Plan:
+    """The plan of a plate with these agents: the same few take turns where agents are sampled."""
+    return compile_plan(compiled.plate, agents, compiled.cues)
 
 
 def inside_frame(box: Floats, frame: Frame) -> Floats:

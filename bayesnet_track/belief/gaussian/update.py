@@ -17,7 +17,6 @@ from bayesnet_track.numerics.gaussian import (
     Updated,
     chi_square_cdf,
     chi_square_quantile,
-    innovation_likelihood,
     linear_update,
     root,
     sigma_points,
@@ -208,7 +207,8 @@ def take(
         else:
             observe = observe_fields(one, fields)
             expected = symmetric(observe @ covariance @ observe.T + one.covariance)
-            d2, _ = innovation_likelihood(one.mean - observe @ mean, expected, one.covariance)
+            innovation = one.mean - observe @ mean
+            d2 = float(innovation @ np.linalg.solve(expected, innovation))
         degrees = len(one.fields)
         limit = chi_square_quantile(gate, degrees)
         if d2 > limit:
