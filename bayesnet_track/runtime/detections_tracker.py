@@ -126,9 +126,9 @@ def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArr
     found = np.full(len(boxes), NO_TARGET, dtype=np.int64)
     columns, rows, shares = overlapping_pairs(places, boxes)
     order = np.lexsort((columns, rows, -shares))
+    best = order[shares[order] >= LEAST_OVERLAP]
     taken: set[int] = set()
-    for pair in order[shares[order] >= LEAST_OVERLAP].tolist():
-        row, column = rows[pair], int(columns[pair])
+    for row, column in zip(rows[best].tolist(), columns[best].tolist(), strict=True):
         if found[row] == NO_TARGET and column not in taken:
             found[row] = int(ids[column])
             taken.add(column)
