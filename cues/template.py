@@ -7,6 +7,7 @@ answer and its neighbours gives the place between the cells.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -163,6 +164,7 @@ def _gray_around(image: Bytes, box: Floats) -> tuple[Bytes, float, float]:
     return gray, left - 0.5, top - 0.5
 
 
+@lru_cache(maxsize=256)
 def preferred(shape: tuple[int, ...], side: float) -> NDArray[np.float32]:
     """(rows, columns) weight of answers by their distance from the middle one, `side` cells a box."""
     down, across = (

@@ -32,13 +32,13 @@ class Crop:
         height, width = image.shape[:2]
         x0, y0 = max(self.left, 0), max(self.top, 0)
         x1, y1 = min(self.left + self.side, width), min(self.top + self.side, height)
-        if (x1 - x0, y1 - y0) == (self.side, self.side):
-            part = image[y0:y1, x0:x1]
-        else:
-            part = np.empty((self.side, self.side, 3), np.uint8)
-            part[:] = np.rint(cv2.mean(image)[:3]).astype(np.uint8)
-            if x1 > x0 and y1 > y0:
-                part[y0 - self.top : y1 - self.top, x0 - self.left : x1 - self.left] = image[y0:y1, x0:x1]
+        part = image[y0:y1, x0:x1]
+        if x1 <= x0 or y1 <= y0:
+            part = np.full((1, 1, 3), _mean_color(image), np.uint8)
+        elif part.shape[:2] != (self.side, self.side):
+            sides = (y0 - self.top, self.top + self.side - y1, x0 - self.left, self.left + self.side - x1)
+            color = _mean_color(image).tolist()
+            part = np.asarray(cv2.copyMakeBorder(part, *sides, cv2.BORDER_CONSTANT, value=color), np.uint8)
         return np.asarray(cv2.resize(part, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
 
     def boxes(self, response: Response) -> Floats:
@@ -51,6 +51,13 @@ class Crop:
         y = self.top - 0.5 + scale * (0.5 * SEARCH + line[:, None] + 0.5 * (bottom - top))
         w, h = (scale * np.maximum(extent, 1e-3) for extent in (left + right, top + bottom))
         return np.stack([x, y, w, h], axis=-1).reshape(-1, 4)
+
+
+def _mean_color(image: Bytes) -> Bytes:
+    """(3,) of a frame."""
+    import cv2
+
+    return np.rint(cv2.mean(image)[:3]).astype(np.uint8)
 
 
 def context_side(size: Floats) -> float:
