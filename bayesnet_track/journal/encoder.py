@@ -169,7 +169,7 @@ def _of_mapping(item: Any, where: str) -> Encoder:
     encode_item = _encoder_of(item, where)
 
     def encode(value: Any) -> str:
-        return f"{{{', '.join([f'{_text(key)}: {encode_item(value[key])}' for key in sorted(value)])}}}"
+        return f"{{{', '.join([f'{_key(key)}: {encode_item(value[key])}' for key in sorted(value)])}}}"
 
     return encode
 
@@ -228,6 +228,11 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise TypeError("not a text")
     return encode_basestring_ascii(str(value))
+
+
+@lru_cache(maxsize=1024)
+def _key(value: Any) -> str:
+    return _text(value)
 
 
 def _none(value: Any) -> str:
