@@ -73,7 +73,7 @@ def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[
     from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
 
     order, sides = np.argsort(boxes[:, 0], kind="stable"), np.sqrt(boxes[:, 2] * boxes[:, 3])
-    variances = np.ascontiguousarray(np.diagonal(covariances, axis1=1, axis2=2))
+    variances = plain(np.diagonal(covariances, axis1=1, axis2=2))
     limit = -8.0 * np.log(least) * (1.0 + 1e-9) if least > 0.0 else np.inf
     ends = pairs_alike(plain(boxes), sides, variances, order, limit, SAME_PLACE)
     if not len(ends[0]):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.duplicates import belief_overlap, near_pairs
+from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
 
 
 def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():
@@ -45,3 +46,10 @@ def test_near_pairs_are_those_of_every_pair_looked_at(least):
     assert set(expected) <= set(found)
     assert least > 0.0 or expected == found
     assert 0 < len(found) < 1770 / 4
+
+
+def test_a_single_target_and_several_need_one_compiled_version():
+    boxes = np.array([[10.0, 10, 8, 8], [12.0, 10, 8, 8]])
+    for count in (1, 2):
+        near_pairs(boxes[:count], np.stack([np.eye(4)] * count), 0.5)
+    assert len(pairs_alike.signatures) <= 1
