@@ -38,6 +38,7 @@ class Written(tuple[tuple[int, ...], ...]):
 def written(lists: Any) -> list[Written]:
     """Of each of the lists (T, N, 4), whole numbers.
 
+    >>> import numpy as np
     >>> written(np.array([[[1, 2, 3, 4]], [[5, 6, 7, 8]]]))[1].text
     '[[5, 6, 7, 8]]'
     """
