@@ -120,11 +120,15 @@ def field_names(kind: Any) -> Mapping[str, str]:
 
 
 def _decode(value: Any, hint: Any, where: str) -> Any:
+    if type(value) is hint:
+        return value
     shape, inner = _shape(hint)
     if shape == "union":
         return None if _absent(inner, value) else _decode(value, _member_with(inner, value), where)
     if shape == "tuple" and isinstance(value, list):
         hints = _per_item(inner, value)
+        if tuple(map(type, value)) == hints:  # as most are: nothing is left to decode
+            return tuple(value)
         if len(hints) == len(value):
             return tuple(_decode(item, h, where) for item, h in zip(value, hints, strict=True))
     elif shape == "mapping" and isinstance(value, dict):
@@ -136,22 +140,25 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
     elif hint is float and isinstance(value, int | float) and not isinstance(value, bool):
         with suppress(OverflowError):  # an integer of more than 308 digits
             return float(value)
-    elif hint in (int, bool, str) and type(value) is hint:
-        return value
     raise JournalError(f"{where}: {short(repr(value))} is not {getattr(hint, '__name__', hint)}")
 
 
 def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
     hints, values = type_hints(kind), in_new_words(kind.__name__, values)
     names = field_names(kind)
-    unknown = set(values) - set(names)
-    needed = {key_of(f) for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
-    missing = needed - set(values)
+    unknown, missing = values.keys() - names.keys(), _needed(kind) - values.keys()
     if unknown or missing:
         raise JournalError(f"{where}: unknown fields {sorted(unknown)}, missing fields {sorted(missing)}")
     return kind(
         **{names[key]: _decode(value, hints[names[key]], f"{where}.{key}") for key, value in values.items()}
     )
+
+
+@cache
+def _needed(kind: Any) -> frozenset[str]:
+    """Keys that an object of a dataclass cannot lack."""
+    without = (item for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING)
+    return frozenset(map(key_of, without))
 
 
 @cache
