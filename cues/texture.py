@@ -130,11 +130,12 @@ class Texture:
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> Floats:
         """(N,) Bhattacharyya distances to the reference's shares, 0..1."""
+        from bayesnet_track.numerics.compiled import plain
         from bayesnet_track.vision.kernels.texture_kernels import bhattacharyya
 
         found = self._shares(planes, boxes)
         coefficients = np.empty(len(found))
-        bhattacharyya(found, np.ascontiguousarray(shares), coefficients)
+        bhattacharyya(found, plain(shares), coefficients)
         return np.asarray(np.sqrt(1.0 - coefficients))
 
     def _shares(self, planes: Planes, boxes: Floats) -> Floats:
