@@ -33,7 +33,7 @@ def follow_sizes(
         for k in range(2):
             before = first_variance if i == k else 0.0
             if held > 0:
-                before = covariance[i, k] + (1.0 - share) * (now[i] - mean[i]) * (now[k] - mean[k])
+                before = covariance[i, k] + share * (now[i] - mean[i]) * (now[k] - mean[k])
             after[i, k] = (1.0 - share) * before + share * spread[i, k]
     for k in range(2):
         now[k] = mean[k] + share * (now[k] - mean[k]) if held > 0 else now[k]
