@@ -1,6 +1,7 @@
-"""Draw the figures of the pages on `klt`, `color_kernel_histogram` and `opencv_tracker`, on rendered scenes.
+"""Draw the figures of the pages on `klt`, `template`, `color_kernel_histogram` and `opencv_tracker`.
 
-Run ``python benchmarks/figures_classical.py`` (extra `figures`); pictures go to docs/figures.
+The scenes are rendered. Run ``python benchmarks/figures_classical.py`` (extra `figures`); pictures go to
+docs/figures.
 """
 
 from __future__ import annotations
@@ -80,6 +81,45 @@ def colours(path: Path) -> None:
     style.save(figure, path)
 
 
+def covered_more_and_more(scene: Scene, box: Floats) -> dict[str, NDArray[np.uint8]]:
+    """Title -> the fifth frame, with none, half and all of the box covered by background."""
+    x, y, w, h = box
+    later = scene.frames[4].copy()
+    cases = {"four frames later": later}
+    for title, share in (("half is covered", 0.5), ("all is covered: not seen", 1.0)):
+        covered = later.copy()
+        left, top = round(x - w / 2) - 1, round(y - h / 2) - 1
+        patch = scene.frames[0][-3 - round(h) :, -3 - round(w * share) :]
+        covered[top : top + patch.shape[0], left : left + patch.shape[1]] = patch
+        cases[title] = covered
+    return cases
+
+
+def copies(path: Path) -> None:
+    """The copy that is learnt, and where it is found with its two sds."""
+    scene = make_scene("gray_square", 0)
+    truth, cue = centre_from_corner(scene.truth), cue_of("template")
+    reference = learnt(cue, scene, 0, truth[0])
+    figure, panels = plt.subplots(1, 4, figsize=(11, 2.8), layout="constrained")
+    panels[0].imshow(reference["same"], cmap="gray", vmin=0, vmax=255)
+    panels[0].set(title="the copy", xticks=[], yticks=[])
+    cases = covered_more_and_more(scene, truth[4])
+    for axes, (title, image) in zip(panels[1:], cases.items(), strict=True):
+        planes = PlaneCache(FramePair(Frame(4, 4.0, image), None)).planes(
+            cue.needs, region_of_boxes(truth[4:5])
+        )
+        expected = truth[4] + [12, -8, 0, 0]
+        found = cue.measure(planes, Hypotheses(expected[None]), np.ones(1), reference)
+        style.show(axes, image, title, False)
+        if found is not None:
+            style.boxes(axes, found.mean[None], style.BEST)
+            sds = 2.0 * np.sqrt(np.diag(found.covariance)[:2])
+            axes.errorbar(*found.mean[:2], sds[1], sds[0], color=style.BEST)
+        axes.plot(*expected[:2], "+", color=style.WARNING, ms=9)
+        zoomed(axes, truth[4], 50)
+    style.save(figure, path)
+
+
 def points(path: Path) -> None:
     """Points when they are chosen, followed, partly hidden, and on something else."""
     scene = make_scene("gray_square", 0)
@@ -90,15 +130,7 @@ def points(path: Path) -> None:
     style.boxes(panels[0], truth[:1], style.INK)
     panels[0].plot(*reference["at"].T, ".", color=style.BEST, ms=5)
     zoomed(panels[0], truth[0], 50)
-    later = scene.frames[4].copy()
-    x, y, w, h = truth[4]
-    cases = {"four frames later": later}
-    for title, share in (("half is covered", 0.5), ("all is covered: not seen", 1.0)):
-        covered = later.copy()
-        left, top = round(x - w / 2) - 1, round(y - h / 2) - 1
-        patch = scene.frames[0][-3 - round(h) :, -3 - round(w * share) :]
-        covered[top : top + patch.shape[0], left : left + patch.shape[1]] = patch
-        cases[title] = covered
+    cases = covered_more_and_more(scene, truth[4])
     for axes, (title, image) in zip(panels[1:], cases.items(), strict=True):
         pair = FramePair(Frame(4, 4.0, image), None)
         planes = PlaneCache(pair).planes(cue.needs, region_of_boxes(truth[4:5]))
@@ -141,9 +173,10 @@ def tracker(path: Path) -> None:
 
 
 def main() -> None:
-    """Draw all three."""
+    """Draw all four."""
     colours(FIGURES / "color_kernel.png")
     points(FIGURES / "klt_points.png")
+    copies(FIGURES / "template_copy.png")
     tracker(FIGURES / "opencv_tracker.png")
 
 

@@ -121,6 +121,8 @@ class Template:
         # Cells of the template's own size, so that it fits without a shift where it was cut out.
         gray, left, top = _gray_around(image, np.concatenate([place, size / cells * area_cells]))
         area = _shrunk(gray, area_cells)
+        if np.ptp(area) == 0:  # OpenCV says 1 where both are flat, but nothing says where
+            return None
         across, down = gray.shape[1] / area.shape[1], gray.shape[0] / area.shape[0]
         best, found = 0.0, None
         for name, scale in SIZES.items():

@@ -89,7 +89,7 @@ wrong.yaml:22:29: square: above is 130; allowed: one of ud_px2, ud_box, ud_basel
         """\
 wrong.yaml:25:39: color: unknown cue 'zoom'; allowed: camshift, color_blobs, color_histogram, \
 color_kernel_histogram, correlation_filter, detection, displacement, embedding, foreground_color, intensity, \
-klt, mean_shift, ... (8 more)
+klt, mean_shift, ... (10 more)
   25 |       color: {parent: square, agent: {zoom: {floor: 0.003}}}
      |                                       ^
   hint: a cue of your own is given as --cue-file FILE, one of another package as --allow-plugins NAME""",

@@ -68,7 +68,7 @@ CASES = [
         "  score: {logistic: {bias: 1, verifiers: {v: {agent: textur}, w: {agent: {texture: {cell: 2}}}}}}",
         "4:54: s: unknown cue 'textur'; allowed: camshift, color_blobs, color_histogram, "
         "color_kernel_histogram, correlation_filter, detection, displacement, embedding, foreground_color, "
-        "intensity, klt, mean_shift, ... (8 more); nearest: texture\n"
+        "intensity, klt, mean_shift, ... (10 more); nearest: texture\n"
         "4:85: s: unknown key 'cell'; allowed: floor, sd_log_area, sd_log_aspect, form, cells, noise_gray, "
         "alpha_share, alpha_min; nearest: cells",
     ),

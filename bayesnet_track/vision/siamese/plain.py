@@ -26,8 +26,10 @@ def plain() -> Networks:
     def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
         likeness = cv2.matchTemplate(cells(crop), template, cv2.TM_CCOEFF_NORMED)
         likeness = np.nan_to_num(np.asarray(likeness, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        if np.ptp(template, axis=(0, 1)).max() < 1.0:  # OpenCV says 1 where both are flat
+            likeness[:] = 0.0
         sides = np.empty((4, *likeness.shape), np.float32)
         sides[:] = np.tile(size / 2, 2)[:, None, None]
-        return Response(np.clip(likeness, 0.0, 1.0) ** 2, sides, CELL)
+        return Response(np.clip(likeness, 0.0, 1.0) ** 4, sides, CELL)
 
     return Networks(describe, compare)
