@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
@@ -97,18 +98,25 @@ class DetectionsTracker:
         """A copy of the detections with `tracker_id`, (n,) int64; `targets` has all that was measured.
 
         Args:
-            detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1.
+            detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1 and
+                `data["class_name"]` (n,), which a graph with `labels` needs. Boxes outside of the frame are
+                left out with a warning.
             frame: the BGR frame, for graphs that look at it.
 
         Raises:
             TypeError: detections without `xyxy`, such as an array.
-            ValueError: boxes that are not (n, 4) finite numbers with an area.
+            ValueError: boxes that are not (n, 4) finite numbers with an area, confidences beyond 0..1, or no
+                class names for a graph with `labels`.
         """
         boxes = _boxes(detections)
-        given = getattr(detections, "confidence", None)
-        scores = np.ones(len(boxes)) if given is None else np.asarray(given, dtype=np.float64)
-        self._fed.now = Detections(boxes, scores, ("",) * len(boxes))
+        self._fed.now = Detections(
+            boxes, _scores(detections, len(boxes)), self._labels(detections, len(boxes))
+        )
         image, has_color = to_bgr(self._blank if frame is None else np.array(frame))
+        height, width = image.shape[:2]
+        if (np.abs(2.0 * boxes[:, :2] - (width - 1, height - 1)) >= boxes[:, 2:] + (width, height)).any():
+            message = f"boxes outside of the frames of {width}x{height} px are left out"
+            warnings.warn(f"{message}; DetectionsTracker(size=(width, height)) sets their size", stacklevel=2)
         now = Frame(self._index, float(self._index), image, has_color, math.nan, None)
         if self._state is None:
             outcome = start_targets(self._graph, self._engine, now, [])
@@ -118,6 +126,18 @@ class DetectionsTracker:
         marked = copy.copy(detections)
         marked.tracker_id = owners(boxes, self._metrics)
         return marked
+
+    def _labels(self, detections: Any, count: int) -> tuple[str, ...]:
+        names = getattr(detections, "data", {}).get("class_name")
+        if names is not None:
+            return tuple(map(str, names))
+        births = (plate.spec.birth for plate in self._graph.targets.values())
+        wanted = [label for birth in births if birth is not None for label in birth.labels]
+        if wanted and count:
+            raise ValueError(
+                f'detections without data["class_name"]; the graph takes {", ".join(wanted)} only'
+            )
+        return ("",) * count
 
 
 def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
@@ -141,6 +161,16 @@ def _held(targets: Sequence[FrameMetrics]) -> tuple[list[str], NDArray[np.float6
         return targets.held()
     held = [one for one in targets if one.status != "lost"]
     return [one.target for one in held], np.array([one.centre_box for one in held]).reshape(-1, 4)
+
+
+def _scores(detections: Any, count: int) -> NDArray[np.float64]:
+    given = getattr(detections, "confidence", None)
+    scores = np.ones(count) if given is None else np.asarray(given, dtype=np.float64)
+    if not ((scores > -1e-6) & (scores < 1 + 1e-6)).all():
+        raise ValueError(
+            "detections: confidence goes beyond 0..1; scale it, or give None where it is unknown"
+        )
+    return scores
 
 
 def _boxes(detections: Any) -> NDArray[np.float64]:

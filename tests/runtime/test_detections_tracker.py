@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bayesnet_track import DetectionsTracker
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.runtime.detections_tracker import NO_TARGET, owners
 
@@ -100,3 +101,26 @@ def test_the_best_overlaps_come_first(boxes, places, data):
         if shares[row, target] >= 0.3 and expected[row] == NO_TARGET and int(target) not in expected:
             expected[row] = int(target)
     assert owners(boxes, targets).tolist() == expected.tolist()
+
+
+def test_what_cannot_be_tracked_is_not_left_out_without_a_word():
+    tracker = DetectionsTracker("kalman_detections", size=(640, 480))
+    for confidence in (90, -1, np.nan):
+        with pytest.raises(ValueError, match=r"confidence goes beyond 0..1"):
+            tracker.update(SimpleNamespace(xyxy=[[20, 100, 60, 200]], confidence=[confidence]))
+    with pytest.warns(UserWarning, match="outside of the frames of 640x480 px"):
+        tracker.update(SimpleNamespace(xyxy=[[700, 100, 760, 200]], confidence=[1.0]))
+
+
+def test_classes_are_told_apart_by_their_names(tmp_path):
+    text = load_graph("kalman_detections").text
+    text = text.replace("detector: detections", "detector: detections\n      labels: [car]")
+    path = tmp_path / "cars.yaml"
+    path.write_text(text)
+    tracker = DetectionsTracker(path)
+    boxes = {"xyxy": [[20, 100, 60, 200], [300, 100, 360, 200]], "confidence": [1, 1]}
+    with pytest.raises(ValueError, match="the graph takes car only"):
+        tracker.update(SimpleNamespace(**boxes))
+    for _ in range(4):
+        found = tracker.update(SimpleNamespace(**boxes, data={"class_name": ["car", "person"]}))
+    assert found.tracker_id.tolist() == [1, NO_TARGET]
