@@ -1,4 +1,4 @@
-"""Draw the figures of the pages on `klt`, `template`, `color_kernel_histogram` and `opencv_tracker`.
+"""Draw the figures of the pages on `klt`, `template`, `siamese`, `color_kernel_histogram`, `opencv_tracker`.
 
 The scenes are rendered. Run ``python benchmarks/figures_classical.py`` (extra `figures`); pictures go to
 docs/figures.
@@ -120,6 +120,19 @@ def copies(path: Path) -> None:
     style.save(figure, path)
 
 
+def proposals(path: Path) -> None:
+    """A target in its frame, and the likelihood of its box by the plain pixels of `siamese`."""
+    scene = make_scene("gray_square", 0)
+    truth, cue = centre_from_corner(scene.truth), cue_of("siamese")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
+    style.show(left, scene.frames[4], "four frames later", False)
+    style.boxes(left, truth[4:5], style.INK)
+    zoomed(left, truth[4], 60)
+    surface(right, cue, scene, 4, truth[4], learnt(cue, scene, 0, truth[0]))
+    right.set_title("likelihood")
+    style.save(figure, path)
+
+
 def points(path: Path) -> None:
     """Points when they are chosen, followed, partly hidden, and on something else."""
     scene = make_scene("gray_square", 0)
@@ -173,10 +186,11 @@ def tracker(path: Path) -> None:
 
 
 def main() -> None:
-    """Draw all four."""
+    """Draw all five."""
     colours(FIGURES / "color_kernel.png")
     points(FIGURES / "klt_points.png")
     copies(FIGURES / "template_copy.png")
+    proposals(FIGURES / "cue_siamese.png")
     tracker(FIGURES / "opencv_tracker.png")
 
 
