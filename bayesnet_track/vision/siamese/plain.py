@@ -9,6 +9,8 @@ from bayesnet_track.vision.siamese.networks import TEMPLATE, Networks, Response
 
 CELL = 4
 """Side of the cells of `plain`, px of the network."""
+CHANCE = 0.5
+"""Correlations below this are chance: nothing is said to be there."""
 
 
 def plain() -> Networks:
@@ -28,8 +30,9 @@ def plain() -> Networks:
         likeness = np.nan_to_num(np.asarray(likeness, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         if np.ptp(template, axis=(0, 1)).max() < 1.0:  # OpenCV says 1 where both are flat
             likeness[:] = 0.0
+        likeness[likeness < CHANCE] = 0.0
         sides = np.empty((4, *likeness.shape), np.float32)
         sides[:] = np.tile(size / 2, 2)[:, None, None]
-        return Response(np.clip(likeness, 0.0, 1.0) ** 4, sides, CELL)
+        return Response(np.clip(likeness, 0.0, 1.0) ** 2, sides, CELL)
 
     return Networks(describe, compare)
