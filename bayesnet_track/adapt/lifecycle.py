@@ -68,6 +68,7 @@ class TrackHistory:
         dead: targets whose nets ended and that can return, in the order of their deaths.
         overlaps: (younger, older) target -> overlaps of their beliefs in the last consecutive frames.
         refused: plate -> births refused so far.
+        cut: detector -> frames in which it found more than `max_count`.
         last_id: largest number that was given to a target.
         populations: plate with `existence` -> what its detections have told about all of them.
     """
@@ -79,6 +80,7 @@ class TrackHistory:
     dead: tuple[AppearanceMemory, ...] = ()
     overlaps: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
+    cut: Mapping[str, int] = field(default_factory=dict)
     last_id: int = 0
     populations: Mapping[str, Population] = field(default_factory=dict)
 

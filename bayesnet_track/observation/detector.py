@@ -72,11 +72,13 @@ class Detections:
         boxes: (N, 4) float64 centre boxes x, y, w, h in pixels.
         scores: (N,) 0..1.
         labels: what each is, N texts; empty texts where the detector does not tell kinds apart.
+        cut: finds that count like the others, left out because they exceed `max_count`.
     """
 
     boxes: Floats
     scores: Floats
     labels: tuple[str, ...]
+    cut: int = 0
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -106,7 +108,7 @@ def check_detections(found: Detections) -> Detections:
         raise ValueError(f"boxes of shape {boxes.shape}, {counts}; allowed: (N, 4), (N,), N")
     if not (np.isfinite(boxes).all() and np.isfinite(scores).all() and (boxes[:, 2:] > 0).all()):
         raise ValueError("boxes or scores that are not finite, or boxes without area")
-    return Detections(boxes, scores, labels)
+    return Detections(boxes, scores, labels, int(found.cut))
 
 
 @runtime_checkable

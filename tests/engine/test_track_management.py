@@ -14,6 +14,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.journal.events.births import (
     BirthsRefused,
     CandidateConfirmed,
+    DetectionsCut,
     DetectorFailed,
     TargetStarted,
 )
@@ -168,6 +169,16 @@ def test_a_detector_that_fires_everywhere_gives_no_more_nets_than_the_graph_allo
     refused = events_of(outcomes, BirthsRefused)
     assert 1 <= len(refused) <= 3 and refused[0].live == refused[0].max_targets == 5
     assert [e.refused for e in refused] == sorted(e.refused for e in refused)
+
+
+def test_detections_beyond_the_number_that_is_used_are_told_of_by_powers_of_ten():
+    birth = {"detector": {"detections": {"max_count": 4, "max_overlap": 1}}, "max_targets": 9}
+    crowded = tuple((20 + 14 * number, 40, 0.9 - 0.01 * number) for number in range(6))
+    engine = engine_of(lambda frame: crowded if frame != 2 else crowded[:4], birth=birth)
+    outcomes = play(engine, still(12, *((x, y, 200) for x, y, _ in crowded)))
+    cut = events_of(outcomes, DetectionsCut)
+    assert cut == [DetectionsCut(0, "detections", 4, 2, 1), DetectionsCut(10, "detections", 4, 2, 10)]
+    assert len(outcomes[-1].state.targets) == 4
 
 
 def test_a_detector_that_finds_nothing_leaves_no_target_and_no_event():

@@ -17,6 +17,7 @@ from bayesnet_track.journal.events.beliefs import (
 from bayesnet_track.journal.events.births import (
     BirthsRefused,
     CandidateConfirmed,
+    DetectionsCut,
     DetectorFailed,
     TargetStarted,
 )
@@ -420,6 +421,15 @@ GOLDEN = [
         BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
         "frame 9: 20 targets of square live, the maximum → 12 new targets refused, 31 so far; would "
         "have started at max_targets ≥ 32",
+    ),
+    (
+        DetectionsCut(9, "blobs", 32, 28, 10),
+        "frame 9: blobs found 60 → the best 32 are used, not 28, in 10 frames so far; would all be used at "
+        "max_count ≥ 60",
+    ),
+    (
+        DetectionsCut(0, "detections", 1000, 1, 1),
+        "frame 0: detections found 1001 → the best 1000 are used, not 1; max_count is at most 1000",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),

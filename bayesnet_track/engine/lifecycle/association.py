@@ -25,7 +25,7 @@ from bayesnet_track.engine.lifecycle.existing import Crowd, divide
 from bayesnet_track.engine.lifecycle.prospects import CrowdRule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
-from bayesnet_track.journal.events.births import DetectorFailed
+from bayesnet_track.journal.events.births import DetectionsCut, DetectorFailed
 from bayesnet_track.numerics.arrays import Floats
 
 
@@ -46,7 +46,7 @@ class Associated:
     owners: Mapping[str, tuple[str | None, ...]]
     targets: Mapping[str, TargetState]
     history: TrackHistory
-    events: tuple[DetectorFailed, ...]
+    events: tuple[DetectorFailed | DetectionsCut, ...]
 
 
 def associate_first(

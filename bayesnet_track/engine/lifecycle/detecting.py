@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
+from bayesnet_track.adapt.candidates import is_refusal_notable
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.journal.events.births import DetectorFailed
+from bayesnet_track.journal.events.births import MOST_DETECTIONS, DetectionsCut, DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
@@ -25,9 +26,6 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair
-
-MOST_DETECTIONS = 1000
-"""Detections of a frame that are looked at, the best: as many as a detector may be asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +50,8 @@ def look(
     history: TrackHistory,
     boxes: Callable[[Sequence[str]], Floats],
     held: Callable[[str], Sequence[str]],
-) -> tuple[dict[str, Found], TrackHistory, tuple[DetectorFailed, ...]]:
-    """What each plate that looks in this frame is given, the detectors' states, and those that failed.
+) -> tuple[dict[str, Found], TrackHistory, tuple[DetectorFailed | DetectionsCut, ...]]:
+    """What each plate that looks in this frame is given, the detectors' states, and what went wrong.
 
     A detector that has to be shown its target learns the first one of the plate that is held. One that
     raises, or returns anything but boxes of finite numbers with as many scores and labels, is out for a
@@ -70,7 +68,7 @@ def look(
         ):
             due[plate] = compiled.detector
     found: dict[str, Detections] = {}
-    failed: list[DetectorFailed] = []
+    events: list[DetectorFailed | DetectionsCut] = []
     states = dict(history.detectors)
     for name in dict.fromkeys(due.values()):
         plates = [plate for plate in due if due[plate] == name]
@@ -85,11 +83,26 @@ def look(
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, history.failed.get(name))
             word = _word(engine, plates[0])
-            failed.append(DetectorFailed(frame.index, word, said(error), until, times))
+            events.append(DetectorFailed(frame.index, word, said(error), until, times))
             fault = Fault(times, frame.index, until, True)
             history = changed(history, failed={**history.failed, name: fault})
+            continue
+        if found[name].cut:
+            history, event = _count_cut(history, name, _word(engine, plates[0]), frame.index, found[name])
+            events += event
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
-    return given, changed(history, detectors=states), tuple(failed)
+    return given, changed(history, detectors=states), tuple(events)
+
+
+def _count_cut(
+    history: TrackHistory, name: str, word: str, frame: int, found: Detections
+) -> tuple[TrackHistory, list[DetectionsCut]]:
+    """Frames in which a detector found more than it may give are counted, and told of by powers of ten."""
+    before = history.cut.get(name, 0)
+    now = changed(history, cut={**history.cut, name: before + 1})
+    if not is_refusal_notable(before, before + 1):
+        return now, []
+    return now, [DetectionsCut(frame, word, len(found), found.cut, before + 1)]
 
 
 def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
@@ -110,7 +123,8 @@ def _ask(
         return found, after
     best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
     labels = tuple([found.labels[k] for k in best.tolist()])
-    return Detections(found.boxes[best], found.scores[best], labels), after
+    cut = found.cut + len(found) - len(best)
+    return Detections(found.boxes[best], found.scores[best], labels, cut), after
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:

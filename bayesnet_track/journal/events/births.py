@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from bayesnet_track.journal.events.reidentification import Recognition, explain_odds
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
+MOST_DETECTIONS = 1000
+"""Detections of a frame that a graph can use."""
+
 
 @dataclass(frozen=True)
 class TargetStarted:
@@ -149,5 +152,34 @@ class DetectorFailed:
         return f"detector {self.detector} failed: {self.reason} → paused for {out}"
 
 
+@dataclass(frozen=True)
+class DetectionsCut:
+    """A detector found more than it may give: the best are used. Reported in the 1st, 10th, 100th such frame.
+
+    Attributes:
+        frame: the frame.
+        detector: its name.
+        used: detections of this frame that are used.
+        cut: others of this frame that count as much, but for their number.
+        frames: frames so far in which detections were cut.
+    """
+
+    frame: int
+    detector: str
+    used: int
+    cut: int
+    frames: int
+
+    def describe(self) -> str:
+        """`blobs found 60 → 28 are not used: the best 32 are; would all be used at max_count ≥ 60`."""
+        found = self.used + self.cut
+        so_far = f", in {self.frames} frames so far" if self.frames > 1 else ""
+        would = f"would all be used at max_count ≥ {found}"
+        if found > MOST_DETECTIONS:
+            would = f"max_count is at most {MOST_DETECTIONS}"
+        used = f"the best {self.used} are used, not {self.cut}{so_far}"
+        return f"{self.detector} found {found} → {used}; {would}"
+
+
 Decisions = TargetStarted
-Events = Decisions | CandidateConfirmed | BirthsRefused | DetectorFailed
+Events = Decisions | CandidateConfirmed | BirthsRefused | DetectorFailed | DetectionsCut

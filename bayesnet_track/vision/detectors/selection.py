@@ -154,10 +154,12 @@ def select(
     areas = (parameters.min_area_px, parameters.max_area_share * frame.width * frame.height)
     left = find_fitting(boxes, scores, (frame.width, frame.height), areas, parameters.min_score)
     left = left[_best_first(boxes[left], scores[left])[:CANDIDATES]]
-    chosen = left[keep_best(boxes[left], parameters.max_overlap, parameters.max_count)]
+    apart = left[keep_best(boxes[left], parameters.max_overlap, CANDIDATES)]
+    chosen = apart[: parameters.max_count]
     if not len(chosen):
         return NOTHING
-    return Detections(boxes[chosen], scores[chosen], tuple([str(names[k]) for k in chosen.tolist()]))
+    kinds = tuple([str(names[k]) for k in chosen.tolist()])
+    return Detections(boxes[chosen], scores[chosen], kinds, len(apart) - len(chosen))
 
 
 def _best_first(boxes: Floats, scores: Floats) -> NDArray[np.int64]:
