@@ -6,6 +6,7 @@ products add the inverse covariances (information form), noise in between adds t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -36,15 +37,19 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
         with np.errstate(divide="ignore"):
             return np.asarray(np.minimum(np.log(measured.missed + sum(each)), 0.0))
     if measured.seen is None:
-        away = np.stack([_field(hypotheses, name) for name in measured.fields], axis=1) - measured.mean
+        away = _values(hypotheses, measured.fields) - measured.mean
     else:
         states = {**dict(zip(BOX_FIELDS, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
         away = measured.seen.less(measured.seen.function(states), measured.mean)
-    root = np.linalg.cholesky(measured.covariance)
     with np.errstate(over="ignore", invalid="ignore"):
-        sds = np.linalg.solve(root, away.T)
-    sds = np.nan_to_num(np.clip(sds, -FAR, FAR), nan=FAR)
-    log = np.asarray(-0.5 * np.sum(sds**2, axis=0))
+        if measured.variances is not None:
+            sds = (away / np.sqrt(measured.variances)).T
+        else:
+            sds = np.linalg.solve(np.linalg.cholesky(measured.covariance), away.T)
+        log = np.asarray(-0.5 * (sds * sds).sum(axis=0))
+    if not math.isfinite(log.min(initial=0.0)):  # also where one is NaN
+        sds = np.nan_to_num(np.clip(sds, -FAR, FAR), nan=FAR)
+        log = np.asarray(-0.5 * np.sum(sds**2, axis=0))
     return floored(log, measured.floor) if measured.floor > 0 else log
 
 
@@ -236,6 +241,13 @@ def _noise(given: Given, parent: Floats) -> Floats:
         return noise
     back = np.linalg.inv(matrix)
     return np.asarray(back @ noise @ back.T)
+
+
+def _values(hypotheses: Hypotheses, names: tuple[str, ...]) -> Floats:
+    """(N, K) fields of hypotheses."""
+    if names == BOX_FIELDS[: len(names)]:
+        return hypotheses.boxes[:, : len(names)]
+    return np.stack([_field(hypotheses, name) for name in names], axis=1)
 
 
 def _field(hypotheses: Hypotheses, name: str) -> Floats:

@@ -224,25 +224,23 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
         return f"measured {size} fields by arrays of shape {mean.shape} and {covariance.shape}"
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
         return "measured a place that is not finite"
-    if flaw := _check_covariance(covariance):
-        return flaw
     if not 0.0 <= measured.floor < 1.0:
         return f"measured with a floor of {measured.floor:.6g}, not in 0..1"
     choices = _check_choices(measured, known)
     if isinstance(choices, str):
         return choices
-    return Measurement(fields, mean, covariance, float(measured.floor), choices)
+    checked = Measurement(fields, mean, covariance, float(measured.floor), choices)
+    return _check_covariance(checked) or checked
 
 
-def _check_covariance(covariance: Floats) -> str | None:
-    variances = np.diagonal(covariance)
-    if np.count_nonzero(covariance) == np.count_nonzero(variances):  # independent errors need no solver
-        definite = bool(variances.min() > 0)
-        with np.errstate(over="ignore"):
-            inverted = 1.0 / variances if definite else variances
+def _check_covariance(measured: Measurement) -> str | None:
+    covariance, variances = measured.covariance, measured.variances
+    if variances is not None:  # independent errors need no solver
+        definite = min(variances) > 0.0
+        inverted: Floats | float = 1.0 / min(variances) if definite else 0.0
     else:
         definite = np.allclose(covariance, covariance.T) and bool(np.linalg.eigvalsh(covariance)[0] > 0)
-        inverted = np.asarray(np.linalg.inv(covariance), np.float64) if definite else covariance
+        inverted = np.asarray(np.linalg.inv(covariance), np.float64) if definite else 0.0
     if not definite:
         return "measured a covariance that is not symmetric and positive definite"
     return None if np.isfinite(inverted).all() else "measured a covariance too small to be inverted"

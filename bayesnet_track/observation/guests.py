@@ -75,7 +75,10 @@ def real_numbers(returned: Any) -> NDArray[np.float64] | str:
 def foreign_part(measured: Measurement) -> str:
     """Which part of a measurement is not of real numbers; empty when all are."""
     for name in ("mean", "covariance", "floor"):
-        found = real_numbers(getattr(measured, name))
+        value = getattr(measured, name)
+        if type(value) is float or (type(value) is np.ndarray and value.dtype.kind in "iuf"):
+            continue
+        found = real_numbers(value)
         if isinstance(found, str):
             return f"Measurement whose {name} is of type {found}"
     return ""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -129,6 +130,14 @@ class Measurement:
     def missed(self) -> float:
         """Probability that none of the choices is the target's."""
         return max(1.0 - sum(weight for weight, _ in self.choices), 0.0)
+
+    @cached_property
+    def variances(self) -> tuple[float, ...] | None:
+        """(K,) those of the errors where they are independent; None where they are not."""
+        rows = self.covariance.tolist()
+        if any(value for i, row in enumerate(rows) for k, value in enumerate(row) if i != k):
+            return None
+        return tuple(row[k] for k, row in enumerate(rows))
 
 
 @runtime_checkable

@@ -36,3 +36,12 @@ def test_far_from_the_border_it_is_the_model():
     points = confined.transition(states, 2.0)
     np.testing.assert_array_equal(points.log_density(moved), WALK.log_density(moved, states, 2.0))
     assert confined.fields == WALK.fields
+
+
+def test_the_spread_is_at_most_that_of_a_box_anywhere():
+    """Root mean square distance from a place, of a uniform distribution over the image."""
+    motion = Confined(make_motion(Motion(random_walk={"sd_px": {"x": 1}})), 320, 240)
+    mean, draws = np.array([30.0, 100.0, 50.0, 60.0]), np.random.default_rng(0).random((200_000, 4))
+    anywhere = draws * [319, 239, 639, 479] + [0, 0, 1, 1]
+    expected = np.sqrt(((anywhere - mean) ** 2).mean(axis=0))
+    np.testing.assert_allclose(motion.spread_limit(mean), expected, rtol=0.01)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
-from bayesnet_track.belief.motion.noise import LOG_SIZE_LIMIT, log_noise_density, sample_noise
+from bayesnet_track.belief.motion.noise import (
+    LOG_SIZE_LIMIT,
+    component_log_shares,
+    component_variances,
+    log_noise_density,
+    sample_noise,
+)
 from bayesnet_track.graph import spec
 
 BOX = np.array([160.0, 120.0, 60.0, 40.0])
@@ -177,3 +183,30 @@ def test_only_pixel_noise_is_linear_gaussian(word):
     motion = make_motion(spec.Motion.model_validate({"random_walk": {word: GENERAL[word]}}))
     with pytest.raises(ValueError, match="linear-Gaussian"):
         linear_gaussian(motion, 1.0)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        {"sd_px": {"x": 2.0, "y": 3.0, "w": 1.0, "h": 0.5}},
+        {"sd_px": {"x": 1.0}, "sd_box": {"x": 0.1, "y": 0.2}},
+        {"sd_box": {"x": 0.1}, "sd_log": {"scale": 0.05, "aspect": 0.03}},
+        {"sd_px": {"w": 2.0, "h": 1.0}, "sd_log": {"scale": 0.05, "aspect": 0.03}},
+        {"sd_box": {"x": 0.1, "y": 0.1}, "heavy_tail": {"weight": 0.2, "factor": 5.0}},
+    ],
+)
+@pytest.mark.parametrize("dt", [1.0, 2.5])
+def test_linearised_noise_is_that_of_its_components(motion_of, noise, dt):
+    """Written with matrices: the variances of the coordinates, brought to w and h by the slopes."""
+    motion = motion_of("constant_velocity", sd_velocity_px=3.0, **noise)
+    bare = motion_of("constant_velocity", sd_velocity_px=3.0, sd_px={"x": 1e-9})
+    state = np.array([100.0, 80.0, 40.0, 30.0, 2.0, -1.0])
+    shares = np.exp(component_log_shares(motion.noise))
+    variances = shares @ component_variances(motion.noise, state[None, :4], dt)[:, 0]
+    slopes = np.eye(4)
+    if "sd_log" in noise:
+        slopes[2:, 2:] = [[40.0, 20.0], [30.0, -15.0]]
+    expected = slopes @ np.diag(variances) @ slopes.T
+    moves, found = motion.linearise(state, dt)
+    assert moves @ state == pytest.approx(motion.drift(state[None], dt)[0])
+    np.testing.assert_allclose((found - bare.linearise(state, dt)[1])[:4, :4], expected, rtol=1e-9, atol=1e-9)

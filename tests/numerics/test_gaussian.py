@@ -14,6 +14,7 @@ from bayesnet_track.numerics.gaussian import (
     roots,
     sigma_points,
     standard_normals,
+    update_by_fields,
     weighted_moments,
 )
 
@@ -113,3 +114,28 @@ def test_update_stays_positive_where_the_short_form_does_not():
         ).covariance
         assert np.linalg.eigvalsh(covariance).min() > 0
         covariance = covariance + np.diag([1e3, 0.0])
+
+
+@given(st.integers(0, 10_000), st.integers(1, 8), st.data())
+def test_fields_with_independent_errors_taken_one_by_one_are_one_update(seed, size, data):
+    columns = data.draw(st.lists(st.integers(0, size - 1), min_size=1, unique=True))
+    rng = np.random.default_rng(seed)
+    covariance, mean = covariance_of(seed, size, size + 2), rng.normal(size=size)
+    sds = np.sqrt(np.diag(covariance))
+    variances = (sds[columns] * 10.0 ** rng.uniform(-2, 2, len(columns))) ** 2
+    measured = mean[columns] + sds[columns] * rng.normal(size=len(columns))
+    observe = np.eye(size)[columns]
+    whole = linear_update(mean, covariance, measured - mean[columns], observe, np.diag(variances))
+    found = update_by_fields(mean, covariance, columns, measured, variances.tolist())
+    np.testing.assert_allclose(found.mean / sds, whole.mean / sds, atol=1e-9)
+    scale = np.outer(sds, sds)
+    np.testing.assert_allclose(found.covariance / scale, whole.covariance / scale, atol=1e-9)
+    np.testing.assert_array_equal(found.covariance, found.covariance.T)
+    assert found.d2 == pytest.approx(whole.d2, rel=1e-7)
+    assert found.log_likelihood == pytest.approx(whole.log_likelihood, rel=1e-7)
+
+
+def test_the_root_of_one_covariance_is_that_among_many():
+    for seed in range(20):
+        covariance = covariance_of(seed, 6, 8)
+        np.testing.assert_allclose(root(covariance), roots(covariance[None])[0], rtol=1e-8, atol=1e-12)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
@@ -28,4 +30,10 @@ def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...
 
 def observe_fields(one: Measurement, fields: tuple[str, ...]) -> Floats:
     """(K, D) H: the rows of the identity for the fields measured."""
-    return np.eye(len(fields))[[fields.index(name) for name in one.fields]]
+    return np.eye(len(fields))[list(columns_of(one.fields, fields))]
+
+
+@lru_cache(maxsize=256)
+def columns_of(measured: tuple[str, ...], fields: tuple[str, ...]) -> tuple[int, ...]:
+    """(K,) the columns of what was measured among the fields of a state."""
+    return tuple(fields.index(name) for name in measured)

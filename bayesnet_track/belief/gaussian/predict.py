@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
@@ -111,12 +114,14 @@ def _is_positive(covariance: Floats) -> bool:
     return bool(np.linalg.eigvalsh(symmetric(covariance / np.outer(scale, scale)))[0] > -1e-9)
 
 
-def _confine_moments(covariance: Floats, limits: Floats) -> Floats:
+def _confine_moments(covariance: Floats, limits: Sequence[float]) -> Floats:
     """The covariance with the sds of the first fields at most `limits`, correlations kept."""
-    shrink = np.ones(len(covariance))
-    sds = np.sqrt(np.diagonal(covariance)[: len(limits)])
-    wide = sds > limits
-    if not wide.any():
+    variances = covariance.diagonal().tolist()[: len(limits)]
+    if all(own <= limit * limit for own, limit in zip(variances, limits, strict=True)):
         return covariance
-    shrink[: len(limits)][wide] = limits[wide] / sds[wide]
+    shrink = np.ones(len(covariance))
+    shrink[: len(limits)] = [
+        min(1.0, limit / math.sqrt(own)) if own > 0 else 1.0
+        for own, limit in zip(variances, limits, strict=True)
+    ]
     return covariance * np.outer(shrink, shrink)

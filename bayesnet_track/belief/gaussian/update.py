@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.gaussian.measured import observe_fields
+from bayesnet_track.belief.gaussian.measured import columns_of, observe_fields
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.functions import derivative, extended_update, unscented_update
 from bayesnet_track.graph import spec
@@ -22,6 +22,7 @@ from bayesnet_track.numerics.gaussian import (
     sigma_points,
     standard_normals,
     symmetric,
+    update_by_fields,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Measurement
@@ -204,11 +205,11 @@ def take(
             if seen is None:
                 continue
             d2 = seen.d2
+        elif gate >= 1.0:  # nothing is too far
+            used[agent] = one
+            continue
         else:
-            observe = observe_fields(one, fields)
-            expected = symmetric(observe @ covariance @ observe.T + one.covariance)
-            innovation = one.mean - observe @ mean
-            d2 = float(innovation @ np.linalg.solve(expected, innovation))
+            d2 = _update_by(mean, covariance, fields, one).d2
         degrees = len(one.fields)
         limit = chi_square_quantile(gate, degrees)
         if d2 > limit:
@@ -222,8 +223,7 @@ def take(
             log_evidence += log_own
             continue
         if one.seen is None:
-            observe = observe_fields(one, fields)
-            after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+            after = _update_by(mean, covariance, fields, one)
         else:
             by_function = update_seen(mean, covariance, fields, one, is_unscented)
             if by_function is None:
@@ -232,6 +232,15 @@ def take(
         mean, covariance = after.mean, after.covariance
         log_evidence += after.log_likelihood
     return Taken(mean, covariance, log_evidence, used, tuple(gated))
+
+
+def _update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement) -> Updated:
+    """The update by a measurement of fields of the state."""
+    if one.variances is not None:
+        columns = columns_of(one.fields, fields)
+        return update_by_fields(mean, covariance, columns, one.mean, one.variances)
+    observe = observe_fields(one, fields)
+    return linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
 
 
 def update_seen(
@@ -275,8 +284,7 @@ def _mix(
     """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none."""
     weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
     for weight, one in measured.choices:
-        observe = observe_fields(one, fields)
-        after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+        after = _update_by(mean, covariance, fields, one)
         weights.append(weight)
         means.append(after.mean)
         covariances.append(after.covariance)

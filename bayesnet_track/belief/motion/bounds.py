@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,10 +61,13 @@ class Confined(Wrapped):
             [np.inf, np.inf] if self.leaves_image else [self.width, self.height], dtype=np.float64
         )
 
-    def spread_limit(self, mean: Floats) -> Floats:
-        """(4,) root mean square distance from the state `mean` (D,) of a box that may be anywhere."""
+    def spread_limit(self, mean: Floats) -> tuple[float, ...]:
+        """Root mean square distances from the state `mean` (D,), by x, y, w, h, of a box anywhere."""
         if self.leaves_image:
-            return np.full(4, np.inf)
-        low = np.array([0.0, 0.0, 1.0, 1.0])
-        high = np.array([self.width - 1.0, self.height - 1.0, 2.0 * self.width, 2.0 * self.height])
-        return np.asarray(np.sqrt((high - low) ** 2 / 12 + (mean[:4] - (low + high) / 2) ** 2))
+            return (math.inf,) * 4
+        low, across, down = (0.0, 0.0, 1.0, 1.0), float(self.width), float(self.height)
+        high = across - 1.0, down - 1.0, 2.0 * across, 2.0 * down
+        return tuple(
+            math.sqrt((b - a) ** 2 / 12 + (at - (a + b) / 2) ** 2)
+            for a, b, at in zip(low, high, mean[:4].tolist(), strict=True)
+        )

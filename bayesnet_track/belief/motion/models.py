@@ -29,6 +29,7 @@ from bayesnet_track.belief.motion.noise import (
     Transition,
     add_noise,
     box_coordinates,
+    box_covariance,
     boxes_at,
     component_log_shares,
     component_variances,
@@ -38,6 +39,7 @@ from bayesnet_track.belief.motion.noise import (
 )
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.shared import read_only
 
 DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
 
@@ -111,21 +113,20 @@ class KinematicMotion:
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D): new = F old + noise of covariance Q, at the state (D,).
 
-        F is exact. Q is exact for noise in px; relative noise is taken at the state's own size after the
-        drift, noise of log w and log h to first order, and `heavy_tail` by its total variance.
+        F is exact, and read-only. Q is exact for noise in px; relative noise is taken at the state's own
+        size, noise of log w and log h to first order, and `heavy_tail` by its total variance.
         """
-        transition, covariance = (known.copy() for known in _kinematics(self, dt))
-        box = (transition @ state)[None, :4]
-        variances = np.tensordot(
-            np.exp(component_log_shares(self.noise)), component_variances(self.noise, box, dt), 1
-        )[0]
-        spread = np.diag(variances)
-        if is_log(self.noise):
-            # log w = s + a / 2 and log h = s - a / 2, of the noise's coordinates s and a.
-            w, h = box[0, 2:]
-            to_size = np.array([[w, w / 2], [h, -h / 2]])
-            spread[2:, 2:] = to_size @ spread[2:, 2:] @ to_size.T
-        covariance[:4, :4] += spread
+        transition, kinematic = _kinematics(self, dt)
+        covariance = kinematic.copy()
+        w, h = state[2:4].tolist()
+        x, y, ww, wh, hh = box_covariance(self.noise, w, h, dt)
+        covariance[0, 0] += x
+        covariance[1, 1] += y
+        covariance[2, 2] += ww
+        covariance[3, 3] += hh
+        if wh != 0.0:
+            covariance[2, 3] += wh
+            covariance[3, 2] += wh
         return transition, covariance
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
@@ -255,7 +256,7 @@ def _same_sds(motion: KinematicMotion, dt: float) -> Floats | None:
 
 @lru_cache(maxsize=256)
 def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
-    """F and the kinematic part of Q, each (D, D)."""
+    """F and the kinematic part of Q, each (D, D), read-only."""
     moves, covariance = steps(motion.dynamics, motion.diffusion, dt)
     size = len(motion.fields)
     transition, noise_covariance = np.eye(size), np.zeros((size, size))
@@ -263,4 +264,4 @@ def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
         columns = [axis, *range(4 + axis, size, 2)]
         transition[np.ix_(columns, columns)] = moves
         noise_covariance[np.ix_(columns, columns)] = covariance
-    return transition, noise_covariance
+    return read_only(transition), read_only(noise_covariance)

@@ -174,6 +174,22 @@ def component_log_shares(noise: Noise) -> Floats:
     return np.zeros(1) if tail is None else np.log([1.0 - tail.weight, tail.weight])
 
 
+def box_covariance(noise: Noise, w: float, h: float, dt: float) -> tuple[float, float, float, float, float]:
+    """Variances of x, y, w, covariance of w and h, variance of h in px^2 over `dt`, around a box of w x h px.
+
+    As `component_variances` of one box, `heavy_tail` by its total variance, log w and log h to first order.
+    """
+    px, box, log, tail = noise.sd_px, noise.sd_box, noise.sd_log, noise.heavy_tail
+    wider = 1.0 if tail is None else 1.0 + tail.weight * (tail.factor**2 - 1.0)
+    x, y = (wider * (dt * (own * own + by * by * (w * h))) for own, by in ((px.x, box.x), (px.y, box.y)))
+    if not is_log(noise):
+        return x, y, dt * px.w**2, 0.0, dt * px.h**2
+    relative = (px.w / w) ** 2 + (px.h / h) ** 2
+    # log w = s + a / 2 and log h = s - a / 2, of the noise's coordinates s and a.
+    scale, quarter = dt * (log.scale**2 + relative / 4), dt * (log.aspect**2 + relative) / 4
+    return x, y, w * w * (scale + quarter), w * h * (scale - quarter), h * h * (scale + quarter)
+
+
 def position_variance(noise: Noise, boxes: Floats, dt: float) -> Floats:
     """(N, 2) variances of x and y in px^2 over `dt` frame intervals."""
     area, variances = boxes[:, 2] * boxes[:, 3], np.empty((len(boxes), 2))
