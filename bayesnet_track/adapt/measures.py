@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from bayesnet_track.adapt.conditions import Inside
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.numerics.arrays import Floats
 
 PartStatus = Literal["seen", "hidden", "unwatched"]
@@ -74,3 +75,20 @@ class Measures:
     def area_of(self, node: str) -> float:
         """Area of the estimate that a node is about: of the part, or of the whole target."""
         return self.parts[node].area_px2 if node in self.parts else self.area_px2
+
+
+@dataclass(frozen=True)
+class Call:
+    """What became of the agents on call in one frame.
+
+    Attributes:
+        agents: those that are on call, in the order of the graph.
+        ran: whether they ran.
+        overlap: overlap (IoU) of the estimate without them and with them; 1 where they did not run.
+        cause: UD without them, where that made them run before they were due.
+    """
+
+    agents: tuple[str, ...]
+    ran: bool
+    overlap: float = 1.0
+    cause: Cause | None = None

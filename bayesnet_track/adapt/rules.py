@@ -15,6 +15,7 @@ from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
+from bayesnet_track.adapt.on_call import schedule
 from bayesnet_track.adapt.situation import (
     Situation,
     active_below,
@@ -44,6 +45,7 @@ def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory
         rules = now.plate.inference(node).adapt
         if rules is not None:
             memory = _govern(now, memory, node, rules, decisions)
+    decisions += schedule(now, memory)
     _wake(now, decisions)
     memory = judge_status(now, memory, decisions)
     return tuple(decisions), memory

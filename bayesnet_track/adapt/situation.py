@@ -7,7 +7,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
-from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.measures import Call, Measures
 from bayesnet_track.adapt.memory import NO_QUIET, Memory
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Level
@@ -33,6 +33,7 @@ class Situation:
         existence: probability that it exists, or None where the plate has none.
         hiding: probability that it cannot be seen, and above which it counts as lost; None where its modes do
             not say.
+        call: what became of the agents on call; None without any.
     """
 
     frame: int
@@ -47,6 +48,7 @@ class Situation:
     missed: Mapping[str, str] = field(default_factory=dict)
     existence: float | None = None
     hiding: HiddenCause | None = None
+    call: Call | None = None
 
 
 def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:

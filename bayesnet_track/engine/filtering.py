@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.backoff import quarantine
+from bayesnet_track.adapt.measures import Call
 from bayesnet_track.belief.contract import Belief, Evaluate, Evidence, MotionModel, Posterior, Step, Stream
 from bayesnet_track.belief.modes import Modes
 from bayesnet_track.belief.motion.borders import confined
@@ -19,6 +20,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.moving.sudden import search_around
+from bayesnet_track.engine.on_call import call_agents, plan_without_calls
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -59,6 +61,7 @@ class Filtered:
         flaws: factor -> what was wrong with its values.
         undefined: expression of the motion, or of a latent node -> at how many states it had no value.
         modes: its modes; None when it has none.
+        call: what became of its agents on call; None without any.
     """
 
     target: str
@@ -72,6 +75,12 @@ class Filtered:
     flaws: Mapping[str, Flaw] = field(default_factory=dict)
     undefined: Mapping[str, Undefined] = field(default_factory=dict)
     modes: ModeState | None = None
+    call: Call | None = None
+
+    @property
+    def resting(self) -> frozenset[str]:
+        """The agents on call that did not run."""
+        return frozenset() if self.call is None or self.call.ran else frozenset(self.call.agents)
 
     @property
     def hidden(self) -> float:
@@ -107,23 +116,29 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
             executor=work.engine.executor,
             availability=work.availability_of(target, "observing"),
         )
-        see = _evaluation(work, before.plan, compiled.modes, observer)
-        stepped, moved = belief.step(prior, motion, dt, see, stream), moves
+        see = partial(_evaluation, work, compiled.modes, observer)
+        plan, call = plan_without_calls(work, target, before), None
+        stepped, moved = belief.step(prior, motion, dt, see(plan), stream), moves
+        if plan is not before.plan:
+            by = partial(_step_by, work, belief, (prior, dt, stream, motion), see)
+            plan, stepped, call = call_agents(work, target, before, observer, (plan, stepped, by))
         if ride is None:
-            again = partial(_step_again, work, belief, (prior, dt, see, stream))
-            moved, stepped = search_around(work, target, before, moves, stepped, again)
+            again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
+            moved, stepped = search_around(work, target, before, moves, (plan, stepped, again))
         # With the answers of one that later gave none the belief would be neither with it nor without it.
         if not observer.broke_off:
             break
     work.charge("belief", started)
     faults = tuple(quarantine(live, frame.index, target, agent, reason) for agent, reason in failed.items())
-    plan, out = before.plan, failed.keys() | observer.missed.keys()
+    out = failed.keys() | observer.missed.keys()
     if out:
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
     undefined = {**undefined_in(motion), **observer.factors.undefined}
     modes = None if compiled.modes is None else ModeState.of(compiled.modes, prior, stepped.posterior, dt)
-    found = Filtered(target, before, stepped, faults, moved, plan, missed, flaws=flaws, undefined=undefined)
+    found = Filtered(
+        target, before, stepped, faults, moved, plan, missed, flaws=flaws, undefined=undefined, call=call
+    )
     return found if modes is None else replace(found, modes=modes)
 
 
@@ -159,7 +174,24 @@ def evaluate_at(work: FrameWork, target: str, before: TargetState, boxes: Floats
     return evaluate(plan, observer, hypotheses, np.full(len(boxes), -np.log(len(boxes))))
 
 
-def _evaluation(work: FrameWork, plan: Plan, modes: Modes | None, observer: Observer) -> Evaluate:
+def _step_by(
+    work: FrameWork,
+    belief: Belief[Any],
+    given: tuple[Posterior, float, Stream, MotionModel],
+    see: Callable[[Plan], Evaluate],
+    plan: Plan,
+) -> Step[Posterior]:
+    """The step of the frame by more agents."""
+    prior, dt, stream, motion = given
+    own = partial(_renamed, stream, "by more")
+    return _step_again(work, belief, (prior, dt, see(plan), own), motion)
+
+
+def _renamed(stream: Stream, name: str, purpose: str) -> np.random.Generator:
+    return stream(f"{purpose} {name}")
+
+
+def _evaluation(work: FrameWork, modes: Modes | None, observer: Observer, plan: Plan) -> Evaluate:
     """What the net says of hypotheses, those that are hidden included."""
     visible = partial(evaluate, plan, observer)
     if modes is None:

@@ -132,8 +132,8 @@ def measure_target(
     root = compiled.plate.inference(compiled.plate.root)
     by_hand = work.by_hand.get(filtered.target, ())
     net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
-    if filtered.missed:
-        net = changed(net, active=net.active - set(filtered.missed))
+    if out := filtered.missed.keys() | filtered.resting:
+        net = changed(net, active=net.active - out)
     scored = filtered.before.scored
     if root.score is None:
         return Measured(state, box, net, measures, scored)
@@ -213,6 +213,7 @@ def _see(work: FrameWork, filtered: Filtered, measured: Measured) -> Situation:
         filtered.missed,
         filtered.before.existence,
         None if filtered.modes is None else filtered.modes.hiding,
+        filtered.call,
     )
 
 

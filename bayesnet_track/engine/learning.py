@@ -187,9 +187,11 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     likely = score is not None and least is not None and score > least
     held = net.status == "tracking" or (net.status == "uncertain" and (likely or measured.scored.doubt > 0))
     held = held and measured.scored.missing is None
-    every = min(work.net.targets[filtered.target].sampled.values(), default=1)
+    live = work.net.targets[filtered.target]
+    every = min(live.sampled.values(), default=1) if live.turn is None else live.turn.since(work.frame.index)
     # Between samples the others are less sure alone: what is learnt then would be their errors.
-    if not held or not net.active or filtered.step.degenerate is not None or work.frame.index % every:
+    rests = work.frame.index % every if live.turn is None else filtered.resting
+    if not held or not net.active or filtered.step.degenerate is not None or rests:
         rate, at_parts = 0.0, {}
     return rate, {
         agent: over_frames(at_parts.get(compiled.part_of.get(agent, ""), rate) * largest, every)

@@ -18,7 +18,8 @@ from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.explain import has_several_targets
-from bayesnet_track.journal.text.naming import kinds_of, narrate
+from bayesnet_track.journal.text.folding import narrate_all
+from bayesnet_track.journal.text.naming import kinds_of
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.graph_picture import graph_svg
 from bayesnet_track.view.svg import element, text_of
@@ -95,10 +96,11 @@ def run_html(run: RunRecord) -> str:
     if len(targets) > SHOWN_TARGETS:
         drawn.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
     named, kinds = has_several_targets(run.events), kinds_of(run.events)
-    items = [f"<li>{text_of(narrate(event, kinds, named))}</li>" for event in run.events[:SHOWN_EVENTS]]
-    more = len(run.events) - SHOWN_EVENTS
+    told = list(narrate_all(run.events, kinds, named))
+    items = [f"<li>{text_of(line)}</li>" for line in told[:SHOWN_EVENTS]]
+    more = len(told) - SHOWN_EVENTS
     items += [f"<li>and {more} more</li>"] if more > 0 else []
-    summary = f"<summary>{plural(len(run.events), 'line')} of the journal</summary>"
+    summary = f"<summary>{plural(len(told), 'line')} of the journal</summary>"
     return table(rows) + "".join(drawn) + f"<details>{summary}<ul>{''.join(items)}</ul></details>"
 
 

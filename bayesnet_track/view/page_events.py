@@ -18,6 +18,7 @@ from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.text.folding import CallsFolded, fold
 from bayesnet_track.journal.text.naming import kinds_of, name_targets
 from bayesnet_track.journal.text.sentences import explain
 
@@ -31,7 +32,25 @@ def event_rows(events: Iterable[Event]) -> list[dict[str, Any]]:
     """`event_row` of every event that happened in a frame, in order."""
     every = list(events)
     kinds = kinds_of(every)
-    return [event_row(event, kinds) for event in every if not isinstance(event, RunStarted | RunEnded)]
+    return [
+        _calls_row(one, kinds) if isinstance(one, CallsFolded) else event_row(one, kinds)
+        for one in fold(every)
+        if not isinstance(one, RunStarted | RunEnded)
+    ]
+
+
+def _calls_row(calls: CallsFolded, kinds: Mapping[str, str]) -> dict[str, Any]:
+    """Runs of agents on call as one row."""
+    told = name_targets(calls.describe(), kinds)
+    return {
+        "frame": calls.frame,
+        "kind": "scheduled",
+        "sort": "note",
+        "what": told,
+        "why": "",
+        "unless": "",
+        "target": calls.target,
+    }
 
 
 def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:

@@ -102,6 +102,36 @@ CASES = [
         "5:51: s: apart_nats is 0; allowed: a number above 0\n"
         "5:60: s: pull is 2; allowed: a number at least 0, at most 1",
     ),
+    (
+        "  adapt: {agents: [a], on_call: {every: 4, above: {ud_box: 1}}, activate: {above: {ud_box: 1}}}",
+        "5:24: s: on_call beside activate: agents on call stay on; allowed: one or the other",
+    ),
+    (
+        "  adapt: {on_call: {every: 4, above: {ud_box: 1}}}",
+        "5:11: s: on_call leaves no agent that runs in every frame, and could call the others; "
+        "allowed: agents: [...] with some of them",
+    ),
+    (
+        "  adapt: {agents: [a], keep: 2, on_call: {every: 4, above: {ud_box: 1}}}",
+        "5:24: s: keep has no effect: agents on call stay on; allowed: no keep",
+    ),
+    (
+        "  adapt: {activate: {above: {ud_box: 1}}, deactivate: {below: {ud_box: 0.5}}}},\n"
+        "  part: {parent: s, fuse: {latent: {given: {sd_px: {x: 1}}}}, adapt: {agents: [c],\n"
+        "    on_call: {every: 4, above: {ud_box: 1}}}}, c: {parent: part, agent: texture},\n"
+        "  d: {parent: part, agent: shape",
+        "7:5: part: on_call at part, which is below s; allowed: on_call at the root",
+    ),
+    (
+        "  adapt: {agents: [a], on_call: {every: 1, agree: 1, above: {ud_box: 0}}}",
+        "5:41: s: every is 1; allowed: a whole number at least 2, at most 1000\n"
+        "5:51: s: agree is 1; allowed: a number above 0, below 1\n"
+        "5:70: s: ud_box is 0; allowed: a number above 0",
+    ),
+    (
+        "  adapt: {agents: [a], on_call: {every: 4}}",
+        "5:33: s: key 'above' is missing; allowed: one of ud_px2, ud_box, ud_baseline",
+    ),
 ]
 
 
@@ -117,6 +147,7 @@ def test_each_message(text, said):
     "text",
     [
         "  adapt: {activate: {unless: concentrated}, deactivate: {when: concentrated}}",
+        "  adapt: {agents: [a], on_call: {every: 4, agree: 0.5, above: {ud_baseline: 2}}}",
         "  adapt: {activate: {above: {ud_box: 1}}, deactivate: {when: {concentrated: {share: 0.5}}}}",
         "  adapt: {activate: {unless: concentrated, which: information_per_ms},\n"
         "    deactivate: {when: {concentrated: {share: 0.95, within_box: 0.2}}}, information: "

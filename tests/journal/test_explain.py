@@ -46,7 +46,7 @@ from bayesnet_track.journal.events.sources import (
     SourceStalled,
 )
 from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import Cause, HiddenCause
 from bayesnet_track.journal.text.explain import Filter, explain, has_several_targets, why
@@ -71,6 +71,11 @@ UNLIKELY = Recognition(
 )
 
 GOLDEN = [
+    (
+        Scheduled(21, "1", ("net",), "t", 0.83, 0.7, 3, 24, 21),
+        "frame 21: with and without net the boxes overlap by 0.83 ≥ 0.7 → net again in 3 frames, frame 24; "
+        "would have run in the next one at agree > 0.83",
+    ),
     (
         STARTED,
         "run of two_squares (abababababab) on scene:two_squares: 320x240, 200 frames, 25 frames per second; "

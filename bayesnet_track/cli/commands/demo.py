@@ -57,7 +57,8 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.reader import read_events
     from bayesnet_track.journal.text.explain import has_several_targets
-    from bayesnet_track.journal.text.naming import kinds_of, narrate
+    from bayesnet_track.journal.text.folding import narrate_all
+    from bayesnet_track.journal.text.naming import kinds_of
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.sources.scene_source import SceneSource
@@ -84,8 +85,8 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     name_target, kinds = has_several_targets(events), kinds_of(events)
     if not options.verbose:
         say("\nwhat was decided, and why:")
-        for event in events:
-            say(narrate(event, kinds, name_target))
+        for line in narrate_all(events, kinds, name_target):
+            say(line)
     if starts:
         whose = f" of {kinds['1']} 1" if name_target else ""
         say(f"\nagainst the ground truth{whose}:")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ def log(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.journal.text.explain import has_several_targets, why
+    from bayesnet_track.journal.text.folding import narrate_all
     from bayesnet_track.journal.text.naming import kinds_of, name_targets, narrate
     from bayesnet_track.journal.text.story import describe_life
     from bayesnet_track.runtime.recording.rundir import RunDirectory
@@ -42,8 +43,15 @@ def log(options: argparse.Namespace) -> int:
         _check_node(directory, options.node)
         complain("no event is left by these filters")
     name_target, kinds = has_several_targets(events), kinds_of(events)
-    for event in chosen:
-        say(to_json(event) if options.json else narrate(event, kinds, name_target))
+    lines: Iterable[str]
+    if options.json:
+        lines = map(to_json, chosen)
+    elif options.kind is not None:
+        lines = (narrate(event, kinds, name_target) for event in chosen)
+    else:
+        lines = narrate_all(chosen, kinds, name_target)
+    for line in lines:
+        say(line)
     return OK
 
 

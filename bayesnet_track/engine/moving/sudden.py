@@ -36,27 +36,28 @@ def search_around(
     target: str,
     before: TargetState,
     moves: PredictedMotion,
-    first: Step[Posterior],
-    again: Again,
+    steps: tuple[Plan, Step[Posterior], Again],
 ) -> tuple[PredictedMotion, Step[Posterior]]:
     """The motion and the step of the frame: those of the search where that finds it, else the first.
 
     It finds the target where hypotheses that jumped hold most of the belief, which the step then reports, and
     one fits, so well that this bounds no score: what a badly held target usually fits is soon reached. A
     target that is in doubt or lost is not searched for: what hides it stays, and look-alikes come along.
+    `steps` are the agents that took part in the first step, that step, and what makes another.
     """
+    plan, first, again = steps
     compiled, usual = work.plate_of(target), usual_fit(before.scored)
     moving, score = compiled.moving, compiled.plate.inference(compiled.plate.root).score
     rule = None if moving is None or moving.relocalize is None else moving.relocalize.sudden
     if rule is None or usual is None or work.net.targets[target].status != "tracking":
         return moves, first
-    share = _fit(before.plan, first) / usual
+    share = _fit(plan, first) / usual
     box = before.belief.mean[:4]
     if share >= rule.below_fit or min(work.frame.width, work.frame.height) < 3 or not _pans(rule, box, work):
         return moves, first
     found = again(_widened(rule, share, box, moves.motion, work))
     full_fit = 0.0 if score is None else score.settings.full_fit
-    if not found.reports or _fit(before.plan, found) < max(rule.below_fit * usual, full_fit):
+    if not found.reports or _fit(plan, found) < max(rule.below_fit * usual, full_fit):
         return moves, first
     context = moves.motion_context
     if context is not None and context.influences is not None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesnet_track.adapt.on_call import on_call_rule
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.moved_rows import draws_twice, propagate_rows
@@ -85,6 +86,7 @@ def plate_fits(compiled: CompiledPlate) -> bool:
         and compiled.moving is None
         and compiled.modes is None
         and is_flat(compiled.plate)
+        and on_call_rule(compiled.plate) is None
     )
 
 

@@ -92,7 +92,35 @@ def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
 
 
+def calls_have_a_caller(plate: Plate) -> Iterator[GraphMessage]:
+    """`on_call` stands at the root, without other rules, and leaves agents that run in every frame."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or adapt.on_call is None:
+            continue
+        key = ("adapt", "on_call")
+        others = [rule for rule in ("activate", "deactivate") if getattr(adapt, rule) is not None]
+        if node.parent is not None:
+            found = f"on_call at {name}, which is below {', '.join(plate.roots)}"
+            yield plate.message(name, found, "on_call at the root", key=key, on_key=True)
+        elif others:
+            found = f"on_call beside {' and '.join(others)}: agents on call stay on"
+            yield plate.message(name, found, "one or the other", key=key, on_key=True)
+        elif len(plate.governed(name)) == len(plate.agents):
+            found = "on_call leaves no agent that runs in every frame, and could call the others"
+            yield plate.message(name, found, "agents: [...] with some of them", key=key, on_key=True)
+        elif adapt.keep != 1:
+            yield plate.message(
+                name,
+                "keep has no effect: agents on call stay on",
+                "no keep",
+                key=("adapt", "keep"),
+                on_key=True,
+            )
+
+
 ADAPT_CHECKS: tuple[Check, ...] = (
+    calls_have_a_caller,
     named_agents_are_governed,
     tests_in_order,
     information_has_effect,

@@ -128,8 +128,11 @@ def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
         if not agents:
             found = "adapt governs no agent: every agent below has rules of its own nearer by"
             yield plate.message(name, found, key=("adapt",), on_key=True)
+        elif adapt.on_call is not None:
+            continue
         elif adapt.activate is None and adapt.deactivate is None:
-            yield plate.message(name, "adapt without a rule", ["activate", "deactivate"], key=("adapt",))
+            rules = ["activate", "deactivate", "on_call"]
+            yield plate.message(name, "adapt without a rule", rules, key=("adapt",))
         elif adapt.keep > count:
             found = f"keep is {adapt.keep}, and {count} agents are governed here"
             yield plate.message(name, found, f"at most {count}", key=("adapt", "keep"))

@@ -118,11 +118,32 @@ class Information(Model):
     )
 
 
+class OnCall(Model):
+    """Expensive agents stay on, but run only when they are due, or in the frame in which they are needed.
+
+    The others run first. What they say of the frame decides whether those on call run in it, too. Each run
+    shows what they are worth: the gap to the next one grows by one frame, up to `every`, where the boxes with
+    and without them overlap by at least `agree` and UD with them is not above `above`; else they run in the
+    next frame again. While the target is not tracked they run in every frame. References learn in the frames
+    in which they run, as much as they would in all of them.
+    """
+
+    every: Annotated[Whole, Field(ge=2, le=1000)] = Field(description="largest gap, in frames")
+    agree: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.6,
+        description="overlap (IoU) of the boxes with and without them from which on the gap grows",
+    )
+    above: Level = Field(description="threshold of UD above which they run at once, in the same frame")
+
+
 class Adapt(Model):
-    """When agents below an inference node are switched on and off."""
+    """When agents below an inference node are switched on and off, or run."""
 
     activate: Activate | None = Field(default=None, description="when agents are switched on")
     deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")
+    on_call: OnCall | None = Field(
+        default=None, description="root only; instead of both: when `agents`, which stay on, run"
+    )
     agents: Annotated[tuple[Name, ...], Field(min_length=1)] | None = Field(
         default=None,
         description="the agents below that these rules may switch; others are left to the rules of a node "

@@ -1,4 +1,4 @@
-"""Agents that a rule switches on and off."""
+"""Agents that a rule switches on and off, or that it lets run when they are due."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from bayesnet_track.journal.net.causes import Cause, Concentration
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.net.target_net import TargetNet, Turn
 from bayesnet_track.journal.text.wording import distinct_texts, held, plural, round_away, show_turn
 
 
@@ -99,8 +99,65 @@ class Deactivated:
         return replace(net, active=net.active - {self.node}, sampled=sampled)
 
 
-Decisions = Activated | Deactivated
-Switches = Decisions
+@dataclass(frozen=True)
+class Scheduled:
+    """Agents on call ran, and their next run was fixed; not written while they run in every frame.
+
+    Attributes:
+        frame: frame in which they ran.
+        target: target id.
+        nodes: the agents.
+        governor: the inference node whose rule it is.
+        overlap: overlap (IoU) of the estimate without them and with them.
+        agree: threshold of it.
+        gap: frames to the next run; 1 when they run in every frame from now on.
+        due: frame of the next run.
+        was_due: frame for which this run had been fixed.
+        called: UD without them, above the threshold, where that made them run before they were due.
+        doubt: UD with them, above the threshold, where that kept the gap from growing.
+        status: of the target; they run in every frame unless it is tracking.
+    """
+
+    frame: int
+    target: str
+    nodes: tuple[str, ...]
+    governor: str
+    overlap: float
+    agree: float
+    gap: int
+    due: int
+    was_due: int
+    called: Cause | None = None
+    doubt: Cause | None = None
+    status: str = "tracking"
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        who = ", ".join(self.nodes)
+        agreed = self.overlap >= self.agree
+        found, agree = distinct_texts(self.overlap, self.agree)
+        why = f"with and without {who} the boxes overlap by {found} {'≥' if agreed else '<'} {agree}"
+        at = f"agree {'>' if agreed else '≤'} {round_away(self.overlap, 3, up=agreed)}"
+        would = f"would have {'run in the next one' if self.gap > 1 else 'rested'} at {at}"
+        if self.doubt is not None:
+            why = f"{why}; {held(self.doubt, '>')} with {who}"
+            would = f"would have rested at above ≥ {show_turn(self.doubt, up=True)}"
+        elif self.status != "tracking":
+            why, would = f"{why}; the target is {self.status}", "would have rested while tracked"
+        what = f"again in {plural(self.gap, 'frame')}, frame {self.due}" if self.gap > 1 else "in every frame"
+        if self.called is not None:
+            why = f"without {who} {held(self.called, '>')}; {why}"
+            what = f"at once, not in frame {self.was_due}, and {what}"
+            would = f"would have waited at above ≥ {show_turn(self.called, up=True)}"
+        return f"{why} → {who} {what}; {would}"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, turn=Turn(self.due, self.gap) if self.gap > 1 else None)
+
+
+Decisions = Activated | Deactivated | Scheduled
+Switches = Activated | Deactivated
 
 
 def _expected_most(event: Activated) -> str:

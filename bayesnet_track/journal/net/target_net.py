@@ -24,6 +24,27 @@ class Fault:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """When the agents on call run next.
+
+    Attributes:
+        due: the frame.
+        gap: frames from their last run to it.
+    """
+
+    due: int
+    gap: int
+
+    def since(self, frame: int) -> int:
+        """How many frames after their last run `frame` is, at most the gap.
+
+        >>> Turn(due=12, gap=4).since(11)
+        3
+        """
+        return min(frame - self.due, 0) + self.gap
+
+
+@dataclass(frozen=True)
 class TargetNet:
     """The live net of one target.
 
@@ -38,6 +59,7 @@ class TargetNet:
         most_particles: most hypotheses for want of time; None without such a limit.
         faults: agent that failed, whether it is still out or not -> its last failure.
         sampled: agent that is switched off but still evaluated -> in frames whose number this divides.
+        turn: when its agents on call run next; None while they run in every frame.
         status: tracking, uncertain or lost.
     """
 
@@ -52,6 +74,7 @@ class TargetNet:
     shed: tuple[str, ...] = ()
     most_particles: int | None = None
     sampled: Mapping[str, int] = field(default_factory=dict)
+    turn: Turn | None = None
 
     def looking(self, frame: int) -> frozenset[str]:
         """The agents that look at a frame: those switched on, and those whose sample is due."""

@@ -12,7 +12,7 @@ from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.self_checks import SelfStopped
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import Cause, Concentration, FitCause, ScoreCause
 from bayesnet_track.journal.net.net import Switch
@@ -58,6 +58,7 @@ class Filter:
         if self.node is not None and self.node not in (
             getattr(event, "node", None),
             getattr(event, "governor", None),
+            *getattr(event, "nodes", ()),
         ):
             return False
         if self.frames is None:
@@ -113,7 +114,9 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
     mine = [event for event in events if getattr(event, "target", None) == line.target]
     before = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
     for agent in _agents(mine, line):
-        rows.append(f"  {agent:<10} {'on ' if agent in line.active else 'off'}  {_measured(agent, line)}")
+        rests = _is_on_call(agent, before) and agent not in line.active
+        state = "rests" if rests else "on " if agent in line.active else "off"
+        rows.append(f"  {agent:<10} {state}  {_measured(agent, line)}")
         rows.append(f"  {'':<10} {_set_by(agent, before)}")
     now = [event for event in events if getattr(event, "frame", None) == line.frame]
     now = [event for event in now if getattr(event, "target", line.target) == line.target]
@@ -157,7 +160,19 @@ def _set_by(agent: str, before: Sequence[Event]) -> str:
             )
         if isinstance(event, Switch) and event.node == agent:
             return explain(event)
+        if isinstance(event, Scheduled) and agent in event.nodes:
+            return explain(event)
     return "not switched by any event"
+
+
+def _is_on_call(agent: str, before: Sequence[Event]) -> bool:
+    """Whether the last that was decided of the agent is when it runs next."""
+    for event in reversed(before):
+        if isinstance(event, Switch) and event.node == agent:
+            return False
+        if isinstance(event, Scheduled) and agent in event.nodes:
+            return True
+    return False
 
 
 def _levels(events: Sequence[Event]) -> list[str]:

@@ -38,7 +38,7 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.events.joins import Joined
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.journal.net.target_net import Fault, TargetNet
+from bayesnet_track.journal.net.target_net import Fault, TargetNet, Turn
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame
@@ -50,6 +50,7 @@ CLASSES: tuple[type, ...] = (
     Net,
     TargetNet,
     Fault,
+    Turn,
     Load,
     Joined,
     ParticleSet,

@@ -1,0 +1,87 @@
+"""Agents on call run after the others, in the frames in which they are due or needed.
+
+The others' answers are remembered, so that only the belief is weighed a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+import numpy as np
+
+from bayesnet_track.adapt.conditions import Reading, read_level
+from bayesnet_track.adapt.measures import Call
+from bayesnet_track.adapt.on_call import is_due, on_call_rule
+from bayesnet_track.adapt.situation import quiet_level
+from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
+from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.state import TargetState, with_agents
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.observe import Observer, Question, find_known_answer, observe, remember
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import region_of_boxes
+
+By = Callable[[Plan], Step[Posterior]]
+"""Another step of the frame, by the agents of a plan."""
+
+
+def plan_without_calls(work: FrameWork, target: str, before: TargetState) -> Plan:
+    """The plan of the agents that look at a frame first: all, unless some are on call and others look."""
+    plate, plan = work.plate_of(target).plate, before.plan
+    if on_call_rule(plate) is None:
+        return plan
+    by_hand = work.net.targets[target].by_hand
+    first = {agent for agent in plan.active if plate.governor[agent] != plate.root or agent in by_hand}
+    return with_agents(work.plate_of(target), before, frozenset(first)).plan if first else plan
+
+
+def call_agents(
+    work: FrameWork,
+    target: str,
+    before: TargetState,
+    observer: Observer,
+    steps: tuple[Plan, Step[Posterior], By],
+) -> tuple[Plan, Step[Posterior], Call]:
+    """The agents that took part in the frame, its step, and what became of those on call.
+
+    `steps` are the agents that look first, their step, and what makes another.
+    """
+    plan, first, by = steps
+    root = work.plate_of(target).plate.inference(work.plate_of(target).plate.root)
+    agents = tuple(one.agent for one in before.plan.observations if one.agent not in plan.active)
+    alone = estimate(root.estimate, first)
+    reading = _read(work, target, before, first, alone)
+    due = is_due(work.net.targets[target], work.frame.index)
+    if not due and (reading is None or not reading.above):
+        return plan, first, Call(agents, ran=False)
+    _ask_around(before.plan, observer, agents, hypotheses_of(alone[None], first.posterior.fields))
+    both = by(before.plan)
+    share = float(overlap(alone[:4], estimate(root.estimate, both)[:4]))
+    cause = None if due or reading is None else reading.cause(1, reading.value)
+    return before.plan, both, Call(agents, True, share, cause)
+
+
+def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses) -> None:
+    """Ask the agents that measure, once a frame, where the others found the target: they search around it."""
+    question = Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes))
+    for one in plan.observations:
+        asked = one.agent in agents and one.measures and one.at == plan.root
+        if asked and find_known_answer(one, observer) is None:
+            remember(one, observe(question, observer, one), observer)
+
+
+def _read(
+    work: FrameWork, target: str, before: TargetState, step: Step[Posterior], state: Floats
+) -> Reading | None:
+    """UD of the belief without the agents on call, whose estimate is `state` (D,)."""
+    plate, net = work.plate_of(target).plate, work.net.targets[target]
+    rule = on_call_rule(plate)
+    assert rule is not None
+    columns = [BOX_FIELDS.index(name) for name in plate.inference(plate.root).ud_fields]
+    ud_px2 = step.posterior.uncertainty(step.map_state, columns)
+    quiet = quiet_level(plate, net, before.memory, plate.root)
+    return read_level(rule.above, ud_px2, float(state[2] * state[3]), quiet)
