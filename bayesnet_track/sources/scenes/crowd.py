@@ -16,6 +16,9 @@ TURN_SD = 0.06
 BORDER, TURN_BACK = 60.0, 0.25
 """Distance from a border, px, from which on it turns away, and how strongly at the border itself."""
 
+REFUSED = 400
+"""Places in a row that are not free, after which there is no room."""
+
 
 def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
     """`count` orange discs, all alike, on winding ways from border to border; the first is the target.
@@ -28,16 +31,16 @@ def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
     """
     rng = np.random.Generator(np.random.Philox(seed))
     paths: list[Floats] = []
-    for _ in range(400 * count):
+    refused = 0
+    while len(paths) < count:
         inset = np.full(2, (SIDE - 1) / 2)
         places = winding(rng, frames, inset, np.array([WIDTH, HEIGHT]) - 1 - inset, SPEEDS)
-        path = np.column_stack([places, np.full((frames, 2), SIDE)])
-        if all(np.abs(path - other)[:5, :2].max(axis=1).min() > SIDE + 2 for other in paths):
-            paths.append(path)
-        if len(paths) == count:
-            break
-    else:
-        raise ValueError(f"no room for {count} discs")
+        begins = places[:5]
+        if all(np.abs(begins - other[:5, :2]).max(axis=1).min() > SIDE + 2 for other in paths):
+            paths.append(np.column_stack([places, np.full((frames, 2), SIDE)]))
+            refused = 0
+        elif (refused := refused + 1) == REFUSED:
+            raise ValueError(f"no room for {count} discs")
     background = smooth_background(WIDTH, HEIGHT, 100.0, 12.0, rng)
     sprites = tuple(Sprite(flat(ORANGE), path, is_round=True) for path in paths)
     return assemble("crowd", background, sprites, 0, NOISE_SD, seed, plates=("disc",) * count)
