@@ -13,7 +13,7 @@ def named_agents_are_governed(plate: Plate) -> Iterator[GraphMessage]:
     """Each of `adapt.agents` is an agent below the node, named once, that no rule nearer by switches."""
     for name, node in plate.inference.items():
         named = () if node.adapt is None else node.adapt.agents or ()
-        left = plate.left_to(name)
+        left = plate.left_to(name) if named else []
         for number, agent in enumerate(named):
             if agent in named[:number]:
                 found = f"agents names {agent!r} twice"

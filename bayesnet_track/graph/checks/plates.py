@@ -88,10 +88,11 @@ class Plate:
 
     def below(self, node: str) -> list[str]:
         """The nodes below an inference node, at any depth (for a valid tree)."""
-        found = [node]
+        found = {node: None}
         for name in self.order:
-            found += [name] if self.spec.nodes[name].parent in found else []
-        return found[1:]
+            if self.spec.nodes[name].parent in found:
+                found[name] = None
+        return list(found)[1:]
 
     def left_to(self, node: str) -> list[str]:
         """The agents below a node that no rule nearer by switches; `adapt.agents` may leave some out."""
