@@ -6,10 +6,9 @@ somebody asks for a line of metrics: no rule depends on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 
@@ -23,10 +22,10 @@ from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.journal.encoder import written
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
+from bayesnet_track.numerics.found import Found
 from bayesnet_track.numerics.log_weights import effective
 
 Rows = list[tuple[float, ...]]
-Value = TypeVar("Value")
 
 CLOUD_SIZE = 48
 """Hypotheses kept per frame, drawn from the posterior, so that they carry no weights."""
@@ -52,26 +51,6 @@ class Summary:
     surprise: float
     regions: Rows
     cloud: tuple[tuple[int, ...], ...]
-
-
-class Found(Mapping[str, Value]):
-    """Target -> something of it, found for all of `targets` by `find` when the first is asked for."""
-
-    def __init__(self, targets: Iterable[str], find: Callable[[], Mapping[str, Value]]) -> None:
-        self._targets = tuple(targets)
-        self._find: Callable[[], Mapping[str, Value]] | None = find
-        self._found: Mapping[str, Value] = {}
-
-    def __getitem__(self, target: str) -> Value:
-        if self._find is not None:
-            self._found, self._find = self._find(), None  # what it was found from is not needed any more
-        return self._found[target]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._targets)
-
-    def __len__(self) -> int:
-        return len(self._targets)
 
 
 def find_summaries(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -12,29 +12,28 @@ from bayesnet_track.adapt.measures import Measures, PartMeasure
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import select, uncertainty_deviation
+from bayesnet_track.numerics.found import Found
 from bayesnet_track.numerics.tilts import divergences, tilt
 from bayesnet_track.observation.cue import Hypotheses
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
     """Measure one step of `target`; every index is taken on the step's own hypotheses and prior weights."""
+    if is_flat(target) and not step.evidence.latent:
+        return _measure_flat(target, plan, step, area_px2)
     evidence, prior, root = step.evidence, step.prior.log, step.support.weights
     hypotheses = Hypotheses(step.support.boxes)
     nodes = list(evidence.messages)
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
     governors = [target.governor[agent] or target.root for agent in agents]
-    nothing = np.zeros(len(prior))
-    is_alone = len(plan.observations) == 1 and not plan.factors
-    left = [
-        nothing if is_alone else without(plan, evidence, agent, hypotheses, prior).get(governor, nothing)
-        for agent, governor in zip(agents, governors, strict=True)
-    ]
+    left = _left(target, plan, step, agents)
     # All beliefs in one matrix: those of the nodes, then what is left without each agent.
     logs = tilt(prior, _rows((*evidence.messages.values(), *left), len(prior)))
     beliefs = dict(zip(nodes, logs[: len(nodes)], strict=True))
@@ -47,7 +46,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
             agent_ud[obs.agent] = _agent_ud(target, boxes, evidence.messages[obs.agent], beliefs[obs.agent])
 
     governing = [beliefs.get(governor, root.log) for governor in governors]
-    alone = governing if is_alone and not plan.draws else [beliefs[agent] for agent in agents]
+    alone = governing if is_alone(plan) and not plan.draws else [beliefs[agent] for agent in agents]
     nats = divergences(
         _rows((*governing, *governing, *logs[: len(nodes)]), len(prior)),
         _rows((*alone, *logs[len(nodes) :], *[prior] * len(nodes)), len(prior)),
@@ -75,6 +74,62 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
             if _asks_for_the_dispensable(target, governor)
         },
     )
+
+
+def _measure_flat(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
+    """`measure` of a net whose only belief is the root's; what rules seldom ask for is found when they do."""
+    evidence, prior, root = step.evidence, step.prior.log, step.support.weights.log
+    agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
+    without_each = tilt(prior, _rows(_left(target, plan, step, agents), len(prior)))
+    contributions = divergences(root, without_each).tolist() if agents else ()
+    silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
+    asked: Found[tuple[float, float, float]] = Found(agents, partial(_ask_flat, target, plan, step, agents))
+    kl, strength, agent_ud = (Found(agents, partial(_part_of, asked, which)) for which in range(3))
+    return Measures(
+        ud_px2={target.root: step.posterior.uncertainty(step.map_state, _columns(target, target.root))},
+        agent_ud_px2=agent_ud,
+        kl=kl,
+        contribution=dict(zip(agents, contributions, strict=True)),
+        strength=strength,
+        fit=fit_of([evidence.messages[agent] for agent in agents if agent not in silent]),
+        area_px2=area_px2,
+        silent=silent,
+    )
+
+
+def _left(target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequence[str]) -> list[Floats]:
+    """(N,) of each agent: the message that its governor, or the root, would have had without it."""
+    evidence, prior = step.evidence, step.prior.log
+    nothing = np.zeros(len(prior))
+    if is_alone(plan):
+        return [nothing] * len(agents)
+    hypotheses = Hypotheses(step.support.boxes)
+    return [
+        without(plan, evidence, agent, hypotheses, prior).get(target.governor[agent] or target.root, nothing)
+        for agent in agents
+    ]
+
+
+def is_alone(plan: Plan) -> bool:
+    """Whether nobody but one agent says anything."""
+    return len(plan.observations) == 1 and not plan.factors
+
+
+def _ask_flat(
+    target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequence[str]
+) -> dict[str, tuple[float, float, float]]:
+    """Agent of a flat net -> KL, strength and own UD."""
+    messages, prior, root = step.evidence.messages, step.prior.log, step.support.weights.log
+    boxes = step.support.boxes
+    logs = tilt(prior, _rows((messages[agent] for agent in agents), len(prior)))
+    kl = divergences(root, root[None] if is_alone(plan) else logs).tolist()
+    strength = divergences(logs, prior).tolist()
+    uds = [_agent_ud(target, boxes, messages[agent], log) for agent, log in zip(agents, logs, strict=True)]
+    return dict(zip(agents, zip(kl, strength, uds, strict=True), strict=True))
+
+
+def _part_of(asked: Mapping[str, tuple[float, float, float]], which: int) -> dict[str, float]:
+    return {agent: values[which] for agent, values in asked.items()}
 
 
 def fit_of(messages: Sequence[Floats]) -> float:

@@ -25,13 +25,14 @@ from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.rows.row_learning import follow_rows
 from bayesnet_track.engine.state import inside_frame_all
-from bayesnet_track.engine.summaries import Found, Summary
+from bayesnet_track.engine.summaries import Summary
 from bayesnet_track.inference.executor import Serial
 from bayesnet_track.inference.guard import judge_nothing
 from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.inference.measure_rows import RowMeasures, is_flat, measure_rows
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.found import Found
 from bayesnet_track.observation.cue import ANGLE
 
 
