@@ -66,15 +66,19 @@ def learn_all(
     )
     found: dict[str, Learnt] = {}
     for target, one in filtered.items():
-        if target in moved:
-            watched = one.before.watched
+        if target in moved or _learns_nothing(one, decided[target], rates[target]):
+            watched, references = one.before.watched, moved.get(target, one.before.references)
             judged = judge_nothing(watched)
-            found[target] = Learnt(
-                moved[target], watched, judged, decided[target].chosen, 0.0, rates[target][0]
-            )
+            found[target] = Learnt(references, watched, judged, decided[target].chosen, 0.0, rates[target][0])
         else:
             found[target] = learn_target(work, one, measured[target], decided[target], rates[target])
     return found
+
+
+def _learns_nothing(filtered: Filtered, decided: Decided, rates: Rates) -> bool:
+    """Whether no reference moves and nothing else is done to one."""
+    still = all(rate <= 0.0 for rate in rates[1].values())
+    return still and not decided.chosen and ANGLE not in filtered.step.posterior.fields
 
 
 def _learns_plainly(work: FrameWork, filtered: Filtered, decided: Decided) -> bool:

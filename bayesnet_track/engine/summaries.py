@@ -22,8 +22,8 @@ from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.journal.encoder import written
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
-from bayesnet_track.numerics.found import Found
 from bayesnet_track.numerics.log_weights import effective
+from bayesnet_track.numerics.records import Found
 
 Rows = list[tuple[float, ...]]
 

@@ -148,10 +148,14 @@ def standard_normals(size: int, width: int, rng: np.random.Generator) -> Floats:
     """
     if size < 2 * (width + 1):
         raise ValueError(f"{size} draws cannot stand for {width} dimensions; at least {2 * (width + 1)}")
-    half = rng.standard_normal((size // 2, width))
+    return whiten(rng.standard_normal((size // 2, width)), size)
+
+
+def whiten(half: Floats, size: int) -> Floats:
+    """(size, K) draws `half` (size // 2, K), their negatives, and 0 for an odd `size`; covariance I."""
     lower = np.linalg.cholesky((half.T @ half) * (2.0 / size))
     white = half @ np.linalg.inv(lower).T
-    middle = (np.zeros((1, width)),) if size % 2 else ()
+    middle = (np.zeros((1, half.shape[1])),) if size % 2 else ()
     return np.concatenate([white, -white, *middle])
 
 

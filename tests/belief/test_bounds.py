@@ -45,3 +45,11 @@ def test_the_spread_is_at_most_that_of_a_box_anywhere():
     anywhere = draws * [319, 239, 639, 479] + [0, 0, 1, 1]
     expected = np.sqrt(((anywhere - mean) ** 2).mean(axis=0))
     np.testing.assert_allclose(motion.spread_limit(mean), expected, rtol=0.01)
+
+
+def test_one_state_is_confined_as_several_are():
+    confined = Confined(WALK, width=120, height=100)
+    for state in ([-3.0, 120.0, 0.5, 300.0], [130.0, -1.0, 260.0, 0.0], [60.0, 50.0, 30.0, 20.0]):
+        one = np.array(state)
+        np.testing.assert_array_equal(confined.confine_one(one), confined.confine(one[None].copy())[0])
+        assert one.tolist() == state

@@ -54,9 +54,8 @@ class GaussianPosterior:
 
     def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
         """UD = tr Cov + |mean - about|^2 over the columns of the state."""
-        chosen = list(columns)
-        away = self.mean[chosen] - about[chosen]
-        return float(np.diagonal(self.covariance)[chosen].sum() + away @ away)
+        mean, at, variances = self.mean.tolist(), about.tolist(), self.covariance.diagonal().tolist()
+        return float(sum(variances[k] + (mean[k] - at[k]) ** 2 for k in columns))
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
         """Mass within `radius` px of `centre` (2,), exact."""

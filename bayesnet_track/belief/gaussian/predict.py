@@ -36,10 +36,11 @@ def predict(
     if settings.filter == "unscented":
         mean, spread = unscented_moments(mean, covariance, free, dt, settings.sigma)
     else:
-        mean, spread = free.drift(mean[None], dt)[0], transition @ covariance @ transition.T
+        moved = transition @ mean if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
+        mean, spread = moved, transition @ covariance @ transition.T
     covariance = symmetric(spread + noise)
     if isinstance(motion, Confined):
-        mean = motion.confine(mean[None])[0]
+        mean = motion.confine_one(mean)
         covariance = _confine_moments(covariance, motion.spread_limit(mean))
     return mean, covariance
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,15 +15,16 @@ from bayesnet_track.belief.motion.functions import derivative, extended_update, 
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
+    ALONE,
     Updated,
     chi_square_cdf,
     chi_square_quantile,
     linear_update,
     root,
     sigma_points,
-    standard_normals,
     symmetric,
     update_by_fields,
+    whiten,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Measurement
@@ -59,21 +61,45 @@ def ask(
     A hypothesis that would leave the image is moved to its border: what is said of it there is taken as the
     likelihood outside, so that the moments stay exact.
     """
+    if settings.likelihood == "samples":
+        return _draw(mean, covariance, motion, settings.samples, rng)
     lower = root(covariance)
     width = lower.shape[1]
-    if settings.likelihood == "sigma_points":
-        unit = sigma_points(width, width + 1.0)
-        log_beta = np.full(len(unit), -np.log(2.0 * (width + 1.0)))
-        log_beta[0] = -np.log(width + 1.0)
-        beta = LogWeights.normalise(log_beta)[0]
-    else:
-        size = max(settings.samples, 2 * (width + 1))
-        unit, beta = standard_normals(size, width, rng), LogWeights.uniform(size)
+    unit = sigma_points(width, width + 1.0)
+    log_beta = np.full(len(unit), -np.log(2.0 * (width + 1.0)))
+    log_beta[0] = -np.log(width + 1.0)
+    return Asked(unit, lower, _placed(mean, lower, unit, motion), LogWeights.normalise(log_beta)[0])
+
+
+def _draw(
+    mean: Floats, covariance: Floats, motion: MotionModel, samples: int, rng: np.random.Generator
+) -> Asked:
+    """Samples, so many or as many as the rank of the covariance needs."""
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.gaussian_kernels import stand_for
+
+    width, image = len(mean), (np.inf, np.inf)
+    if isinstance(motion, Confined) and not motion.leaves_image:
+        image = float(motion.width), float(motion.height)
+    size = max(samples, 2 * (width + 1))
+    half = rng.standard_normal((size // 2, width))
+    found = stand_for(plain(mean), plain(covariance), half, size, image, math.sqrt(ALONE))
+    lower, unit, states, is_full = found
+    if not is_full:
+        lower = root(covariance)
+        width = lower.shape[1]
+        size = max(samples, 2 * (width + 1))
+        half = half.ravel()[: (size // 2) * width].reshape(size // 2, width)  # as if only these were drawn
+        unit = whiten(half, size)
+        states = _placed(mean, lower, unit, motion)
+    return Asked(unit, lower, states, LogWeights.uniform(size))
+
+
+def _placed(mean: Floats, lower: Floats, unit: Floats, motion: MotionModel) -> Floats:
     states = mean + unit @ lower.T
     np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
-    if isinstance(motion, Confined):
-        states = motion.confine(states)
-    return Asked(unit, lower, states, beta)
+    return motion.confine(states) if isinstance(motion, Confined) else states
 
 
 def is_flat(log_likelihood: Floats) -> bool:

@@ -49,6 +49,18 @@ class Confined(Wrapped):
             confine(moved, float(self.width), float(self.height))
         return moved
 
+    def confine_one(self, state: Floats) -> Floats:
+        """A copy of the state (D,), confined."""
+        x, y, w, h = state[:4].tolist()
+        held = state.copy()
+        if self.leaves_image:
+            held[2:4] = max(w, 1.0), max(h, 1.0)
+        else:
+            across, down = float(self.width), float(self.height)
+            held[0], held[1] = min(max(x, 0.0), across - 1.0), min(max(y, 0.0), down - 1.0)
+            held[2], held[3] = min(max(w, 1.0), 2.0 * across), min(max(h, 1.0), 2.0 * down)
+        return held
+
     @property
     def leaves_image(self) -> bool:
         """Whether the model's centres go on beyond the image."""

@@ -32,7 +32,7 @@ from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.inference.measure_rows import RowMeasures, is_flat, measure_rows
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.found import Found
+from bayesnet_track.numerics.records import Found
 from bayesnet_track.observation.cue import ANGLE
 
 

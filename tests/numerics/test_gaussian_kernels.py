@@ -1,0 +1,58 @@
+"""Points that stand for a Gaussian, against the same with NumPy."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayesnet_track.numerics.gaussian import root, standard_normals, weighted_moments
+from bayesnet_track.numerics.kernels.gaussian_kernels import stand_for
+
+ANYWHERE = (np.inf, np.inf)
+
+
+def gaussian(seed, width, rank=None):
+    rng = np.random.default_rng(seed)
+    sides = rng.normal(size=(width, rank or width + 2)) * 10.0 ** rng.uniform(-2, 2, width)[:, None]
+    return rng.normal(size=width) * 100.0 + 500.0, sides @ sides.T
+
+
+@given(st.integers(0, 10_000), st.integers(4, 8), st.integers(18, 31))
+def test_they_are_the_whitened_draws_put_where_the_gaussian_is(seed, width, size):
+    mean, covariance = gaussian(seed, width)
+    half = np.random.default_rng(seed).standard_normal((size // 2, width))
+    lower, unit, states, is_full = stand_for(mean, covariance, half, size, ANYWHERE, 1e-6)
+    assert is_full
+    np.testing.assert_allclose(unit, standard_normals(size, width, np.random.default_rng(seed)), atol=1e-9)
+    sds = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(lower / sds[:, None], root(covariance) / sds[:, None], atol=1e-9)
+    free = [*range(2), *range(4, width)]
+    expected = mean + unit @ lower.T
+    np.testing.assert_allclose(states[:, free], expected[:, free], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(states[:, 2:4], np.maximum(expected[:, 2:4], 1.0), rtol=1e-9, atol=1e-9)
+    found, spread = weighted_moments(expected, np.full(size, 1.0 / size))
+    np.testing.assert_allclose(found, mean, atol=1e-9 * sds.max())
+    np.testing.assert_allclose(spread / np.outer(sds, sds), covariance / np.outer(sds, sds), atol=1e-8)
+
+
+def test_centres_stay_on_the_image_and_sizes_below_twice_its_own():
+    half = np.random.default_rng(0).standard_normal((50, 4))
+    mean, covariance = np.array([100.0, 50.0, 100.0, 50.0]), np.eye(4) * 200.0**2
+    _, _, states, _ = stand_for(mean, covariance, half, 100, (200.0, 100.0), 1e-6)
+    np.testing.assert_array_equal(states.min(axis=0), [0, 0, 1, 1])
+    np.testing.assert_array_equal(states.max(axis=0), [199, 99, 400, 200])
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        np.diag([4.0, 1.0, 0.0, 1.0]),
+        np.ones((4, 4)),
+        np.zeros((4, 4)),
+        np.full((4, 4), np.nan),
+        gaussian(3, 4, rank=3)[1],
+    ],
+)
+def test_a_covariance_without_such_a_root_is_named(covariance):
+    half = np.random.default_rng(0).standard_normal((10, 4))
+    assert not stand_for(np.zeros(4), covariance, half, 20, ANYWHERE, 1e-6)[3]
