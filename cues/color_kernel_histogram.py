@@ -119,13 +119,9 @@ class ColorKernelHistogram:
         """(N,) Bhattacharyya coefficient of each centre box (N, 4) with the reference, 0..1."""
         from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients
 
-        shares = reference["shares"]
-        known = shares > 0
-        slots = np.where(known, np.cumsum(known), 0).astype(np.uint16)
-        roots = np.concatenate([[0.0], np.sqrt(shares[known])])
-        cells, r = slots[planes[self._plane]], planes.region
+        cells, r = for_reading(planes[self._plane]), planes.region
         boxes = np.ascontiguousarray(boxes)  # one compiled version only
-        return coefficients(cells, r.x0, r.y0, boxes, self.parameters.pixels, roots)
+        return coefficients(cells, r.x0, r.y0, boxes, self.parameters.pixels, np.sqrt(reference["shares"]))
 
 
 def _make(parameters: ColorKernelHistogramParameters) -> Cue:

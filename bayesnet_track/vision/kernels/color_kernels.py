@@ -1,4 +1,4 @@
-"""Compiled kernel for the hue of pixels, in the integers of OpenCV's ``COLOR_BGR2HSV_FULL``."""
+"""Compiled kernels for colours of pixels: hue, in the integers of OpenCV's ``COLOR_BGR2HSV_FULL``; cells."""
 
 from __future__ import annotations
 
@@ -62,3 +62,15 @@ def bins_of_hue(hue: NDArray[np.int16], bin_of_hue: NDArray[np.uint8]) -> NDArra
             own = hue[y, x]
             bins[y, x] = bin_of_hue[own if own >= 0 else 256]
     return bins
+
+
+@compiled
+def fill_color_cells(image: NDArray[np.uint8], tables: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """(H, W) cell of each pixel of an (H, W, 3) image: the sum of what `tables` (3, 256) have of it."""
+    height, width = image.shape[0], image.shape[1]
+    cells = np.empty((height, width), np.uint16)
+    for y in range(height):
+        line, own = image[y].reshape(3 * width), cells[y]
+        for x in range(width):
+            own[x] = tables[0, line[3 * x]] + tables[1, line[3 * x + 1]] + tables[2, line[3 * x + 2]]
+    return cells

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Floats
 from bayesnet_track.observation.geometry import crop_of
@@ -39,16 +41,25 @@ class ColorCells:
         image = region.of(frames.current.image)
         if image.size == 0:
             return np.zeros(image.shape[:2], np.uint16)
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.vision.kernels.color_kernels import fill_color_cells
+
         last = self.levels
         if self.space == "hsv":
             import cv2
 
             image, last = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2HSV_FULL), self.levels // 2
-        value = np.arange(256)
-        first = (value * self.levels // 256 * self.levels * last).astype(np.uint16)
-        second = (value * self.levels // 256 * last).astype(np.uint16)
-        third = (value * last // 256).astype(np.uint16)
-        return np.asarray(first[image[..., 0]] + second[image[..., 1]] + third[image[..., 2]])
+        cells: NDArray[np.uint16] = fill_color_cells(for_reading(image), _tables(self.levels, last))
+        return cells
+
+
+@lru_cache(maxsize=8)
+def _tables(levels: int, last: int) -> NDArray[np.uint16]:
+    """(3, 256) each channel's part of a cell's number, `last` values of the third."""
+    value, counts = np.arange(256), np.array([[levels], [levels], [last]])
+    tables: NDArray[np.uint16] = (value * counts // 256 * [[levels * last], [last], [1]]).astype(np.uint16)
+    tables.setflags(write=False)  # shared by all who ask for it
+    return tables
 
 
 def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:

@@ -16,7 +16,7 @@ Cells = NDArray[np.uint16]
 
 @compiled
 def _count(cells: Cells, left: int, top: int, box: Floats, most: int, parts: Floats) -> float:
-    """Fill `parts` (2, cells) with the weights 1 - |d|^2 of the box's ellipse by cell; the weight of it all.
+    """Add the weights 1 - |d|^2 of the box's ellipse by cell to `parts` (2, cells); the weight of it all.
 
     Two sums, of every other pixel: neighbours have one colour, and an addition would wait for the one before.
 
@@ -27,38 +27,38 @@ def _count(cells: Cells, left: int, top: int, box: Floats, most: int, parts: Flo
     x, y = box[0], box[1]
     rx, ry = max(box[2] / 2, 1.0), max(box[3] / 2, 1.0)
     step = max(int(np.ceil(np.sqrt(4.0 * rx * ry / most))), 1)
-    parts[:] = 0.0
     even, odd = parts[0], parts[1]
-    whole = 0.0
+    whole, per_radius = 0.0, 1.0 / rx
     if not (x + rx >= left and x - rx < left + columns and y + ry >= top and y - ry < top + rows):
         return whole
+    per_height, per_square, per_step = 1.0 / ry, 1.0 / (rx * rx), 1.0 / step
+    leftmost, rightmost = (left + step - 1) // step * step, left + columns - 1
     for row in range(int(np.ceil((y - ry) / step)) * step, int(np.floor(y + ry)) + 1, step):
-        height = 1.0 - ((row - y) / ry) ** 2
+        height = 1.0 - ((row - y) * per_height) ** 2
         if height <= 0.0:
             continue
         reach = rx * np.sqrt(height)
-        first, last = int(np.ceil((x - reach) / step)), int(np.floor((x + reach) / step))
+        first, last = int(np.ceil((x - reach) * per_step)), int(np.floor((x + reach) * per_step))
         count = last - first + 1
         if count <= 0:
             continue
         # The row's weight, count * height - sum of squares, in closed form.
         near = first * step - x
         squares = count * near * near + near * step * count * (count - 1)
-        squares += step * step * (count - 1) * count * (2 * count - 1) / 6.0
-        whole += count * height - squares / (rx * rx)
+        squares += step * step * (count - 1) * count * (2 * count - 1) * (1.0 / 6.0)
+        whole += count * height - squares * per_square
         if not top <= row < top + rows:
             continue
         line = cells[row - top]
-        begin = max(first * step, (left + step - 1) // step * step)
-        end = min(last * step, left + columns - 1)
-        column = begin
+        begin, end = max(first * step, leftmost), min(last * step, rightmost)
+        column, away, more = begin, (begin - x) * per_radius, step * per_radius
         while column + step <= end:
-            one, two = (column - x) / rx, (column + step - x) / rx
-            even[line[column - left]] += max(height - one * one, 0.0)
-            odd[line[column + step - left]] += max(height - two * two, 0.0)
+            even[line[column - left]] += max(height - away * away, 0.0)
+            away += more
+            odd[line[column + step - left]] += max(height - away * away, 0.0)
+            away += more
             column += 2 * step
         if column <= end:
-            away = (column - x) / rx
             even[line[column - left]] += max(height - away * away, 0.0)
     return whole
 
@@ -83,18 +83,22 @@ def coefficients(cells: Cells, left: int, top: int, boxes: Floats, most: int, ro
     The part of a box outside the frame has colours that no model has.
 
     Args:
-        cells: (rows, columns) cell of each pixel, 0 for the cells that the model has not.
+        cells: (rows, columns) cell of each pixel.
         left, top: column and row of the frame at the first of them.
         boxes: (N, 4) centre boxes in the frame, px.
         most: larger boxes, in pixels, are sampled.
-        roots: (K,) sqrt(q) of the cells; the first is 0.
+        roots: (cells,) sqrt(q).
     """
     rho, parts = np.zeros(len(boxes)), np.zeros((2, len(roots)))
+    known = np.flatnonzero(roots > 0.0)  # what the others hold is never read, and never cleared
     for n in range(len(boxes)):
         whole = _count(cells, left, top, boxes[n], most, parts)
+        total = 0.0
+        for u in known:
+            weight = parts[0, u] + parts[1, u]
+            if weight > 0.0:
+                total += np.sqrt(weight) * roots[u]
+                parts[0, u] = parts[1, u] = 0.0
         if whole > 0.0:
-            total = 0.0
-            for u in range(1, len(roots)):
-                total += np.sqrt(parts[0, u] + parts[1, u]) * roots[u]
             rho[n] = total / np.sqrt(whole)
     return rho
