@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack
 from functools import partial, wraps
 from os import PathLike
+from pathlib import Path
 from typing import Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
@@ -40,6 +42,7 @@ from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import run
+from bayesnet_track.runtime.unused_detections import warn_unused
 from bayesnet_track.sources.sources import open_source
 
 P = ParamSpec("P")
@@ -99,7 +102,8 @@ def track(
         out: run directory to write; nothing is written when None.
         seed: seed of all randomness.
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
-        detections: a file of detections, MOT or JSON Lines, for births by `detections`.
+        detections: a file of detections, MOT or JSON Lines, for births by `detections`. A warning says
+            which of them will not be used, where `source` is a text.
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
@@ -167,6 +171,10 @@ def track(
         resizing = resizing_of(opened, max_side)
         seen = resizing.graph(checked)
         engine = prepare_engine(seen, seed, motion, detections, resizing)
+        if detections is not None and opened is not source:  # who opened the source knows its frames
+            end = getattr(opened, "declared_frames", None)
+            frames = range(0, sys.maxsize if end is None else end, stride)
+            warn_unused(seen, Path(detections), resizing, frames)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         engine = place_cues(stack, executing, engine, None if motion is not None else seen, opened, budget_ms)

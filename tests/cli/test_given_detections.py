@@ -1,9 +1,13 @@
 """Detections that a run will not use are spoken of before it begins."""
 
+import re
+import warnings
+
 import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import track
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.options.given_detections import say_unused
 
@@ -43,3 +47,17 @@ def test_a_file_that_does_not_fit_is_spoken_of(dark, tmp_path, capsys, frames, b
     assert main([*command, "--out", str(tmp_path / "run"), *options]) == 0
     said = capsys.readouterr().err
     assert message in said and (said == "") == (message == "")
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [("20,30,20,20,0.8", None), ("220,30,20,20,1", "det.txt: 12 of 12 .* lie outside of the frames")],
+)
+def test_python_is_told_too(dark, tmp_path, box, message):
+    path = tmp_path / "det.txt"
+    path.write_text("".join(f"{frame},-1,{box},-1,-1,-1\n" for frame in range(1, 13)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert sum(1 for _ in track("kalman_detections", str(dark), detections=path)) == 12
+    assert [one.filename for one in caught] == [__file__] * (message is not None)
+    assert message is None or re.search(message, str(caught[0].message))
