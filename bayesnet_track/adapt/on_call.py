@@ -18,7 +18,7 @@ def on_call_rule(plate: CheckedTarget) -> OnCall | None:
 
 def is_due(net: TargetNet, frame: int) -> bool:
     """Whether agents on call run in a frame, whatever the others say of it."""
-    return net.turn is None or frame >= net.turn.due or net.status != "tracking"
+    return net.turn is None or frame >= net.turn.due or net.status == "lost"
 
 
 def schedule(now: Situation, memory: Memory) -> tuple[Scheduled, ...]:
@@ -29,7 +29,7 @@ def schedule(now: Situation, memory: Memory) -> tuple[Scheduled, ...]:
     reading = read_ud(now, memory, now.plate.root, rule.above)
     doubt = reading.cause(1, reading.value) if reading is not None and reading.above else None
     gap = 1
-    if call.overlap >= rule.agree and doubt is None and now.net.status == "tracking":
+    if call.overlap >= rule.agree and doubt is None and now.net.status != "lost":
         gap = min((1 if turn is None else turn.gap) + 1, rule.every)
     if gap == 1 and turn is None:
         return ()

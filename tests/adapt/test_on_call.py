@@ -91,7 +91,7 @@ def test_the_net_of_a_frame_follows_from_the_decisions(fakes):
         assert net.targets["1"].turn == one.state.net.targets["1"].turn
 
 
-def test_nobody_rests_while_the_target_is_not_tracked():
+def test_nobody_rests_while_the_target_is_lost():
     net = TargetNet("t", frozenset({"a", "b"}), turn=Turn(due=9, gap=3))
     assert [is_due(net, frame) for frame in (7, 8, 9, 10)] == [False, False, True, True]
     lost = TargetNet("t", frozenset({"a", "b"}), turn=Turn(due=9, gap=3), status="lost")

@@ -61,7 +61,7 @@ def test_each_sentence():
         "→ net in every frame; would have rested at above ≥ 81.2"
     )
     assert explain(replace(RUNS[2], overlap=0.9, status="lost")).endswith(
-        "≥ 0.6; the target is lost → net in every frame; would have rested while tracked"
+        "≥ 0.6; the target is lost → net in every frame; would have rested while not lost"
     )
 
 

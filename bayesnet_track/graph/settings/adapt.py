@@ -124,7 +124,7 @@ class OnCall(Model):
     The others run first. What they say of the frame decides whether those on call run in it, too. Each run
     shows what they are worth: the gap to the next one grows by one frame, up to `every`, where the boxes with
     and without them overlap by at least `agree` and UD with them is not above `above`; else they run in the
-    next frame again. While the target is not tracked they run in every frame. References learn in the frames
+    next frame again. While the target is lost they run in every frame. References learn in the frames
     in which they run, as much as they would in all of them.
     """
 

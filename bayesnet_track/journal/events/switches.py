@@ -115,7 +115,7 @@ class Scheduled:
         was_due: frame for which this run had been fixed.
         called: UD without them, above the threshold, where that made them run before they were due.
         doubt: UD with them, above the threshold, where that kept the gap from growing.
-        status: of the target; they run in every frame unless it is tracking.
+        status: of the target; they run in every frame while it is lost.
     """
 
     frame: int
@@ -142,8 +142,8 @@ class Scheduled:
         if self.doubt is not None:
             why = f"{why}; {held(self.doubt, '>')} with {who}"
             would = f"would have rested at above ≥ {show_turn(self.doubt, up=True)}"
-        elif self.status != "tracking":
-            why, would = f"{why}; the target is {self.status}", "would have rested while tracked"
+        elif self.status == "lost":
+            why, would = f"{why}; the target is {self.status}", "would have rested while not lost"
         what = f"again in {plural(self.gap, 'frame')}, frame {self.due}" if self.gap > 1 else "in every frame"
         if self.called is not None:
             why = f"without {who} {held(self.called, '>')}; {why}"
