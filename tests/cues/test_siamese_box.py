@@ -5,6 +5,8 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graphs import find_graph
+from bayesnet_track.journal.events.switches import Scheduled
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.vision.siamese.memory import Memory
 from bayesnet_track.vision.siamese.networks import STRIDE, Networks, Response
@@ -77,28 +79,20 @@ def test_deep_follows_a_target_by_plain_pixels_in_the_networks_place(tmp_path, s
     assert np.abs(centre - scene.start - np.array([30, 15])).max() < 5.0
 
 
-SAMPLED = """        learn: {below: {ud_box: 0.2}}
-        fuse: product
-        adapt:
-          agents: [network]
-          activate: {above: {ud_box: 0.03}}
-          deactivate: {below: {ud_box: 0.012}, frames: 2, drop: most_expensive, sample_every: 5}
-"""
-COPY = "      copy: {parent: target, agent: {template: {sd_place: 0.08}}, learn_rate_max: 1}\n"
-
-
-def test_a_template_carries_the_box_between_the_runs_of_the_network(tmp_path, scene):
-    text = find_graph("deep").read_text("utf-8").replace("refuse", "plain")
-    text = text.replace("        estimate: mean\n", "        estimate: mean\n" + SAMPLED) + COPY
-    graph = tmp_path / "sampled.yaml"
-    graph.write_text(text, encoding="utf-8")
+def test_in_deep_a_copy_carries_the_box_between_the_runs_of_the_network(tmp_path, scene):
+    graph = tmp_path / "deep.yaml"
+    graph.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
     tracker = Tracker(graph, seed=0)
     x, y, w, h = scene.box()
     tracker.init(scene.image(scene.start), (x - w / 2 + 0.5, y - h / 2 + 0.5, w, h))
-    runs = 0
+    runs, events = [], []
     for k in range(1, 31):
         _, found = tracker.update(scene.image(scene.start + np.array([2, 1]) * k))
-        runs += "network" in tracker.metrics.kl
+        runs += [k] if "network" in tracker.metrics.kl else []
+        events += tracker.events
     centre = np.array(found[:2]) + np.array(found[2:]) / 2 - 0.5
     assert np.abs(centre - scene.start - np.array([60, 30])).max() < 5.0
-    assert 6 <= runs <= 15
+    assert 8 <= len(runs) <= 15 and runs[0] == 1
+    scheduled = [event for event in events if isinstance(event, Scheduled)]
+    assert {event.frame for event in scheduled} <= set(runs)
+    assert not [event for event in events if isinstance(event, Switch)]
