@@ -64,7 +64,7 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> Results
         group.find_maps()
     find_maps(one.step for one in (filtered.others if isinstance(filtered, Together) else filtered).values())
     work.charge("belief", started)
-    bare = replace(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
+    bare = changed(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
     spreads = find_covariances(filtered)
     described = Described(bare, spreads, find_summaries(bare, filtered, spreads))
     finished = [done for group in groups if (done := finish_rows(work, group, described)) is not None]

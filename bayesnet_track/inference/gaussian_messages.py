@@ -43,13 +43,14 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
         away = measured.seen.less(measured.seen.function(states), measured.mean)
     with np.errstate(over="ignore", invalid="ignore"):
         if measured.variances is not None:
-            sds = (away / np.sqrt(measured.variances)).T
+            sds = (away / np.sqrt(measured.covariance.diagonal())).T
         else:
             sds = np.linalg.solve(np.linalg.cholesky(measured.covariance), away.T)
-        log = np.asarray(-0.5 * (sds * sds).sum(axis=0))
+        sds *= sds
+        log = np.asarray(-0.5 * sds.sum(axis=0))
     if not math.isfinite(log.min(initial=0.0)):  # also where one is NaN
-        sds = np.nan_to_num(np.clip(sds, -FAR, FAR), nan=FAR)
-        log = np.asarray(-0.5 * np.sum(sds**2, axis=0))
+        squares = np.nan_to_num(np.clip(sds, 0.0, FAR * FAR), nan=FAR * FAR)
+        log = np.asarray(-0.5 * np.sum(squares, axis=0))
     return floored(log, measured.floor) if measured.floor > 0 else log
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -222,7 +223,7 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
     mean, covariance = np.array(measured.mean, float), np.array(measured.covariance, float)
     if mean.shape != (size,) or covariance.shape != (size, size):
         return f"measured {size} fields by arrays of shape {mean.shape} and {covariance.shape}"
-    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+    if not all(map(math.isfinite, (*mean.tolist(), *covariance.ravel().tolist()))):
         return "measured a place that is not finite"
     if not 0.0 <= measured.floor < 1.0:
         return f"measured with a floor of {measured.floor:.6g}, not in 0..1"

@@ -147,8 +147,11 @@ class Tracker(Boxed):
         found = step(self._engine, self._state, self._resizing.frame(now))
         self._state, self._next_index = found.state, self._next_index + 1
         self._last = self._resizing.outcome(found)
-        x, y, w, h = (round(v) if self._whole_px else float(v) for v in self.xywh)
-        return self.status != "lost", (x, y, w, h)
+        x, y, w, h = self.centre_box
+        box = (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)  # as `xywh`, without an array
+        if self._whole_px:
+            box = (round(box[0]), round(box[1]), round(w), round(h))
+        return self.status != "lost", box
 
     @property
     def centre_box(self) -> tuple[float, ...]:

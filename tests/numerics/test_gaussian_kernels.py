@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.gaussian import root, standard_normals, weighted_moments
-from bayesnet_track.numerics.kernels.gaussian_kernels import stand_for
+from bayesnet_track.numerics.gaussian import linear_update, root, standard_normals, weighted_moments
+from bayesnet_track.numerics.kernels.gaussian_kernels import correct_fields, stand_for
 
 ANYWHERE = (np.inf, np.inf)
 
@@ -56,3 +56,21 @@ def test_centres_stay_on_the_image_and_sizes_below_twice_its_own():
 def test_a_covariance_without_such_a_root_is_named(covariance):
     half = np.random.default_rng(0).standard_normal((10, 4))
     assert not stand_for(np.zeros(4), covariance, half, 20, ANYWHERE, 1e-6)[3]
+
+
+@given(st.integers(0, 10_000), st.integers(4, 8))
+def test_fields_are_corrected_as_by_the_update_of_all_at_once(seed, width):
+    mean, covariance = gaussian(seed, width)
+    rng = np.random.default_rng(seed)
+    columns, sds = rng.permutation(width)[:3], np.sqrt(np.diag(covariance))
+    variances = (sds[columns] * 10.0 ** rng.uniform(-2, 2, 3)) ** 2
+    measured = mean[columns] + sds[columns] * rng.normal(size=3)
+    whole = linear_update(
+        mean, covariance, measured - mean[columns], np.eye(width)[columns], np.diag(variances)
+    )
+    d2, log_likelihood = correct_fields(mean, covariance, columns, measured, variances)
+    np.testing.assert_allclose(mean / sds, whole.mean / sds, rtol=1e-9, atol=1e-9)
+    scale = np.outer(sds, sds)
+    np.testing.assert_allclose(covariance / scale, whole.covariance / scale, atol=1e-9)
+    assert d2 == pytest.approx(whole.d2, rel=1e-7)
+    assert log_likelihood == pytest.approx(whole.log_likelihood, rel=1e-7)

@@ -105,7 +105,7 @@ def _placed(mean: Floats, lower: Floats, unit: Floats, motion: MotionModel) -> F
 def is_flat(log_likelihood: Floats) -> bool:
     """True when no hypothesis is likelier than another, up to rounding."""
     low, high = float(log_likelihood.min()), float(log_likelihood.max())
-    return high - low <= FLAT * max(1.0, abs(high))
+    return math.isfinite(high) and high - low <= FLAT * max(1.0, abs(high))
 
 
 def match_moments(
@@ -121,10 +121,10 @@ def match_moments(
     Raises:
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
+    if is_flat(log_likelihood):
+        return mean, covariance, float(asked.beta.weights @ log_likelihood)
     with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `times` refuses
         weights, log_evidence = asked.beta.times(log_likelihood)
-    if is_flat(log_likelihood):
-        return mean, covariance, log_evidence
     w = weights.weights
     shift = w @ asked.unit
     away = asked.unit - shift

@@ -1,4 +1,4 @@
-"""Compiled kernel of one Gaussian: points that stand for it.
+"""Compiled kernels of one Gaussian: points that stand for it, and measurements of some of its fields.
 
 Sums run in a fixed order, so that results do not depend on the linear algebra library or its threads.
 """
@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.cholesky_kernels import factor
 
@@ -64,3 +64,31 @@ def stand_for(
             elif states[n, i] > high:
                 states[n, i] = high
     return lower, unit, states, is_full
+
+
+@compiled
+def correct_fields(
+    mean: Floats, covariance: Floats, columns: Ints, measured: Floats, variances: Floats
+) -> tuple[float, float]:
+    """Update the mean (D,) and covariance (D, D) in place by K columns whose errors are independent.
+
+    They are taken one after the other. Squared Mahalanobis distance of all, and their log-likelihood, as
+    `numerics.gaussian.linear_update` has them.
+    """
+    size, own, d2, log_ratio = mean.shape[0], np.empty(mean.shape[0]), 0.0, 0.0
+    for i in range(columns.shape[0]):
+        k = columns[i]
+        expected = covariance[k, k] + variances[i]
+        innovation, kept = measured[i] - mean[k], variances[i] / expected
+        for a in range(size):
+            own[a] = covariance[a, k]
+        for a in range(size):
+            gain = own[a] / expected
+            mean[a] += gain * innovation
+            for b in range(a + 1):
+                # Of the field itself without the difference, which would round most there.
+                value = kept * own[a + b - k] if a == k or b == k else covariance[a, b] - gain * own[b]
+                covariance[a, b], covariance[b, a] = value, value
+        d2 += innovation * innovation / expected
+        log_ratio += math.log(kept)
+    return d2, 0.5 * log_ratio - 0.5 * d2
