@@ -6,6 +6,7 @@ The others' answers are remembered, so that only the belief is weighed a second 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,15 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.observe import Observer, Question, find_known_answer, observe, remember
+from bayesnet_track.inference.executor import each_at_once
+from bayesnet_track.inference.observe import (
+    Observer,
+    Question,
+    ask_ahead,
+    find_known_answer,
+    observe,
+    remember,
+)
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.cue import Hypotheses
@@ -68,10 +77,18 @@ def call_agents(
 def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses) -> None:
     """Ask the agents that measure, once a frame, where the others found the target: they search around it."""
     question = Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes))
-    for one in plan.observations:
-        asked = one.agent in agents and one.measures and one.at == plan.root
-        if asked and find_known_answer(one, observer) is None:
-            remember(one, observe(question, observer, one), observer)
+    asked = [
+        one
+        for one in plan.observations
+        if one.agent in agents
+        and one.measures
+        and one.at == plan.root
+        and find_known_answer(one, observer) is None
+    ]
+    ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
+    answers = dict(each_at_once(observer.executor, ahead, here, asked))
+    for one in asked:
+        remember(one, answers[one], observer)
 
 
 def _read(

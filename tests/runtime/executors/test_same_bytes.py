@@ -10,6 +10,7 @@ import pytest
 from bayesnet_track.cli.commands.demo import SCENE_GRAPHS
 from bayesnet_track.engine.starts import Start, has_births
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graphs import find_graph
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
@@ -24,9 +25,9 @@ SCENES = {"two_squares": 45, "person_color_stereo": 25, "crowd": 20, "flying_bal
 def written(tmp_path):
     """The bytes of a run's files; `each_frame` is called with every result and the executor."""
 
-    def run(name, kind, workers, frames, each_frame=lambda result, executor: None):
+    def run(name, kind, workers, frames, each_frame=lambda result, executor: None, path=None):
         scene = make_scene(name, seed=3)
-        graph = load_graph(SCENE_GRAPHS.get(name, "two_squares"))
+        graph = load_graph(path or SCENE_GRAPHS.get(name, "two_squares"))
         starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
         starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
         out = tmp_path / f"{kind} {workers}"
@@ -60,3 +61,13 @@ def test_the_files_are_the_same_though_workers_are_killed(written):
 
     assert written("two_squares", "processes", 2, 30, kill) == written("two_squares", "serial", 1, 30)
     assert len(killed) == 20
+
+
+@pytest.mark.slow
+def test_agents_on_call_measure_the_same_wherever_they_are(written, tmp_path):
+    deep = tmp_path / "deep.yaml"
+    deep.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
+    expected = written("two_squares", "serial", 1, 30, path=str(deep))
+    assert b'"scheduled"' in expected["journal.jsonl"]
+    for kind, workers in EXECUTORS:
+        assert written("two_squares", kind, workers, 30, path=str(deep)) == expected, (kind, workers)
