@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.switches import Activated, Scheduled
 from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.text.folding import CallsFolded, fold, narrate_all
 from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.view.page_events import event_rows
 
 UD = Cause("ud_px2", 60.0, 81.2, 1, 81.2, 81.2, 1.0)
@@ -71,3 +73,9 @@ def test_the_page_has_one_row_for_them_and_knows_what_would_have_prevented_a_sin
     (alone,) = event_rows(RUNS[4:])
     assert alone["unless"] == "would have waited at above ≥ 81.2"
     assert alone["what"] == "net at once, not in frame 11, and again in 3 frames, frame 13"
+
+
+def test_the_story_of_a_target_has_one_line_for_them_between_two_chapters():
+    born = TargetStarted(0, "1", "ball", (1.0, 1.0, 9.0, 9.0), ("net", "color"))
+    lines = describe_life([born, *RUNS], [], "1").splitlines()
+    assert len(lines) == 3 and lines[1].startswith("frames 1 to 10: net on call, ran in 7 of 10; ")

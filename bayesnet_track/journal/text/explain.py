@@ -179,6 +179,8 @@ def _levels(events: Sequence[Event]) -> list[str]:
     """The thresholds that fired anywhere in the run."""
     found: dict[str, None] = {}
     for event in events:
+        if isinstance(event, Scheduled):
+            found[f"{', '.join(event.nodes)} rests from an overlap of {event.agree:g}"] = None
         cause = getattr(event, "cause", None)
         if isinstance(cause, Concentration) and isinstance(event, Activated | Deactivated):
             switches = "activates unless" if isinstance(event, Activated) else "deactivates when"

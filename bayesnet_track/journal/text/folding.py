@@ -16,7 +16,7 @@ class CallsFolded:
     """Runs of agents on call, among which nothing else happened to the target.
 
     Attributes:
-        runs: in the order of their frames, two at least.
+        runs: in the order of their frames.
     """
 
     runs: tuple[Scheduled, ...]

@@ -11,8 +11,10 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.reidentification import Reacquired, Returned
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
 from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
+from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.text.folding import CallsFolded
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.wording import plural
 
@@ -55,12 +57,15 @@ def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], targ
 
 
 def _condense(events: Iterable[Event]) -> list[str]:
-    """What the net did between two chapters, in one line."""
+    """What the net did between two chapters: its switches in one line, its agents on call in another."""
+    events = list(events)
+    calls = tuple(event for event in events if isinstance(event, Scheduled))
+    told = [CallsFolded(calls).describe()] if calls else []
     switches = [event for event in events if isinstance(event, Switch)]
     tuned = Counter(event.node for event in events if isinstance(event, LocallyAdapted))
     frames = [event.frame for event in [*switches, *(e for e in events if isinstance(e, LocallyAdapted))]]
     if not frames:
-        return []
+        return told
     parts = []
     for node in dict.fromkeys(event.node for event in switches):
         done = [event for event in switches if event.node == node]
@@ -69,7 +74,7 @@ def _condense(events: Iterable[Event]) -> list[str]:
     parts += [f"{node} adapted itself {plural(count, 'time')}" for node, count in tuned.items()]
     first, last = min(frames), max(frames)
     span = f"frame {first}" if first == last else f"frames {first} to {last}"
-    return [f"{span}: {'; '.join(parts)}"]
+    return [f"{span}: {'; '.join(parts)}", *told]
 
 
 def _more(done: Sequence[Event]) -> str:
