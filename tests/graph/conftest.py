@@ -441,6 +441,7 @@ def everything() -> dict[str, Any]:
         },
         "u": {"motion": {"box_velocity": {"sd_velocity_px": {"w": 1}, "leave_image": True}}},
         "r": {"adapt": {"activate": {"unless": "concentrated"}, "information": {"exploration": 1}}},
+        "on_call": {"adapt": {"agents": ["d"], "on_call": {"every": 4, "agree": 0.75, "above": level}}},
         "l": {
             "motion": {
                 "expressions": {"fields": {"vx": {"sd": 2}}, "drift": {"x": "x + vx * dt"}, "sd": {"x": 1.5}}
