@@ -94,6 +94,8 @@ def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
                 add(name, "activate", adapt.activate.above, adapt.activate.frames)
             if adapt is not None and adapt.deactivate is not None:
                 add(name, "deactivate", adapt.deactivate.below, adapt.deactivate.frames)
+            if adapt is not None and adapt.on_call is not None:
+                add(name, "on_call", adapt.on_call.above)
             if node.learn is not None:
                 add(name, "learn", node.learn.below)
             lost = (node.lost or Lost()) if name == target.root else None

@@ -147,6 +147,11 @@ def test_levels_and_net_come_from_the_graph():
         assert node["h"] / 2 <= node["y"] <= net["height"] - node["h"] / 2
 
 
+def test_the_level_of_agents_on_call_is_drawn():
+    rules = plates(load_graph("deep"), {})["target"]["rules"]
+    assert {"node": "target", "rule": "on_call", "unit": "ud_box", "level": 0.026, "frames": 1} in rules
+
+
 @pytest.mark.parametrize("name", ["general", "person_parts", "two_people_color_stereo_shape", "crowd"])
 def test_every_kind_of_graph_has_a_net(name):
     for plate in plates(load_graph(name), {}).values():

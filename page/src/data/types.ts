@@ -18,7 +18,7 @@ export interface EventRow {
 
 export interface Rule {
   node: string;
-  rule: "activate" | "deactivate" | "learn" | "lost" | "self_check" | "score_below" | "uncertain_below";
+  rule: "activate" | "deactivate" | "on_call" | "learn" | "lost" | "self_check" | "score_below" | "uncertain_below";
   unit: "ud_px2" | "ud_box" | "ud_baseline" | "score";
   level: number;
   frames: number;

@@ -80,6 +80,7 @@ export function levelAt(track: Track, rule: Rule, row: number): number {
 const LEVELS: Record<string, { ink: string; dash: number[] }> = {
   activate: { ink: "on", dash: [7, 4] },
   deactivate: { ink: "off", dash: [7, 4] },
+  on_call: { ink: "on", dash: [7, 4] },
   learn: { ink: "soft", dash: [2, 3] },
   lost: { ink: "lost", dash: [2, 4] },
 };

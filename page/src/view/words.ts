@@ -31,6 +31,7 @@ export function nameOf(track: { id: string; plate: string }): string {
 export const RULES: Record<string, string> = {
   activate: "switch on above",
   deactivate: "switch off below",
+  on_call: "runs at once above",
   learn: "learn below",
   lost: "lost above",
   self_check: "stops itself above",
