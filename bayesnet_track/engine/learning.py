@@ -192,9 +192,11 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     held = net.status == "tracking" or (net.status == "uncertain" and (likely or measured.scored.doubt > 0))
     held = held and measured.scored.missing is None
     live = work.net.targets[filtered.target]
-    every = min(live.sampled.values(), default=1) if live.turn is None else live.turn.since(work.frame.index)
+    every = min(live.sampled.values(), default=1)
     # Between samples the others are less sure alone: what is learnt then would be their errors.
-    rests = work.frame.index % every if live.turn is None else filtered.resting
+    rests = work.frame.index % every > 0
+    if filtered.call is not None and live.turn is not None:  # without a call none of them rests
+        every, rests = live.turn.since(work.frame.index), not filtered.call.ran
     if not held or not net.active or filtered.step.degenerate is not None or rests:
         rate, at_parts = 0.0, {}
     return rate, {

@@ -31,6 +31,7 @@ from bayesnet_track.inference.observe import (
 )
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import region_of_boxes
 
@@ -54,24 +55,32 @@ def call_agents(
     before: TargetState,
     observer: Observer,
     steps: tuple[Plan, Step[Posterior], By],
-) -> tuple[Plan, Step[Posterior], Call]:
+) -> tuple[Plan, Step[Posterior], Call | None]:
     """The agents that took part in the frame, its step, and what became of those on call.
 
-    `steps` are the agents that look first, their step, and what makes another.
+    `steps` are the agents that look first, their step, and what makes another. Those on call run, too,
+    where none of the first gave an answer. Then, or where they gave none themselves, nothing can be compared.
     """
     plan, first, by = steps
     root = work.plate_of(target).plate.inference(work.plate_of(target).plate.root)
     agents = tuple(one.agent for one in before.plan.observations if one.agent not in plan.active)
     alone = estimate(root.estimate, first)
-    reading = _read(work, target, before, first, alone)
-    due = is_due(work.net.targets[target], work.frame.index)
+    reading = _read(work, target, before, (plan, first), alone)
+    due = is_due(work.net.targets[target], work.frame.index) or plan.active <= _without_answer(observer)
     if not due and (reading is None or not reading.above):
         return plan, first, Call(agents, ran=False)
     _ask_around(before.plan, observer, agents, hypotheses_of(alone[None], first.posterior.fields))
-    both = by(before.plan)
+    both, out = by(before.plan), _without_answer(observer)
+    ran = tuple(agent for agent in agents if agent not in out)
+    if not ran or plan.active <= out:
+        return before.plan, both, None
     share = float(overlap(alone[:4], estimate(root.estimate, both)[:4]))
     cause = None if due or reading is None else reading.cause(1, reading.value)
-    return before.plan, both, Call(agents, True, share, cause)
+    return before.plan, both, Call(ran, True, share, cause)
+
+
+def _without_answer(observer: Observer) -> set[str]:
+    return observer.faults.keys() | observer.missed.keys()
 
 
 def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses) -> None:
@@ -92,13 +101,15 @@ def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hyp
 
 
 def _read(
-    work: FrameWork, target: str, before: TargetState, step: Step[Posterior], state: Floats
+    work: FrameWork, target: str, before: TargetState, by: tuple[Plan, Step[Posterior]], state: Floats
 ) -> Reading | None:
-    """UD of the belief without the agents on call, whose estimate is `state` (D,)."""
+    """UD of the belief `by` the agents of a plan, without those on call; its estimate is `state` (D,)."""
+    plan, step = by
     plate, net = work.plate_of(target).plate, work.net.targets[target]
     rule = on_call_rule(plate)
     assert rule is not None
     columns = [BOX_FIELDS.index(name) for name in plate.inference(plate.root).ud_fields]
     ud_px2 = step.posterior.uncertainty(step.map_state, columns)
-    quiet = quiet_level(plate, net, before.memory, plate.root)
+    # Of more agents the baseline is lower: they would always be called.
+    quiet = quiet_level(plate, changed(net, active=plan.active), before.memory, plate.root)
     return read_level(rule.above, ud_px2, float(state[2] * state[3]), quiet)

@@ -12,6 +12,8 @@ from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.step import start_target, step
 from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.switches import Scheduled
+from bayesnet_track.journal.net.target_net import Turn
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
 
@@ -31,13 +33,16 @@ class Measuring:
 
     sd: float = 2.0
     fails_at: int = -1
+    wrong_until: int = 0
     needs: tuple = ()
     asked: list = field(default_factory=list)
+    rates: list = field(default_factory=list)
 
     def learn(self, planes, box):
         return {"box": box}
 
     def blend(self, old, new, rate):
+        self.rates.append(rate)
         return new
 
     def measure(self, planes, hypotheses, weights, reference):
@@ -45,7 +50,8 @@ class Measuring:
         if frame == self.fails_at:
             raise RuntimeError("no")
         self.asked.append((frame, float(weights @ hypotheses.boxes[:, 0])))
-        return Measurement(("x", "y"), np.array([50.0 + 3.0 * frame, 40.0]), self.sd**2 * np.eye(2))
+        x = 50.0 + 3.0 * frame + (12.0 if frame < self.wrong_until else 0.0)
+        return Measurement(("x", "y"), np.array([x, 40.0]), self.sd**2 * np.eye(2))
 
 
 @pytest.fixture
@@ -112,3 +118,36 @@ def test_it_goes_on_from_bytes_as_if_nothing_had_been(played):
     again = played({"cheap": Measuring(), "dear": Measuring()}, 9, stored)
     assert [one.metrics for one in whole] == [one.metrics for one in again]
     assert [one.events for one in whole] == [one.events for one in again]
+
+
+def test_that_it_failed_says_nothing_of_the_others(played):
+    outcomes = played({"cheap": Measuring(), "dear": Measuring(fails_at=3)}, 14)
+    compared = [event.frame for one in outcomes for event in one.events if isinstance(event, Scheduled)]
+    assert compared == [1, 13]
+    assert outcomes[3].state.net.targets["1"].turn == Turn(due=3, gap=2)
+
+
+def test_it_runs_in_the_very_frame_in_which_all_others_fail(played, monkeypatch):
+    monkeypatch.setitem(ROOT["adapt"]["on_call"], "above", {"ud_px2": 1e6})
+    outcomes = played({"cheap": Measuring(fails_at=4), "dear": Measuring()}, 4)
+    assert active(outcomes)[1:] == [("cheap",), ("cheap", "dear"), ("dear",)]
+    assert not any(isinstance(event, Scheduled) for event in outcomes[4].events)
+
+
+@pytest.mark.parametrize("failing", ["cheap", "dear"])
+def test_those_left_learn_as_much_as_if_no_agent_were_on_call(played, monkeypatch, failing):
+    monkeypatch.setitem(ROOT, "learn", {"below": {"ud_px2": 1e6}})
+    cues = {name: Measuring(fails_at=9 if name == failing else -1) for name in ("cheap", "dear")}
+    played(cues, 14)
+    (left,) = cues.keys() - {failing}
+    rates = cues[left].rates
+    assert rates[0] < rates[1] < rates[2]  # gaps of 1, 2 and 3 frames
+    assert rates[-6:] == pytest.approx(6 * rates[:1], rel=1e-3)
+
+
+def test_the_baseline_is_that_of_those_who_look_first(played, monkeypatch):
+    """UD without it would be above twice the baseline with it in every frame."""
+    monkeypatch.setitem(ROOT["adapt"]["on_call"], "above", {"ud_baseline": 2.0})
+    cues = {"cheap": Measuring(sd=6.0, wrong_until=12), "dear": Measuring(sd=1.0)}
+    ran = ["dear" in names for names in active(played(cues, 24))]
+    assert ran[-6:].count(True) == 2
