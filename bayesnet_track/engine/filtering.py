@@ -120,7 +120,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         plan, call = plan_without_calls(work, target, before), None
         stepped, moved = belief.step(prior, motion, dt, see(plan), stream), moves
         if plan is not before.plan:
-            by = partial(_step_by, work, belief, (prior, dt, stream, motion), see)
+            by = partial(_step_by, work, belief, (prior, dt, stream, moves.motion), see)
             plan, stepped, call = call_agents(work, target, before, observer, (plan, stepped, by))
         if ride is None:
             again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))

@@ -151,3 +151,11 @@ def test_the_baseline_is_that_of_those_who_look_first(played, monkeypatch):
     cues = {"cheap": Measuring(sd=6.0, wrong_until=12), "dear": Measuring(sd=1.0)}
     ran = ["dear" in names for names in active(played(cues, 24))]
     assert ran[-6:].count(True) == 2
+
+
+def test_it_works_beside_modes_and_the_most_probable_state(played, monkeypatch):
+    modes = {"seen": {"mean_frames": 60}, "behind": {"mean_frames": 15, "hidden": {}}}
+    for key, value in (("belief", {"particles": {"size": 200}}), ("estimate", "map"), ("modes", modes)):
+        monkeypatch.setitem(ROOT, key, value)
+    outcomes = played({"cheap": Measuring(), "dear": Measuring()}, 3)
+    assert "dear" in active(outcomes)[0]
