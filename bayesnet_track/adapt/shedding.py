@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 
 from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.on_call import on_call_rule
 from bayesnet_track.adapt.situation import count_left_out
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
@@ -138,10 +139,17 @@ def _shed_agents(
 
 
 def _can_go(one: Running, agent: str, gone: set[str]) -> bool:
-    """Whether the node that governs it keeps enough others."""
+    """Whether the node that governs it keeps enough others.
+
+    The last that is not on call stays with those on call, which would run in every frame without it.
+    """
     governor = one.plate.governor[agent]
     rules = None if governor is None else one.plate.inference(governor).adapt
     working = one.net.active - gone
+    if on_call_rule(one.plate) is not None:
+        first = {name for name in working if one.plate.governor[name] != one.plate.root}
+        if first == {agent}:
+            return False
     left = sum(one.plate.governor[name] == governor for name in working)
     if governor is not None:
         left += count_left_out(one.plate, working, governor)

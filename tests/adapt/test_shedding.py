@@ -121,3 +121,14 @@ def test_it_does_not_flap(running):
     gaps = [b - a for a, b in pairwise(back)]
     assert gaps[0] == pytest.approx(2 * CALM, abs=10) and gaps == sorted(gaps)
     assert len(back) < 20
+
+
+def test_what_calls_an_expensive_agent_stays_with_it(fakes, running):
+    """Without it the agent on call would run in every frame: it goes itself."""
+    on_call = {"agents": ["a"], "on_call": {"every": 4, "above": {"ud_px2": 60.0}}}
+    plate, _ = fakes.plate({"root": {"fuse": "product", "adapt": on_call}, "a": "root", "b": "root"})
+    two = replace(
+        running, plate=plate, net=TargetNet("plate", frozenset("ab")), costs_ms={"a": 4.0, "b": 1.0}
+    )
+    chosen, one, _ = play(two, late(20, 3))
+    assert [d.node for d in chosen] == ["a"] and one.net.active == {"b"}
