@@ -556,6 +556,10 @@ MISTAKES = {
         2,
         "bayesnet-track log: --frames '5:x': A:B with A < B is needed (or :B, or A:, or one A)",
     ),
+    "log {demo} --frames 5..7": (
+        2,
+        "bayesnet-track log: --frames '5..7': A:B with A < B is needed (or :B, or A:, or one A)",
+    ),
     "log {demo} --frames 7:5": (
         2,
         "bayesnet-track log: --frames '7:5': A:B with A < B is needed (or :B, or A:, or one A)",

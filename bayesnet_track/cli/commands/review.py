@@ -66,7 +66,7 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
             frames = (int(first or 0), int(last) if last else 2**62)
         except ValueError:
             frames = (0, 0)
-        if not separator and first:
+        if not separator and first and frames[1] > 0:
             frames = (frames[0], frames[0] + 1)
         if frames[0] >= frames[1]:
             raise UsageError(
