@@ -31,6 +31,24 @@ def test_runs_in_a_row_are_one_line():
     )
 
 
+def test_agents_are_named_once_and_rest_by_agreement_only_where_that_is_all():
+    pair = replace(RUNS[0], nodes=("net", "flow"))
+    (line,) = narrate_all([pair, RUNS[1], replace(RUNS[2], doubt=UD)], {"1": "ball"}, False)
+    assert line == (
+        "frames 1 to 6: net, flow on call, ran in 3 of 6; with and without them the boxes overlap by 0.41 "
+        "to 0.90, in 1 of 3 below 0.6"
+    )
+
+
+def test_all_that_keeps_them_from_resting_is_told():
+    doubted = replace(RUNS[2], doubt=UD)
+    assert explain(doubted).endswith("would have rested at agree ≤ 0.41 and above ≥ 81.2")
+    assert explain(replace(doubted, status="lost")).endswith(
+        "; the target is lost → net in every frame; would have rested while not lost, at agree ≤ 0.41 and "
+        "above ≥ 81.2"
+    )
+
+
 def test_another_event_of_the_target_ends_a_fold_and_of_another_target_does_not():
     on = Activated(4, "1", "color", "t", None)
     assert [type(one) for one in fold([*RUNS[:2], on, *RUNS[2:]])] == [CallsFolded, Activated, CallsFolded]

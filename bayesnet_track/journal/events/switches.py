@@ -137,13 +137,16 @@ class Scheduled:
         agreed = self.overlap >= self.agree
         found, agree = distinct_texts(self.overlap, self.agree)
         why = f"with and without {who} the boxes overlap by {found} {'≥' if agreed else '<'} {agree}"
-        at = f"agree {'>' if agreed else '≤'} {round_away(self.overlap, 3, up=agreed)}"
-        would = f"would have {'run in the next one' if self.gap > 1 else 'rested'} at {at}"
+        at = [] if agreed else [f"agree ≤ {round_away(self.overlap, 3, up=False)}"]
         if self.doubt is not None:
             why = f"{why}; {held(self.doubt, '>')} with {who}"
-            would = f"would have rested at above ≥ {show_turn(self.doubt, up=True)}"
-        elif self.status == "lost":
-            why, would = f"{why}; the target is {self.status}", "would have rested while not lost"
+            at.append(f"above ≥ {show_turn(self.doubt, up=True)}")
+        lost = self.status == "lost"
+        why = f"{why}; the target is lost" if lost else why
+        needs = [*(["while not lost"] if lost else []), *([f"at {' and '.join(at)}"] if at else [])]
+        would = f"would have rested {', '.join(needs)}"
+        if self.gap > 1:
+            would = f"would have run in the next one at agree > {round_away(self.overlap, 3, up=True)}"
         what = f"again in {plural(self.gap, 'frame')}, frame {self.due}" if self.gap > 1 else "in every frame"
         if self.called is not None:
             why = f"without {who} {held(self.called, '>')}; {why}"

@@ -40,13 +40,14 @@ class CallsFolded:
     def describe(self, whose: str = "") -> str:
         """One line: in how many frames they ran, why more than every few, and what would have been fewer."""
         first, last = self.runs[0], self.runs[-1]
-        who = ", ".join(first.nodes)
+        nodes = dict.fromkeys(node for one in self.runs for node in one.nodes)
+        who, them = ", ".join(nodes), "it" if len(nodes) == 1 else "them"
         shares = [one.overlap for one in self.runs]
         low = sum(share < first.agree for share in shares)
         called = [one for one in self.runs if one.called is not None]
         text = (
             f"frames {first.frame} to {last.frame}{whose}: {who} on call, ran in {self.ran} of "
-            f"{last.frame - first.frame + 1}; with and without it the boxes overlap by "
+            f"{last.frame - first.frame + 1}; with and without {them} the boxes overlap by "
             f"{min(shares):.2f} to {max(shares):.2f}, in {low} of {len(shares)} below {first.agree:g}"
         )
         if called:
@@ -54,7 +55,7 @@ class CallsFolded:
                 max((one.called for one in called if one.called), key=lambda c: c.turning), up=True
             )
             text += f"; {plural(len(called), 'time')} at once, would always have waited at above ≥ {level}"
-        if low:
+        if low and not any(one.doubt is not None or one.status == "lost" for one in self.runs):
             text += f"; would have rested each time at agree ≤ {round_away(min(shares), 3, up=False)}"
         return text
 
