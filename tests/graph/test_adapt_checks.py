@@ -123,6 +123,11 @@ CASES = [
         "7:5: part: on_call at part, which is below s; allowed: on_call at the root",
     ),
     (
+        "  adapt: {agents: [d], on_call: {every: 4, above: {ud_box: 1}}}},\n"
+        "  d: {parent: s, agent: shape, active: false",
+        "6:40: d: active: false, and nothing switches on an agent on call; allowed: active: true",
+    ),
+    (
         "  adapt: {agents: [a], on_call: {every: 1, agree: 1, above: {ud_box: 0}}}",
         "5:41: s: every is 1; allowed: a whole number at least 2, at most 1000\n"
         "5:51: s: agree is 1; allowed: a number above 0, below 1\n"

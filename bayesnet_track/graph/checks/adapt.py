@@ -119,8 +119,20 @@ def calls_have_a_caller(plate: Plate) -> Iterator[GraphMessage]:
             )
 
 
+def called_agents_begin_on(plate: Plate) -> Iterator[GraphMessage]:
+    """An agent on call is active at the start: nothing switches it on later."""
+    for name, node in plate.inference.items():
+        if node.adapt is None or node.adapt.on_call is None:
+            continue
+        for agent in plate.governed(name):
+            if not plate.agents[agent].active:
+                found = "active: false, and nothing switches on an agent on call"
+                yield plate.message(agent, found, "active: true", key=("active",))
+
+
 ADAPT_CHECKS: tuple[Check, ...] = (
     calls_have_a_caller,
+    called_agents_begin_on,
     named_agents_are_governed,
     tests_in_order,
     information_has_effect,
