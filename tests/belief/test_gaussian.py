@@ -123,7 +123,9 @@ def test_every_filter_is_exact_for_every_linear_motion(settings, linear, stream_
     sd = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(now.mean / sd, mean / sd, atol=1e-8)
     np.testing.assert_allclose(now.covariance / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=1e-9)
-    assert total == pytest.approx(log, abs=1e-8)
+    # The weights of sigma points grow with 1 / alpha², and rounding with them.
+    is_sharp = settings.filter == "unscented" and settings.sigma.alpha < 0.01
+    assert total == pytest.approx(log, abs=1e-7 if is_sharp else 1e-8)
 
 
 def test_a_random_walk_is_the_scalar_filter(motion_of, stream_of):
