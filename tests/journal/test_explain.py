@@ -77,6 +77,16 @@ GOLDEN = [
         "would have run in the next one at agree > 0.83",
     ),
     (
+        Scheduled(21, "1", ("net",), "t", 0.0, 0.7, 1, 22, 21),
+        "frame 21: with and without net the boxes overlap by 0 < 0.7 → net in every frame; would have rested "
+        "at no value of agree",
+    ),
+    (
+        Scheduled(21, "1", ("net",), "t", 1.0, 0.7, 3, 24, 21),
+        "frame 21: with and without net the boxes overlap by 1 ≥ 0.7 → net again in 3 frames, frame 24; "
+        "would have rested at any value of agree",
+    ),
+    (
         STARTED,
         "run of two_squares (abababababab) on scene:two_squares: 320x240, 200 frames, 25 frames per second; "
         "seed 0",

@@ -22,6 +22,11 @@ def ran(frame, gap, overlap=0.9, called=None, target="1"):
 RUNS = [ran(1, 2), ran(3, 3), ran(6, 1, 0.41), ran(9, 2), ran(10, 3, called=UD)]
 
 
+def test_boxes_that_lie_apart_need_a_smaller_agree_than_there_is():
+    (line,) = narrate_all([ran(1, 2), ran(3, 1, 0.0)], {}, False)
+    assert line.endswith("overlap by 0.00 to 0.90, in 1 of 2 below 0.6")
+
+
 def test_runs_in_a_row_are_one_line():
     (line,) = narrate_all(RUNS, {"1": "ball"}, True)
     assert line == (

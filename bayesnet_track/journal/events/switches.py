@@ -137,7 +137,8 @@ class Scheduled:
         agreed = self.overlap >= self.agree
         found, agree = distinct_texts(self.overlap, self.agree)
         why = f"with and without {who} the boxes overlap by {found} {'≥' if agreed else '<'} {agree}"
-        at = [] if agreed else [f"agree ≤ {round_away(self.overlap, 3, up=False)}"]
+        least, most = round_away(self.overlap, 3, up=False), round_away(self.overlap, 3, up=True)
+        at = [] if agreed else [f"agree ≤ {least}"]
         if self.doubt is not None:
             why = f"{why}; {held(self.doubt, '>')} with {who}"
             at.append(f"above ≥ {show_turn(self.doubt, up=True)}")
@@ -145,8 +146,11 @@ class Scheduled:
         why = f"{why}; the target is lost" if lost else why
         needs = [*(["while not lost"] if lost else []), *([f"at {' and '.join(at)}"] if at else [])]
         would = f"would have rested {', '.join(needs)}"
-        if self.gap > 1:
-            would = f"would have run in the next one at agree > {round_away(self.overlap, 3, up=True)}"
+        if not agreed and least == "0":  # `agree` lies between 0 and 1
+            would = "would have rested at no value of agree"
+        elif self.gap > 1:
+            would = f"would have run in the next one at agree > {most}"
+            would = "would have rested at any value of agree" if most == "1" else would
         what = f"again in {plural(self.gap, 'frame')}, frame {self.due}" if self.gap > 1 else "in every frame"
         if self.called is not None:
             why = f"without {who} {held(self.called, '>')}; {why}"

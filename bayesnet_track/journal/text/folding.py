@@ -55,8 +55,9 @@ class CallsFolded:
                 max((one.called for one in called if one.called), key=lambda c: c.turning), up=True
             )
             text += f"; {plural(len(called), 'time')} at once, would always have waited at above ≥ {level}"
-        if low and not any(one.doubt is not None or one.status == "lost" for one in self.runs):
-            text += f"; would have rested each time at agree ≤ {round_away(min(shares), 3, up=False)}"
+        least = round_away(min(shares), 3, up=False)
+        if low and least != "0" and not any(one.doubt or one.status == "lost" for one in self.runs):
+            text += f"; would have rested each time at agree ≤ {least}"
         return text
 
 
