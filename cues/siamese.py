@@ -7,6 +7,7 @@ belief: unlike in the tracker that the network comes from, no window and no pena
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -26,6 +27,7 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.siamese.networks import SEARCH
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.siamese.memory import Memory
@@ -128,8 +130,8 @@ class Siamese:
             return floored(np.minimum(log + np.log(share), 0.0), p.floor)
 
 
-def open_network(parameters: NetworkParameters) -> Memory:
-    """The network of the files, or plain pixels; raises SiameseError."""
+def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)) -> Memory:
+    """The network of the files for search crops of these sides, or plain pixels; raises SiameseError."""
     import cv2  # noqa: F401  load before the first frame
 
     from bayesnet_track.vision.siamese.memory import Memory
@@ -138,20 +140,20 @@ def open_network(parameters: NetworkParameters) -> Memory:
 
     p = parameters
     if p.backbone or p.head:
-        return Memory(load_networks(p.backbone, p.head))
+        return Memory(load_networks(p.backbone, p.head, sides))
     if p.without_files == "refuse":
         raise SiameseError(NEEDED)
     return Memory(plain())
 
 
-def missing_files(parameters: NetworkParameters) -> str | None:
+def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)) -> str | None:
     """What is wrong with the files, in words; None when they can be used, or none are named."""
     if not parameters.backbone and not parameters.head:
         return None
     from bayesnet_track.vision.siamese.networks import SiameseError
 
     try:
-        open_network(parameters)
+        open_network(parameters, sides)
     except SiameseError as error:
         return str(error)
     return None
@@ -165,10 +167,9 @@ def files_of(parameters: NetworkParameters) -> tuple[str, ...]:
 def learn_template(image: Bytes, box: Floats) -> Reference:
     """The crop around a centre box (4,): the network describes it when it is first compared."""
     from bayesnet_track.vision.siamese.crops import template_crop
-    from bayesnet_track.vision.siamese.networks import TEMPLATE
 
     box = np.array(box, dtype=np.float64)
-    return {"template": template_crop(box).cut(image, TEMPLATE), "place": box[:2], "size": box[2:]}
+    return {"template": template_crop(box).cut(image), "place": box[:2], "size": box[2:]}
 
 
 def _make(parameters: SiameseParameters) -> Cue:

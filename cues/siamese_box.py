@@ -7,7 +7,7 @@ It chooses among the network's proposals as the tracker that the network comes f
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ from bayesnet_track.cues.siamese import (
     missing_files,
     open_network,
 )
+from bayesnet_track.numerics.arrays import Bytes
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,
@@ -29,12 +30,15 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.siamese.networks import SEARCH
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.siamese.memory import Memory
 
 WINDOW_PX = 120.0
 """How far from the middle the window reaches, px of the network: to the last cells of its map."""
+DOUBTFUL_WINDOW = 0.1
+"""Weight of the window, at most, in a second look: the prediction has shown nothing sure."""
 
 
 class SiameseBoxParameters(NetworkParameters):
@@ -45,6 +49,17 @@ class SiameseBoxParameters(NetworkParameters):
     )
     size_penalty: float = Field(
         default=0.055, ge=0, description="How much a change of size and shape costs (in the exponent)."
+    )
+    crop_px: Literal[159, 191, 223, 255] = Field(
+        default=SEARCH,
+        description="Side of the search crop (px of the network); a smaller one takes less time.",
+    )
+    sure_probability: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Probability of the box below which the frame is looked at again, in the usual crop and "
+        "hardly bound to the prediction (no unit).",
     )
     min_probability: float = Field(
         default=0.1, ge=0, lt=1, description="Smallest probability of the chosen box; below, it is not seen."
@@ -88,51 +103,47 @@ class SiameseBox:
 
         Its sds are divided by its probability times what its change of size leaves.
         """
-        from bayesnet_track.vision.siamese.crops import search_crop
-
         p, expected = self.parameters, weights @ hypotheses.boxes
-        crop = search_crop(float(expected[0]), float(expected[1]), expected[2:])
-        proposals, logs = self.memory.proposals(
-            planes[WholeFrame()], crop, reference["template"], expected[2:]
-        )
-        if not len(logs):
+        doubtful = min(p.window, DOUBTFUL_WINDOW)
+        for shown, window in ((p.crop_px, p.window), (p.crop_px, doubtful), (SEARCH, doubtful)):
+            found = self._look(planes[WholeFrame()], expected, shown, reference["template"], window)
+            if (0.0 if found is None else found[1]) >= p.sure_probability:
+                break
+        if found is None or found[1] < p.min_probability:
             return None
-        probabilities = np.exp(logs)
-        worth = probabilities * _kept_size(proposals, expected[2:], p.size_penalty)
-        best = int(np.argmax((1.0 - p.window) * worth + p.window * _near(proposals, expected)))
-        if probabilities[best] < p.min_probability:
-            return None
-        box = proposals[best]
-        sds = np.tile(box[2:], 2) * np.repeat([p.sd_place, p.sd_size], 2) / max(worth[best], 0.1)
+        box, _, worth = found
+        sds = np.tile(box[2:], 2) * np.repeat([p.sd_place, p.sd_size], 2) / max(worth, 0.1)
         return Measurement(("x", "y", "w", "h"), box, np.diag(sds**2), p.floor)
 
+    def _look(
+        self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float
+    ) -> tuple[Floats, float, float] | None:
+        """The proposal that is chosen in a crop around a centre box (4,), its probability, and its worth."""
+        from bayesnet_track.vision.kernels.proposal_kernels import choose
+        from bayesnet_track.vision.siamese.crops import context_side, search_crop
+        from bayesnet_track.vision.siamese.networks import TEMPLATE
 
-def _near(proposals: Floats, expected: Floats) -> Floats:
-    """(M,) the window, a raised cosine of the distance in x times one of that in y."""
-    from bayesnet_track.vision.siamese.crops import context_side
-    from bayesnet_track.vision.siamese.networks import TEMPLATE
+        p = self.parameters
+        crop = search_crop(float(expected[0]), float(expected[1]), expected[2:], shown)
+        proposals, logs = self.memory.proposals(image, crop, template, expected[2:])
+        if not len(logs):
+            return None
+        reach = WINDOW_PX / TEMPLATE * context_side(expected[2:])
+        best, worth = choose(proposals, logs, expected, window, reach, p.size_penalty)
+        return proposals[best], float(np.exp(logs[best])), worth
 
-    reach = WINDOW_PX / TEMPLATE * context_side(expected[2:])
-    away = np.minimum(np.abs(proposals[:, :2] - expected[:2]) / reach, 1.0)
-    return np.asarray((0.5 + 0.5 * np.cos(np.pi * away)).prod(axis=1))
+
+def _sides(parameters: SiameseBoxParameters) -> tuple[int, ...]:
+    """The sides of the search crops, in the order in which they are looked at."""
+    return (parameters.crop_px, SEARCH)
 
 
-def _kept_size(proposals: Floats, size: Floats, penalty: float) -> Floats:
-    """(M,) exp(-penalty (r s - 1)), r the change of shape and s of size, both as factors of at least 1."""
-
-    def context(w: Floats, h: Floats) -> Floats:
-        half = 0.5 * (w + h)
-        return np.asarray(np.sqrt((w + half) * (h + half)))
-
-    w, h = proposals[:, 2], proposals[:, 3]
-    larger = context(w, h) / context(size[:1], size[1:])
-    wider = (w / h) / (size[0] / size[1])
-    change = np.maximum(larger, 1.0 / larger) * np.maximum(wider, 1.0 / wider)
-    return np.asarray(np.exp(-penalty * (change - 1.0)))
+def _missing(parameters: SiameseBoxParameters) -> str | None:
+    return missing_files(parameters, _sides(parameters))
 
 
 def _make(parameters: SiameseBoxParameters) -> MeasuringCue:
-    return SiameseBox(parameters, open_network(parameters))
+    return SiameseBox(parameters, open_network(parameters, _sides(parameters)))
 
 
 CUE = CueDeclaration(
@@ -143,6 +154,6 @@ CUE = CueDeclaration(
     cost_ms=6.0,
     rate_max=0.0,
     measures=True,
-    missing=missing_files,
+    missing=_missing,
     files=files_of,
 )

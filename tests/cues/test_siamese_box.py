@@ -15,14 +15,18 @@ SIDE = 40.0
 BOX = np.array([159.5, 119.5, SIDE, SIDE])
 
 
-def network(probable, size=1.0):
+def network(probable, size=1.0, shown=None):
     """A network that proposes boxes: `probable` has how many cells right of the middle, and how probable."""
 
     def compare(template, crop, expected):
-        probabilities = np.full((16, 16), 1e-6, np.float32)
+        cells = (len(crop) + 1) // STRIDE
+        if shown is not None:
+            shown.append(len(crop))
+        probabilities = np.full((cells, cells), 1e-6, np.float32)
         for right, probability in probable:
-            probabilities[8, 8 + right] = probability
-        sides = np.empty((4, 16, 16), np.float32)
+            if right < cells // 2:
+                probabilities[cells // 2, cells // 2 + right] = probability
+        sides = np.empty((4, cells, cells), np.float32)
         sides[:] = np.tile(size * expected / 2, 2)[:, None, None]
         return Response(probabilities, sides, STRIDE)
 
@@ -33,9 +37,9 @@ def network(probable, size=1.0):
 def measured(ask):
     """(what the network proposes, size, parameters) -> the measurement around BOX."""
 
-    def measure(probable, size=1.0, **parameters):
+    def measure(probable, size=1.0, shown=None, **parameters):
         asked = ask("siamese_box", **parameters)
-        object.__setattr__(asked.cue, "memory", network(probable, size))
+        object.__setattr__(asked.cue, "memory", network(probable, size, shown))
         pair = FramePair(Frame(1, 1.0, np.zeros((240, 320, 3), np.uint8)), None)
         return asked.measure(pair, BOX[None], asked.learn(pair, BOX))
 
@@ -59,6 +63,29 @@ def test_the_less_probable_the_less_sure(measured):
     assert unsure > 1.5 * sure
     grown = measured([(0, 0.99)], size=2.0).covariance[0, 0]
     assert grown > 4.0 * sure  # twice the side, and a penalty for the change
+
+
+@pytest.mark.parametrize(
+    ("probable", "looks"),
+    [([(1, 0.995)], [159]), ([(1, 0.9)], [159, 255]), ([], [159, 255]), ([(6, 0.995)], [159, 255])],
+)
+def test_a_smaller_crop_is_enough_where_it_shows_something_sure(measured, probable, looks):
+    shown = []
+    found = measured(probable, shown=shown, crop_px=159, sure_probability=0.95)
+    usual = measured(probable)
+    assert shown == looks
+    if probable:
+        np.testing.assert_allclose(found.mean, usual.mean, atol=1.0)  # whole pixels are cut out
+    else:
+        assert found is None
+
+
+def test_where_nothing_near_is_sure_the_prediction_counts_less(measured):
+    """Near the prediction something resembles the target, and farther away it is."""
+    assert measured([(0, 0.8), (5, 0.99)]).mean[0] < 165
+    assert measured([(0, 0.8), (5, 0.99)], sure_probability=0.95).mean[0] > 190
+    assert measured([(0, 0.96), (5, 0.99)], sure_probability=0.95).mean[0] < 165
+    assert measured([(0, 0.8), (5, 0.7)], sure_probability=0.95).mean[0] < 165
 
 
 def test_nothing_probable_is_not_seen(measured):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.proposal_kernels import explained
+from bayesnet_track.vision.kernels.proposal_kernels import choose, explained
 from bayesnet_track.vision.siamese.crops import Crop, crops_for, search_crop, template_crop
 from bayesnet_track.vision.siamese.memory import Memory
 from bayesnet_track.vision.siamese.networks import (
@@ -39,6 +39,11 @@ def tensor(name, values):
     return part(5, sides + whole(2, 1) + part(8, name) + part(9, values.astype(np.float32).tobytes()))
 
 
+def shape(name, sides):
+    held = np.array(sides, np.int64).tobytes()
+    return part(5, whole(1, len(sides)) + whole(2, 7) + part(8, name) + part(9, held))
+
+
 def node(kind, inputs, output, **ints):
     names = b"".join(part(1, name) for name in inputs) + part(2, output) + part(4, kind)
     lists = (
@@ -66,11 +71,18 @@ def backbone():
     return model([conv], [weights], values)
 
 
-def head(half=TEMPLATE / 4):
-    """Bright cells are the target, as far as the template is bright; its sides are `half` px from each."""
+def head(half=TEMPLATE / 4, shapes=1):
+    """Bright cells are the target, as far as the template is bright; its sides are `half` px from each.
+
+    The shape of what is alike is held as a constant, as in the files of NanoTrack, `shapes` times.
+    """
     nodes = [
         node("GlobalAveragePool", ["input1"], "usual"),
-        node("Mul", ["input2", "usual"], "alike"),
+        node("Mul", ["input2", "usual"], "product"),
+        *(
+            node("Reshape", ["product", f"shape{k}"], "alike" if k == 0 else f"unused{k}")
+            for k in range(shapes)
+        ),
         node("Conv", ["alike", "w", "b"], "output1", kernel_shape=[1, 1]),
         node("Conv", ["input2", "none", "half"], "output2", kernel_shape=[1, 1]),
     ]
@@ -79,6 +91,7 @@ def head(half=TEMPLATE / 4):
         tensor("b", np.array([0.0, -10.0])),
         tensor("none", np.zeros((4, 1, 1, 1))),
         tensor("half", np.full(4, half)),
+        *(shape(f"shape{k}", (1, -1, 16, 16)) for k in range(shapes)),
     ]
     values = [
         value(11, "input1", (1, 1, 8, 8)),
@@ -105,7 +118,7 @@ def bright(x, y):
 
 def test_the_proposals_of_two_files_are_where_the_target_is_now(files):
     memory = Memory(load_networks(**files))
-    template = template_crop(np.array([159.5, 119.5, 40.0, 40.0])).cut(bright(160, 120), TEMPLATE)
+    template = template_crop(np.array([159.5, 119.5, 40.0, 40.0])).cut(bright(160, 120))
     size = np.array([40.0, 40.0])
     boxes, logs = memory.proposals(bright(184, 112), search_crop(170.0, 120.0, size), template, size)
     sure = boxes[logs > np.log(0.5)]
@@ -113,6 +126,28 @@ def test_the_proposals_of_two_files_are_where_the_target_is_now(files):
     assert np.abs(sure[:, :2].mean(axis=0) - [183.5, 111.5]).max() <= 5.0
     np.testing.assert_allclose(sure[:, 2:], 40.0, rtol=0.03)
     assert (np.diff(logs) <= 0).all()
+
+
+@pytest.mark.parametrize("side", [159, 191, 255])
+def test_a_smaller_crop_shows_the_middle_of_the_usual_one(files, side):
+    """Cell for cell: the map of a head with a constant shape is cut, not squeezed."""
+    networks = load_networks(**files, sides=(side,))
+    image = np.random.default_rng(5).integers(0, 256, (SEARCH, SEARCH, 3), np.uint8)
+    template = networks.describe(np.full((TEMPLATE, TEMPLATE, 3), 200, np.uint8))
+    first, cells = (SEARCH - side) // 2, (side + 1) // STRIDE
+    usual = networks.compare(template, image, np.ones(2)).probabilities
+    found = networks.compare(template, image[first : first + side, first : first + side], np.ones(2))
+    away = 8 - cells // 2
+    assert found.probabilities.shape == (cells, cells) and found.sides.shape == (4, cells, cells)
+    inner = found.probabilities[1:, 1:]  # the first cells reach beyond the crop
+    np.testing.assert_allclose(inner, usual[away + 1 : away + cells, away + 1 : away + cells], atol=1e-5)
+
+
+def test_a_head_whose_shape_cannot_be_told_takes_no_smaller_crop(tmp_path, files):
+    odd = {**files, "head": written(tmp_path, head(shapes=2))}
+    load_networks(**odd)
+    with pytest.raises(SiameseError, match="search crops of 255 px only, not of 159"):
+        load_networks(**odd, sides=(159,))
 
 
 def test_the_network_runs_once_for_the_same_question():
@@ -142,8 +177,9 @@ def test_the_middle_cell_of_a_search_crop_is_its_place(size):
 
 def test_beyond_the_frame_a_crop_has_its_mean_colour():
     image = np.full((20, 30, 3), (10, 20, 30), np.uint8)
-    for crop in (Crop(-5, -5, 40), Crop(100, 100, 8), Crop(2, 2, 8)):
-        assert (crop.cut(image, 16) == (10, 20, 30)).all()
+    for crop in (Crop(-5, -5, 40, 16), Crop(100, 100, 8, 16), Crop(2, 2, 8, 16)):
+        assert crop.cut(image).shape == (16, 16, 3)
+        assert (crop.cut(image) == (10, 20, 30)).all()
 
 
 def test_crops_cover_the_boxes_or_the_most_that_are_allowed():
@@ -166,6 +202,28 @@ def test_a_hypothesis_is_as_likely_as_the_proposal_that_explains_it_best():
     found = explained(boxes, proposals, np.array([0.0, -1.0]), 0.1, 0.1)
     np.testing.assert_allclose(found, [0.0, -1.5, -0.5])
     assert explained(boxes, proposals[:0], np.zeros(0), 0.1, 0.1).max() == -np.inf
+
+
+@pytest.mark.parametrize("window", [0.0, 0.1, 0.455])
+def test_the_proposal_that_is_chosen_is_that_of_the_formula(window):
+    rng, expected, reach, penalty = np.random.default_rng(4), np.array([60.0, 40.0, 30.0, 20.0]), 45.0, 0.055
+
+    def context(w, h):
+        return np.sqrt((w + 0.5 * (w + h)) * (h + 0.5 * (w + h)))
+
+    for _ in range(50):
+        boxes = expected + rng.normal(0, [25, 25, 5, 3], (100, 4))
+        boxes[:, 2:] = np.maximum(boxes[:, 2:], 1.0)
+        logs = -np.sort(rng.exponential(1.0, 100))
+        away = np.minimum(np.abs(boxes[:, :2] - expected[:2]) / reach, 1.0)
+        near = (0.5 + 0.5 * np.cos(np.pi * away)).prod(axis=1)
+        s = context(boxes[:, 2], boxes[:, 3]) / context(*expected[2:])
+        r = boxes[:, 2] / boxes[:, 3] / (expected[2] / expected[3])
+        worth = np.exp(logs) * np.exp(-penalty * (np.maximum(s, 1 / s) * np.maximum(r, 1 / r) - 1))
+        best = int(np.argmax((1 - window) * worth + window * near))
+        chosen, own = choose(boxes, logs, expected, window, reach, penalty)
+        assert chosen == best
+        assert np.isclose(own, worth[best], rtol=1e-12)
 
 
 WRONG = {

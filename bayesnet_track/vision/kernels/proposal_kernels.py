@@ -1,4 +1,4 @@
-"""Compiled kernel: how well the boxes that a network proposes explain hypotheses."""
+"""Compiled kernels of boxes that a network proposes: how well they explain others, and which is chosen."""
 
 from __future__ import annotations
 
@@ -30,3 +30,46 @@ def explained(boxes: Floats, proposals: Floats, logs: Floats, sd_place: float, s
             if value > found[n]:
                 found[n] = value
     return found
+
+
+@compiled
+def choose(
+    proposals: Floats, logs: Floats, expected: Floats, window: float, reach: float, penalty: float
+) -> tuple[int, float]:
+    """The proposal with the largest (1 - window) worth + window h, and its worth, p exp(-penalty (r s - 1)).
+
+    r is the change of shape and s that of size against the box expected, as factors of at least 1. h is a
+    raised cosine of the distance in x times one of that in y, 0 from `reach` px on.
+
+    Args:
+        proposals: (M, 4) centre boxes, px, M at least 1.
+        logs: (M,) their log-probabilities log p, the largest first.
+        expected: (4,) centre box.
+        window: 0..1.
+        reach: px.
+        penalty: at least 0.
+    """
+    usual, shape = _context(expected[2], expected[3]), expected[2] / expected[3]
+    chosen, most, worth = 0, -np.inf, 0.0
+    for m in range(len(logs)):
+        probability = np.exp(logs[m])
+        if (1.0 - window) * probability + window <= most:  # nor can any of those that follow
+            break
+        x = min(abs(proposals[m, 0] - expected[0]) / reach, 1.0)
+        y = min(abs(proposals[m, 1] - expected[1]) / reach, 1.0)
+        near = (0.5 + 0.5 * np.cos(np.pi * x)) * (0.5 + 0.5 * np.cos(np.pi * y))
+        larger = _context(proposals[m, 2], proposals[m, 3]) / usual
+        wider = proposals[m, 2] / proposals[m, 3] / shape
+        change = max(larger, 1.0 / larger) * max(wider, 1.0 / wider)
+        own = probability * np.exp(-penalty * (change - 1.0))
+        value = (1.0 - window) * own + window * near
+        if value > most:
+            chosen, most, worth = m, value, own
+    return chosen, worth
+
+
+@compiled
+def _context(w: float, h: float) -> float:
+    """Side of the square that a template shows: half the sum of the sides around the box."""
+    half = 0.5 * (w + h)
+    return float(np.sqrt((w + half) * (h + half)))

@@ -19,14 +19,15 @@ NEAR = 1.1
 
 @dataclass(frozen=True)
 class Crop:
-    """A square cut out of a frame: `side` px from column `left` and row `top`."""
+    """A square of a frame, `side` px from column `left` and row `top`; the network sees `shown` px."""
 
     left: int
     top: int
     side: int
+    shown: int = SEARCH
 
-    def cut(self, image: Bytes, size: int) -> Bytes:
-        """(size, size, 3) of an (H, W, 3) image; beyond the image is its mean colour."""
+    def cut(self, image: Bytes) -> Bytes:
+        """(shown, shown, 3) of an (H, W, 3) image; beyond the image is its mean colour."""
         import cv2
 
         height, width = image.shape[:2]
@@ -39,16 +40,18 @@ class Crop:
             sides = (y0 - self.top, self.top + self.side - y1, x0 - self.left, self.left + self.side - x1)
             color = _mean_color(image).tolist()
             part = np.asarray(cv2.copyMakeBorder(part, *sides, cv2.BORDER_CONSTANT, value=color), np.uint8)
-        return np.asarray(cv2.resize(part, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
+        return np.asarray(
+            cv2.resize(part, (self.shown, self.shown), interpolation=cv2.INTER_LINEAR), np.uint8
+        )
 
     def boxes(self, response: Response) -> Floats:
         """(S * S, 4) centre boxes in the frame, px, row by row; sides of no extent are left tiny."""
         cells = len(response.probabilities)
         line = (np.arange(cells) - cells // 2) * float(response.stride)
         left, top, right, bottom = response.sides.reshape(4, cells, cells).astype(np.float64)
-        scale = self.side / SEARCH
-        x = self.left - 0.5 + scale * (0.5 * SEARCH + line[None, :] + 0.5 * (right - left))
-        y = self.top - 0.5 + scale * (0.5 * SEARCH + line[:, None] + 0.5 * (bottom - top))
+        scale, middle = self.side / self.shown, 0.5 * self.shown
+        x = self.left - 0.5 + scale * (middle + line[None, :] + 0.5 * (right - left))
+        y = self.top - 0.5 + scale * (middle + line[:, None] + 0.5 * (bottom - top))
         w, h = (scale * np.maximum(extent, 1e-3) for extent in (left + right, top + bottom))
         return np.stack([x, y, w, h], axis=-1).reshape(-1, 4)
 
@@ -68,17 +71,17 @@ def context_side(size: Floats) -> float:
 
 def template_crop(box: Floats) -> Crop:
     """What the template shows of a target in a centre box (4,)."""
-    return _around(box[0], box[1], context_side(box[2:]))
+    return _around(box[0], box[1], context_side(box[2:]), TEMPLATE)
 
 
-def search_crop(x: float, y: float, size: Floats) -> Crop:
-    """What is searched around a place for a target of this size, at the template's scale."""
-    return _around(x, y, context_side(size) * SEARCH / TEMPLATE)
+def search_crop(x: float, y: float, size: Floats, shown: int = SEARCH) -> Crop:
+    """What is searched around a place for a target of this size, at the template's scale, in `shown` px."""
+    return _around(x, y, context_side(size), shown)
 
 
-def _around(x: float, y: float, side: float) -> Crop:
-    whole = max(round(side), 1)
-    return Crop(round(x - (whole - 1) / 2), round(y - (whole - 1) / 2), whole)
+def _around(x: float, y: float, context: float, shown: int) -> Crop:
+    whole = max(round(context * shown / TEMPLATE), 1)
+    return Crop(round(x - (whole - 1) / 2), round(y - (whole - 1) / 2), whole, shown)
 
 
 def crops_for(

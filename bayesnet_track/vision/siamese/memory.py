@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.vision.siamese.crops import Crop, context_side
-from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Networks
+from bayesnet_track.vision.siamese.networks import TEMPLATE, Networks
 
 LEAST = 1e-4
 """Proposals of a smaller probability are left out."""
@@ -51,9 +51,7 @@ class Memory:
             if len(self._described) >= TEMPLATES:
                 self._described.clear()
             features = self._described[shown] = self._networks.describe(template)
-        response = self._networks.compare(
-            features, crop.cut(image, SEARCH), size * TEMPLATE / context_side(size)
-        )
+        response = self._networks.compare(features, crop.cut(image), size * TEMPLATE / context_side(size))
         probabilities = response.probabilities.reshape(-1).astype(np.float64)
         order = np.argsort(-probabilities, kind="stable")
         order = order[probabilities[order] >= LEAST]

@@ -7,8 +7,10 @@ is that the target covers it, and how far the four sides of the target's box are
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +23,11 @@ from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
 TEMPLATE = 127
 """Side of the template's crop, px of the network."""
 SEARCH = 255
-"""Side of the search crop, px of the network: at the template's scale."""
+"""Usual side of the search crop, px of the network: at the template's scale."""
 STRIDE = 16
 """Between cells of the map, px of the network."""
+FEATURES = 16
+"""Cells a side that the backbone makes of the usual search crop."""
 
 
 class SiameseError(CueError):
@@ -51,7 +55,7 @@ class Networks:
 
     Attributes:
         describe: (TEMPLATE, TEMPLATE, 3) uint8 BGR -> features of the template.
-        compare: features of the template, (SEARCH, SEARCH, 3) uint8 BGR, (2,) w and h that the target is
+        compare: features of the template, (side, side, 3) uint8 BGR, (2,) w and h that the target is
             expected to have in it -> response.
     """
 
@@ -68,32 +72,62 @@ def missing_file(key: str, path: str) -> str | None:
     return None
 
 
-def load_networks(backbone: str, head: str) -> Networks:
-    """The network of two ONNX files, tried once.
+def load_networks(backbone: str, head: str, sides: Sequence[int] = (SEARCH,)) -> Networks:
+    """The network of two ONNX files, tried once with search crops of each of the `sides`, px.
 
     Raises:
-        SiameseError: a file is missing or no ONNX model, or the two are not the halves of such a network.
+        SiameseError: a file is missing or no ONNX model, the two are not the halves of such a network, or
+            they take no crops of such a side.
     """
-    body, neck = _read("backbone", backbone), _read("head", head)
+    import cv2
+
+    body, usual = _read("backbone", backbone), _read("head", head)
+
+    @cache
+    def neck(cells: int) -> Any:
+        return usual if cells == FEATURES else _of_cells(head, usual, cells)
 
     def describe(crop: Bytes) -> Singles:
-        body.setInput(_blob(crop))
+        body.setInput(cv2.dnn.blobFromImage(crop, swapRB=True))
         return np.array(body.forward(), np.float32)
 
     def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
-        neck.setInput(template, "input1")
-        neck.setInput(describe(crop), "input2")
-        scores, sides = neck.forward(["output1", "output2"])
+        features = describe(crop)
+        half = neck(features.shape[-1])
+        half.setInput(template, "input1")
+        half.setInput(features, "input2")
+        scores, sides = half.forward(["output1", "output2"])
         return _response(np.asarray(scores, np.float32), np.asarray(sides, np.float32))
 
     networks = Networks(describe, compare)
-    _try_out(networks, backbone, head)
+    usual_cells = _try_out(networks, backbone, head, SEARCH)
+    for side in {*sides} - {SEARCH}:
+        fault = f"head: {head}: takes search crops of {SEARCH} px only, not of {side} px"
+        try:
+            cells = _try_out(networks, backbone, head, side)
+        except SiameseError as error:
+            raise SiameseError(fault) from error
+        if cells - usual_cells != (side - SEARCH) // STRIDE:
+            raise SiameseError(fault)
     return networks
 
 
-def _blob(crop: Bytes) -> Singles:
-    """(1, 3, side, side) of a BGR crop, red first, gray levels as they are."""
-    return np.ascontiguousarray(crop[..., ::-1].transpose(2, 0, 1)[None], dtype=np.float32)
+def _of_cells(head: str, usual: Any, cells: int) -> Any:
+    """The head for other features than those of `FEATURES` cells a side.
+
+    It is convolutional but for the shape of its correlation, which such files hold as a constant. One that
+    does not hold it, or more than once, is taken as it is.
+    """
+    import cv2
+
+    model = Path(head).read_bytes()
+    shape, wanted = (struct.pack("<4q", 1, -1, side, side) for side in (FEATURES, cells))
+    if model.count(shape) != 1:
+        return usual
+    # OpenCV 4 tries the constant on the shapes that the file declares: two fields dim {dim_value: side}.
+    declared, other = (2 * bytes([0x0A, 2, 0x08, side]) for side in (FEATURES, cells))
+    changed = model.replace(shape, wanted).replace(declared, other)
+    return cv2.dnn.readNetFromONNX(np.frombuffer(changed, np.uint8))
 
 
 def _response(scores: Singles, sides: Singles) -> Response:
@@ -116,8 +150,12 @@ def _read(key: str, path: str) -> Any:
     return read_onnx(path, lambda text: SiameseError(f"{key}: {text}"))
 
 
-def _try_out(networks: Networks, backbone: str, head: str) -> None:
-    """Run both once on gray crops; raises SiameseError."""
+def _try_out(networks: Networks, backbone: str, head: str, side: int) -> int:
+    """Run both once on gray crops, that of the search of `side` px; the cells of the map a side.
+
+    Raises:
+        SiameseError: they do not run.
+    """
     import cv2
 
     swapped = "; are backbone and head interchanged?"
@@ -129,7 +167,7 @@ def _try_out(networks: Networks, backbone: str, head: str) -> None:
             f"backbone: {backbone}: does not run on {size}{swapped} {reason_of(error)}"
         ) from error
     try:
-        found = networks.compare(template, np.full((SEARCH, SEARCH, 3), 114, np.uint8), np.ones(2))
+        found = networks.compare(template, np.full((side, side, 3), 114, np.uint8), np.ones(2))
     except SiameseError as error:
         raise SiameseError(f"head: {head}: {error}") from error
     except cv2.error as error:
@@ -137,3 +175,4 @@ def _try_out(networks: Networks, backbone: str, head: str) -> None:
         raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {reason_of(error)}") from error
     if not (np.isfinite(found.probabilities).all() and (np.abs(found.sides) < 1e6).all()):
         raise SiameseError(f"head: {head}: its outputs are not finite numbers")
+    return len(found.probabilities)
