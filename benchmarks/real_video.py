@@ -73,7 +73,8 @@ def agents_of(spec: GraphSpec) -> list[str]:
 
 def changed(spec: GraphSpec, *, without_rules: bool = False, only: str | None = None) -> GraphSpec:
     """The graph without rules of adaptation, or with one agent; nodes that are left without children go."""
-    written = spec.model_dump(exclude_none=True)
+    # Without what nobody wrote: a default may have no effect beside other keys, which is an error.
+    written = spec.model_dump(exclude_none=True, exclude_unset=True)
     nodes = _nodes(written)
     for name in [
         name for name, node in nodes.items() if only is not None and "agent" in node and name != only
