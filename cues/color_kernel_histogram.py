@@ -120,7 +120,6 @@ class ColorKernelHistogram:
         from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients
 
         cells, r = for_reading(planes[self._plane]), planes.region
-        boxes = np.ascontiguousarray(boxes)  # one compiled version only
         return coefficients(cells, r.x0, r.y0, boxes, self.parameters.pixels, np.sqrt(reference["shares"]))
 
 
