@@ -70,7 +70,7 @@ async function fromFile(ends: Column): Promise<(row: number) => Promise<CanvasIm
   const bytes = bytesOf(document.getElementById("run-pictures")?.textContent ?? "");
   return (row) => {
     const picture = bytes.subarray(row > 0 ? ends.at(row - 1) : 0, ends.at(row));
-    return createImageBitmap(new Blob([picture], { type: "image/webp" }));
+    return createImageBitmap(new Blob([picture], { type: "image/jpeg" }));
   };
 }
 

@@ -277,7 +277,7 @@ def write_page():
         rng = np.random.default_rng(1)
         grain = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
         image = cv2.resize(grain, (320, 240), interpolation=cv2.INTER_CUBIC)
-        data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, 60])[1].tobytes()
+        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 50])[1].tobytes()
         count = min(len(metrics), room_for_pictures(header, columns) // len(data))
         step = -(-len(metrics) // count)
         shown = tuple(line.frame for line in metrics[::step])
