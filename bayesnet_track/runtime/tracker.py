@@ -54,6 +54,7 @@ class Tracker(Boxed):
             ``CUE``, which are run.
         max_side: track in frames whose longer side is at most so many px; boxes stay in the pixels of the
             frames that are given, lengths in the graph count those of the smaller ones.
+        copy_frames: False for a caller that never writes into a frame that it gave: nothing is copied then.
 
     Raises:
         GraphError: every error of the graph.
@@ -77,9 +78,10 @@ class Tracker(Boxed):
         allow_plugins: Iterable[str] = (),
         cues: Iterable[GivenCue] = (),
         max_side: int | None = None,
+        copy_frames: bool = True,
     ) -> None:
         plugins.allow(allow_plugins)
-        self._whole_px = whole_px
+        self._whole_px, self._copy_frames = whole_px, copy_frames
         self._graph = load_graph(graph, tuple(cues))
         plate = next(iter(self._graph.targets))
         own = None if motion is None else {plate: motion}
@@ -115,7 +117,7 @@ class Tracker(Boxed):
             ValueError: the box is not four finite numbers, has no area or does not touch the frame, there is
                 none and nothing is born, the frame is no picture, or no agent can start from it.
         """
-        first = _frame(frame, 0, depth)
+        first = _frame(frame, 0, depth, self._copy_frames)
         starts = [] if box is None else [Start(box)]
         check_starts(self._graph, starts, first.width, first.height)
         resizing = Resizing.to(first.width, first.height, self._max_side)
@@ -142,7 +144,7 @@ class Tracker(Boxed):
         """
         if self._state is None:
             raise RuntimeError("call init(frame, box) before update(frame)")
-        now = _frame(frame, self._next_index, depth)
+        now = _frame(frame, self._next_index, depth, self._copy_frames)
         _check_alike(now, (*self._resizing.source, self._has_color))
         found = step(self._engine, self._state, self._resizing.frame(now))
         self._state, self._next_index = found.state, self._next_index + 1
@@ -265,13 +267,14 @@ class Tracker(Boxed):
         return () if self._last is None else self._last.events
 
 
-def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None) -> Frame:
+def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None, copies: bool) -> Frame:
     if not isinstance(image, np.ndarray):
         raise ValueError(
             f"a frame is an array of pixels, not {type(image).__name__}; could the image be read?"
         )
-    # A copy: the caller may reuse its buffer, and the next step looks at this frame again.
-    picture, has_color = to_bgr(np.array(image))
+    picture, has_color = to_bgr(image)
+    if copies and np.may_share_memory(picture, image):
+        picture = picture.copy()  # the caller may reuse its buffer, and the next step looks at it again
     if depth is not None:
         other = depth.image if isinstance(depth, RightEye) else depth.points
         if other.shape != picture.shape:

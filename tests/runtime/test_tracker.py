@@ -14,6 +14,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
+from bayesnet_track.runtime import tracker as module
 from bayesnet_track.sources.scenes import make_scene
 
 SCENE = make_scene("two_squares")
@@ -164,6 +165,18 @@ def test_the_caller_may_reuse_its_buffer():
         found += follow(tracker, [buffer])
         buffer[:] = 0
     assert found == wanted
+
+
+def test_frames_of_a_caller_that_keeps_them_are_not_copied(monkeypatch):
+    wanted, seen, own = follow(started(), frames(6)), [], module.step
+    monkeypatch.setattr(module, "step", lambda *args: seen.append(args[2].image) or own(*args))
+    tracker, given = Tracker("two_squares", copy_frames=False), frames(6)
+    tracker.init(SCENE.frames[0], BOX)
+    assert follow(tracker, given) == wanted
+    assert all(np.shares_memory(one, other) for one, other in zip(seen, given, strict=True))
+    tracker = started()
+    follow(tracker, given)
+    assert not any(np.shares_memory(one, other) for one, other in zip(seen[6:], given, strict=True))
 
 
 def test_the_callers_frame_is_not_written_to():

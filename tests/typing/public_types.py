@@ -43,7 +43,7 @@ def of_a_graph(spec: GraphSpec) -> None:
 
 
 def of_a_tracker(image: NDArray[np.uint8], depth_m: NDArray[np.float64]) -> None:
-    tracker = Tracker("general", seed=3, whole_px=True)
+    tracker = Tracker("general", seed=3, whole_px=True, copy_frames=False)
     assert_type(tracker, Tracker)
     assert_type(tracker.update(image), tuple[bool, Box])
     ok, box = tracker.update(image)
