@@ -18,7 +18,7 @@ from measuring import Image, environment, on_one_thread, table
 from sequences import Sequence, find_sequences
 
 from bayesnet_track import Tracker
-from bayesnet_track.cli.diagnose.command import names_of
+from bayesnet_track.cli.diagnose.advice import names_of
 from bayesnet_track.cli.diagnose.findings import find
 from bayesnet_track.cli.diagnose.remedies import REMEDIES
 from bayesnet_track.evaluate.scores import score

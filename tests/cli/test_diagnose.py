@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.cli.diagnose import command
-from bayesnet_track.cli.diagnose.command import advise, find_all, names_of
+from bayesnet_track.cli.diagnose.advice import advise, find_all, names_of
 from bayesnet_track.cli.diagnose.findings import FEW_FRAMES, Finding, find, until_lost
 from bayesnet_track.cli.diagnose.remedies import REMEDIES
 from bayesnet_track.cli.main import main

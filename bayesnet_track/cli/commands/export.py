@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, complain, writing
 from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.run_reader import Run
@@ -45,6 +44,7 @@ def export(options: argparse.Namespace) -> int:
 
 def _judged(run: Run) -> Run:
     """The run judged as a whole; says what changed."""
+    from bayesnet_track.journal.text.wording import plural
     from bayesnet_track.runtime.recording.afterwards import judge_afterwards
 
     run, found = judge_afterwards(run)
