@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.correlation import equations, gaussian_label, hann, solve
 from bayesnet_track.vision.correlation_tiles import SCALE_STEP, TURN_STEP, Asked, find_maps, find_tile
@@ -110,6 +111,13 @@ class CorrelationFilter:
 
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
         """The same for a target turned by `angle` degrees: the patch is cut out as turned, and so upright."""
+        found = self._equations(planes, box, angle)
+        kernel = self._kernel(found["numerator"], found["denominator"], found["size"])
+        usual = max(USUAL * _answer(kernel, found["patch"]), LEAST_ANSWER)
+        return {**found, "kernel": kernel, "usual": np.array(usual)}
+
+    def _equations(self, planes: Planes, box: Floats, angle: float) -> dict[str, NDArray[Any]]:
+        """What is learnt of the patch alone: all of a reference but `kernel` and `usual`."""
         p = self.parameters
         size = np.array(box[2:], dtype=np.float64)
         cell, mean = self._cell(size), np.sqrt(size[0] * size[1])
@@ -121,16 +129,19 @@ class CorrelationFilter:
         off = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
         label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *off)
         numerator, denominator = equations(patch.features * self._window(size), label)
-        kernel = self._kernel(numerator, denominator, size)
         return {
             "numerator": numerator,
             "denominator": denominator,
-            "kernel": kernel,
             "patch": patch.features,
-            "usual": np.array(max(USUAL * _answer(kernel, patch.features), LEAST_ANSWER)),
             "place": np.array(box[:2], dtype=np.float64),
             "size": size,
         }
+
+    def follow(self, planes: Planes, box: Floats, reference: Reference, rate: float) -> Reference:
+        """`blend` of the reference with what is learnt here, whose own filter is not needed in between."""
+        if rate >= 1.0:
+            return self.learn(planes, box)
+        return self.blend(reference, self._equations(planes, box, 0.0), rate)
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Numerator and denominator linearly (thesis eq. 2.15); the usual answer follows faster."""
@@ -140,7 +151,7 @@ class CorrelationFilter:
             return new
         names = ("numerator", "denominator")
         mixed = blend_arrays({name: old[name] for name in names}, new, rate)
-        numerator = mixed["numerator"].astype(np.complex64)
+        numerator = mixed["numerator"].astype(np.complex64, copy=False)
         seen, usual = _answer(old["kernel"], new["patch"]), float(old["usual"])
         share = 1.0 if seen > usual else min(1.0, FOLLOW * rate)
         return {
@@ -157,11 +168,11 @@ class CorrelationFilter:
         q is the answer over the usual one, at most 1, and s the share of the box inside the frame.
         """
         p, boxes = self.parameters, hypotheses.boxes
-        share = _share_inside(boxes, planes.frame.width, planes.frame.height)
+        share = share_inside(boxes, planes.frame)
         answers = self.answers(planes, boxes, reference, share > 0.0, hypotheses.fields.get(ANGLE))
         q = answers / float(reference["usual"])
         size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
-        return floored(p.sharpness * (share * np.clip(q, 0.0, 1.0) - 1.0) + size, p.floor)
+        return floored(p.sharpness * (share * np.minimum(np.maximum(q, 0.0), 1.0) - 1.0) + size, p.floor)
 
     def answers(
         self,
@@ -187,7 +198,7 @@ class CorrelationFilter:
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
         turns = {0: np.ones(len(boxes))} if angles is None else _turns_of(angles)
         parts: dict[int, NDArray[np.float32]] = {}
-        for number in np.unique(tile_of[asked]):
+        for number in _different(tile_of[asked]):
             which = np.flatnonzero(asked & (tile_of == number))
             at = np.array([across[which[0]], down[which[0]]])
             x, y = (place + at * (REACH - 4) * cell).tolist()
@@ -229,6 +240,12 @@ def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:
     return float(np.sum(kernel * patch, dtype=np.float64))
 
 
+def _different(numbers: Floats) -> Floats:
+    """The different ones among the numbers, sorted; mostly they are all the same."""
+    alike = not len(numbers) or (numbers == numbers[0]).all()
+    return numbers[:1] if alike else np.unique(numbers)
+
+
 def _turns_of(angles: Floats) -> dict[int, Floats]:
     """Level of turn -> (N,) share of it in the answer at each angle: linear between the two nearest."""
     steps = np.asarray(angles) / TURN_STEP
@@ -242,15 +259,6 @@ def _turns_of(angles: Floats) -> dict[int, Floats]:
             own = shares.setdefault(turn, np.zeros(len(steps)))
             own += np.where(turns == turn, weights, 0.0)
     return shares
-
-
-def _share_inside(boxes: Floats, width: int, height: int) -> Floats:
-    """(N,) share of each centre box that lies inside the frame."""
-    x, y, w, h = boxes.T
-    across = np.minimum(x + w / 2, width - 0.5) - np.maximum(x - w / 2, -0.5)
-    down = np.minimum(y + h / 2, height - 0.5) - np.maximum(y - h / 2, -0.5)
-    shares = (np.minimum(np.maximum(part / side, 0.0), 1.0) for part, side in ((across, w), (down, h)))
-    return np.asarray(math.prod(shares))
 
 
 def _make(parameters: CorrelationFilterParameters) -> Cue:

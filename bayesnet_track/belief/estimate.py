@@ -36,5 +36,6 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
         return best
     reach = chosen.robust_mean.box * float(np.sqrt(best[2] * best[3]))
     x, y = (np.abs(states[:, axis] - best[axis]) <= reach for axis in (0, 1))
-    near = x & y
-    return np.asarray(weights[near] @ states[near] / weights[near].sum())
+    near = np.flatnonzero(x & y)
+    shares = weights[near]
+    return np.asarray(shares @ states[near] / shares.sum())

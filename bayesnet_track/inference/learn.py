@@ -35,7 +35,7 @@ from bayesnet_track.observation.cue import (
     context_of,
 )
 from bayesnet_track.observation.guests import FAULTS, text_of
-from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
+from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes
 from bayesnet_track.observation.reference_rows import ReferenceRows
 from bayesnet_track.observation.shared import seal, shown
 
@@ -179,10 +179,25 @@ def _learnt(
     cue: Any = lesson.cues[agent]
     try:
         method, arguments = _to_learn(lesson, agent)
-        seen = getattr(cue, method)(*arguments)
-        return _check(cue.blend(shown(old[agent]), seen, rates[agent]) if agent in old else seen)
+        if agent not in old:
+            return _check(getattr(cue, method)(*arguments))
+        known, rate = shown(old[agent]), rates[agent]
+        if method == "learn":
+            return _check(follow(cue, known, rate, *arguments))
+        return _check(cue.blend(known, getattr(cue, method)(*arguments), rate))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
         return _failure(error)
+
+
+def follow(cue: Any, reference: Reference, rate: float, planes: Planes, box: Floats) -> Reference:
+    """The reference blended with what the cue sees in the centre box (4,)."""
+    own = getattr(cue, "follow", None)
+    moved: Reference
+    if own is None:
+        moved = cue.blend(reference, cue.learn(planes, box), rate)
+    else:
+        moved = own(planes, box, reference, rate)
+    return moved
 
 
 def _learn_ahead(
@@ -247,11 +262,11 @@ def _check(reference: Reference) -> Reference | str:
 
 
 def _is_finite(array: NDArray[Any]) -> bool:
-    return (
-        cmath.isfinite(array.item())
-        if array.ndim == 0
-        else np.count_nonzero(np.isfinite(array)) == array.size
-    )
+    if array.ndim == 0:
+        return cmath.isfinite(array.item())
+    # What is not finite leaves no sum of squares that is; but so do large numbers.
+    line = array.ravel()
+    return cmath.isfinite(np.vdot(line, line)) or np.count_nonzero(np.isfinite(array)) == array.size
 
 
 def _split_faults(

@@ -132,10 +132,10 @@ def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]
 
 def share_inside(boxes: Floats, frame: Frame) -> Floats:
     """(N,) share of the area of each centre box (N, 4) that lies inside the frame, 0..1."""
-    x, y, w, h = boxes.T
-    across = np.minimum(x + w / 2, frame.width - 0.5) - np.maximum(x - w / 2, -0.5)
-    down = np.minimum(y + h / 2, frame.height - 0.5) - np.maximum(y - h / 2, -0.5)
-    return np.asarray(np.clip(across, 0.0, w) / w * (np.clip(down, 0.0, h) / h))
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.kinematic_kernels import shares_inside
+
+    return shares_inside(plain(boxes), float(frame.width), float(frame.height))
 
 
 def box_integral(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Floats, Floats, Ints, Ints]:

@@ -47,7 +47,9 @@ class Cue(Protocol):
     """A cue at work: pure functions of planes, hypotheses and reference. Holds no state of its own.
 
     A cue may have a further attribute ``context: float``: how many box sizes beyond each side of the box
-    `learn` looks, `CONTEXT` when it has none. The less, the likelier the planes are there already.
+    `learn` looks, `CONTEXT` when it has none. The less, the likelier the planes are there already. And it may
+    have a method ``follow(planes, box, reference, rate)``, which gives in less time what
+    ``blend(reference, learn(planes, box), rate)`` does.
     """
 
     @property

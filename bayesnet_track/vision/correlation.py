@@ -69,56 +69,63 @@ def tile_spectra(patch: Singles, side: int) -> Singles:
     """(H, C, 4, H) the Fourier transform of (C, F, F), H = F / 2 + 1, for filters of `side` cells.
 
     Phases are counted from the middle of a filter in the first cells, as `scaled_answers` wants them; parts
-    are laid out as `centre_spectrum` says.
+    are laid out as `centre_spectra` says.
     """
     import cv2
 
-    from bayesnet_track.vision.kernels.correlation_kernels import centre_spectrum
+    from bayesnet_track.vision.kernels.correlation_kernels import centre_spectra
 
     channels, around = patch.shape[:2]
-    rows, turns = around // 2 + 1, _turns(side, around)
+    rows, every = around // 2 + 1, np.empty(patch.shape, np.float32)
+    for one, packed in zip(patch, every, strict=True):
+        cv2.dft(one, packed)
     seen = np.empty((rows, channels, 4, rows), np.float32)
-    for channel, one in enumerate(patch):
-        centre_spectrum(np.asarray(cv2.dft(one), np.float32), channel, turns, seen)
+    centre_spectra(every, _turns(side, around), seen)
     return seen
 
 
 def halves(kernel: Singles) -> Singles:
-    """(2, Q, C, 2, Q) even and odd part of a filter (C, S, S) by row and by column about its middle.
-
-    Each holds the first S / 2 cells, and zeros up to Q, the next multiple of 4.
-    """
+    """(2, 2, S / 2, C, S / 2) even and odd part of a filter (C, S, S) by column and row about its middle."""
     from bayesnet_track.vision.kernels.correlation_kernels import fill_halves
 
     channels, side = kernel.shape[:2]
-    parts = np.zeros((2, _quarter(side), channels, 2, _quarter(side)), np.float32)
+    parts = np.empty((2, 2, side // 2, channels, side // 2), np.float32)
     fill_halves(for_reading(kernel), parts)
     return parts
 
 
-def scaled_answers(seen: Singles, parts: Singles, side: int, scale: float) -> Singles:
-    """(V, V) answers of a filter of `side` cells, enlarged by `scale`, to a patch of F; V = F - side + 1.
+def scaled_answers(seen: Singles, parts: Singles, scale: float) -> Singles:
+    """(V, V) answers of a filter of S cells, enlarged by `scale`, to a patch of F cells; V = F - S + 1.
 
     The patch is given by its `tile_spectra`, the filter by its `halves`. The answer at [j, i] is that to the
-    target's middle at column i and row j + (side - 1) / 2 of the cells.
-
-    Resizing and transforming a filter are both linear and both symmetric about its middle. Thus they are one
-    product of small matrices by row and by column (`waves`), and no image is resized or transformed.
+    target's middle at column i and row j + (S - 1) / 2 of the cells.
     """
     import cv2
 
-    from bayesnet_track.vision.kernels.correlation_kernels import scaled_product
+    from bayesnet_track.vision.kernels.correlation_kernels import conjugate_product
 
-    around = 2 * len(seen) - 2
+    side, around = 2 * parts.shape[2], 2 * len(seen) - 2
     total = np.empty((around, around), np.float32)
-    scaled_product(seen, parts, waves(side, around, scale), total)
+    conjugate_product(seen, spectral_halves(parts, around, scale), total)
     back = cv2.dft(total, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
     return np.asarray(back[: around - side + 1, : around - side + 1], np.float32)
 
 
+def spectral_halves(parts: Singles, around: int, scale: float) -> Singles:
+    """(2, 2, H, C, H) the `halves` of a filter enlarged by `scale` and transformed, H = `around` / 2 + 1.
+
+    Resizing and transforming a filter are both linear and both symmetric about its middle. Thus they are
+    products of small matrices by column and by row (`waves`), and no image is resized or transformed.
+    """
+    half, channels, rows = parts.shape[2], parts.shape[3], around // 2 + 1
+    added = waves(2 * half, around, scale)
+    across = (parts.reshape(2, -1, half) @ added).reshape(2, 2, half, channels * rows)
+    return np.asarray((added.transpose(0, 2, 1) @ across).reshape(2, 2, rows, channels, rows))
+
+
 @lru_cache(maxsize=128)
 def waves(side: int, around: int, scale: float) -> Singles:
-    """(2, Q, H) what a cell of the even (0) and odd (1) part adds to the cosine and sine of each frequency.
+    """(2, S / 2, H) what a cell of the even part adds to each frequency's cosine, of the odd to its sine.
 
     The filter of `side` cells is enlarged about its middle, bicubic, into a square of `around` cells with
     nothing beyond its own; divided by the scale by row and by column, so that a smooth filter's sum stays.
@@ -127,9 +134,8 @@ def waves(side: int, around: int, scale: float) -> Singles:
     resize = _resizing(side, scale)
     angles = 2.0 * np.pi / around * np.outer(np.arange(around // 2 + 1), cells - middle)
     half = side // 2
-    added = np.zeros((2, _quarter(side), around // 2 + 1), np.float32)
-    added[0, :half] = (np.cos(angles) @ resize)[:, :half].T
-    added[1, :half] = (np.sin(angles) @ resize)[:, :half].T
+    parts = [(turn(angles) @ resize)[:, :half].T for turn in (np.cos, np.sin)]
+    added = np.array(parts, np.float32)
     added.setflags(write=False)  # shared by all who ask for it
     return added
 
@@ -161,8 +167,3 @@ def _turns(side: int, around: int) -> Singles:
     turns = np.stack([np.cos(angles), np.sin(angles)], 2).astype(np.float32)
     turns.setflags(write=False)
     return turns
-
-
-def _quarter(side: int) -> int:
-    """Cells of a half, up to the next multiple of 4."""
-    return -(-side // 8) * 4

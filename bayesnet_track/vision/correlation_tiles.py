@@ -85,5 +85,5 @@ def find_maps(tile: Tile, kernel: Singles, turn: int, levels: range, parts: dict
             if turn not in parts:
                 parts[turn] = halves(turned_features(kernel, TURN_STEP * turn) if turn else kernel)
             scale = float(np.exp(SCALE_STEP * level))
-            tile.maps[turn, level] = scaled_answers(tile.spectra, parts[turn], kernel.shape[1], scale)
+            tile.maps[turn, level] = scaled_answers(tile.spectra, parts[turn], scale)
     return np.array([tile.maps[turn, level] for level in levels])

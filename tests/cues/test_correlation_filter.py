@@ -82,7 +82,7 @@ def test_answers_are_sums_of_products() -> None:
     rng = np.random.default_rng(3)
     patch = rng.normal(size=(4, 30, 30)).astype(np.float32)
     kernel = rng.normal(size=(4, 10, 10)).astype(np.float32)
-    found = scaled_answers(tile_spectra(patch, 10), halves(kernel), 10, 1.0)
+    found = scaled_answers(tile_spectra(patch, 10), halves(kernel), 1.0)
     plain = [[np.sum(kernel * patch[:, j : j + 10, i : i + 10]) for i in range(21)] for j in range(21)]
     np.testing.assert_allclose(found, plain, atol=1e-3)  # 400 products of order 1 in float32
 
@@ -132,6 +132,16 @@ def test_a_target_several_tiles_away_is_found_and_tiles_join() -> None:
     before, after = (answered(cue, scene(seam, 60), [box(seam + d, 60)], reference)[0] for d in (-1e-6, 1e-6))
     assert before == pytest.approx(after, abs=0.15)  # the lattices of cells are off by a part of a cell
     assert min(before, after) > 0.5 * float(reference["usual"])
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.02, 0.5, 1.0])
+def test_following_is_blending_with_what_is_learnt(rate: float) -> None:
+    cue, now = made(), planes_of(scene(152, 119, seed=9))
+    old = cue.learn(planes_of(scene(150, 120)), box(150, 120))
+    found = cue.follow(now, box(152, 119), old, rate)
+    expected = cue.blend(old, cue.learn(now, box(152, 119)), rate)
+    assert found.keys() == expected.keys()
+    assert all(np.array_equal(found[name], expected[name]) for name in expected)
 
 
 def test_the_usual_answer_follows_what_the_target_looks_like() -> None:

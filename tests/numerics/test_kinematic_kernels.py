@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph import spec
-from bayesnet_track.numerics.kernels.kinematic_kernels import drifted, driven, driven_by
+from bayesnet_track.numerics.kernels.kinematic_kernels import drifted, driven, driven_by, scale_steps
 
 F = {1: [[1.0]], 2: [[1.0, 0.7], [0.0, 0.8]], 3: [[1.0, 0.7, 0.2], [0.1, 0.9, 0.6], [0.0, -0.2, 0.5]]}
 
@@ -73,3 +73,12 @@ def test_read_only_states_and_every_other_row_are_moved_too(rng):
     np.testing.assert_array_equal(motion.drift(states[::2], 1.0), expected)
     states.setflags(write=False)
     np.testing.assert_array_equal(motion.drift(states, 1.0)[::2], expected)
+
+
+def test_steps_are_as_long_as_the_boxes_ask_for(rng):
+    normals, areas, wide = rng.normal(size=(20, 2)), rng.uniform(10, 1000, 20), rng.permutation(20)[:7]
+    steps = normals.copy()
+    scale_steps(steps, areas, (3.0, 0.0), (0.1, 0.2), 0.5, wide, 4.0)
+    expected = normals * np.sqrt(0.5 * (np.array([9.0, 0.0]) + np.outer(areas, [0.01, 0.04])))
+    expected[wide] *= 4.0
+    np.testing.assert_allclose(steps, expected, rtol=1e-14)

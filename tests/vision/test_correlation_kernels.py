@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.correlation import halves, scaled_answers, tile_spectra, waves
-from bayesnet_track.vision.kernels.correlation_kernels import read_answers, scaled_product
+from bayesnet_track.vision.correlation import halves, scaled_answers, spectral_halves, tile_spectra
+from bayesnet_track.vision.kernels.correlation_kernels import conjugate_product, read_answers
 
 
 @pytest.mark.parametrize(("side", "around"), [(8, 24), (10, 30), (24, 64)])
@@ -23,7 +23,7 @@ def test_a_product_at_scale_1_is_that_of_plain_spectra(side: int, around: int) -
         for one, other in zip(patch, placed, strict=True)
     )
     total = np.full((around, around), np.nan, np.float32)
-    scaled_product(tile_spectra(patch, side), halves(kernel), waves(side, around, 1.0), total)
+    conjugate_product(tile_spectra(patch, side), spectral_halves(halves(kernel), around, 1.0), total)
     scale = float(np.abs(expected).max())
     np.testing.assert_allclose(total, expected, atol=2e-6 * scale)  # float32
 
@@ -36,7 +36,7 @@ def test_a_resized_bump_stays_in_the_middle_keeps_its_sum_and_grows(scale: float
     dot = np.zeros((1, 64, 64), np.float32)
     dot[0, 32, 32] = 1.0
     bump = halves(np.outer(line, line)[None].astype(np.float32))
-    found = scaled_answers(tile_spectra(dot, 24), bump, 24, scale)[9:33, 9:33]
+    found = scaled_answers(tile_spectra(dot, 24), bump, scale)[9:33, 9:33]
     total = found.sum()
     # linear interpolation between cells of a bump of 2.5 cells adds at most 1 / (8 * 2.5^2) = 2 % of its peak
     assert total == pytest.approx(line.sum() ** 2, rel=0.02)

@@ -67,6 +67,14 @@ class KinematicMotion:
     def _hash(self) -> int:  # once: that of settings takes longer than what is looked up by it
         return hash((self.noise, self.dynamics, self.diffusion, self.start_sd))
 
+    @cached_property
+    def noisy_columns(self) -> NDArray[np.intp]:
+        """(K,) which of x, y, w, h, vx, vy, ... are coordinates with noise."""
+        x, y, w, h = noisy(self.noise)
+        if self.diffusion == 0:
+            return np.flatnonzero([x, y, w, h])
+        return np.flatnonzero([True, True, w, h] + [True] * (2 * self.order - 2))
+
     @property
     def order(self) -> int:
         """n, the length of an axis' chain."""
@@ -142,8 +150,8 @@ class KinematicMotion:
         """
         mean = self.drift(old, dt)
         chain = None if self.diffusion == 0 else unmixing(self.dynamics, self.diffusion, dt)
-        keep = _find_noisy(self)
-        same = _same_sds(self, dt)
+        keep = self.noisy_columns
+        same = _same_sds(self, dt) if is_same_everywhere(self.noise) else None
         if same is None:
             sds = _sds(self, old[:, :4], dt)
         else:
@@ -228,15 +236,6 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
     return motion.linearise(np.ones(len(motion.fields)), dt)
 
 
-@lru_cache(maxsize=256)
-def _find_noisy(motion: KinematicMotion) -> NDArray[np.intp]:
-    """(K,) which of x, y, w, h, vx, vy, ... are coordinates with noise."""
-    x, y, w, h = noisy(motion.noise)
-    if motion.diffusion == 0:
-        return np.flatnonzero([x, y, w, h])
-    return np.flatnonzero([True, True, w, h] + [True] * (2 * motion.order - 2))
-
-
 def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
     """(C, N, K) sds of the coordinates with noise around boxes `old` (N, 4)."""
     variances = component_variances(motion.noise, old, dt)
@@ -245,13 +244,13 @@ def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
         variances[:, :, :2] += pivots[0]
         further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * motion.order - 2))
         variances = np.concatenate([variances, further], axis=2)
-    return np.asarray(np.sqrt(variances.take(_find_noisy(motion), axis=2)))
+    return np.asarray(np.sqrt(variances.take(motion.noisy_columns, axis=2)))
 
 
 @lru_cache(maxsize=256)
-def _same_sds(motion: KinematicMotion, dt: float) -> Floats | None:
-    """(C, 1, K) those of any box; None where they depend on it."""
-    return _sds(motion, np.ones((1, 4)), dt) if is_same_everywhere(motion.noise) else None
+def _same_sds(motion: KinematicMotion, dt: float) -> Floats:
+    """(C, 1, K) those of any box, on which they do not depend."""
+    return _sds(motion, np.ones((1, 4)), dt)
 
 
 @lru_cache(maxsize=256)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.spec import Verifier
-from bayesnet_track.inference.learn import check_references, over_frames
+from bayesnet_track.inference.learn import check_references, follow, over_frames
 from bayesnet_track.inference.observe import check_log_likelihood
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.numerics.arrays import Floats
@@ -65,8 +65,8 @@ class VerifierAtWork:
         if self.learn_rate == 0.0:
             return reference
         try:
-            seen = self.cue.learn(self.planes(cache, box), box.copy())
-            return _checked(self.cue.blend(shown(reference), seen, self.learn_rate))
+            planes = self.planes(cache, box)
+            return _checked(follow(self.cue, shown(reference), self.learn_rate, planes, box.copy()))
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             return f"raised {said(error)}"
 

@@ -65,6 +65,41 @@ def confine(states: Floats, width: float, height: float) -> None:
 
 
 @compiled
+def scale_steps(
+    steps: Floats,
+    areas: Floats,
+    px: tuple[float, float],
+    box: tuple[float, float],
+    dt: float,
+    wide: Ancestors,
+    factor: float,
+) -> None:
+    """In place: normals (N, 2) times the sds of x and y over `dt` of boxes of these `areas` (N,), px^2.
+
+    An sd has a part in px and one in sides of the box. Those of the rows `wide` are `factor` times as large.
+    """
+    for k in range(2):
+        of_px, of_box = px[k] * px[k], box[k] * box[k]
+        for n in range(len(areas)):
+            steps[n, k] *= np.sqrt(dt * (of_px + of_box * areas[n]))
+    for n in wide:
+        steps[n, 0] *= factor
+        steps[n, 1] *= factor
+
+
+@compiled
+def shares_inside(boxes: Floats, width: float, height: float) -> Floats:
+    """(N,) share of each centre box (N, 4) on an image of that size, whose pixels reach from -0.5 on."""
+    shares = np.ones(len(boxes))
+    for n in range(len(boxes)):
+        for k, extent in ((0, width), (1, height)):
+            place, side = boxes[n, k], boxes[n, 2 + k]
+            inside = min(place + side / 2, extent - 0.5) - max(place - side / 2, -0.5)
+            shares[n] *= min(max(inside / side, 0.0), 1.0)
+    return shares
+
+
+@compiled
 def extent_of_boxes(boxes: Floats, half: float) -> tuple[float, float, float, float]:
     """Least x and y and largest x and y of the centre boxes (N, 4) with sides of 2 `half` their size.
 

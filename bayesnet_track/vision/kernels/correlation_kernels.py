@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints, Singles
@@ -20,39 +18,40 @@ def cubic_weights(t: float, weights: Floats) -> None:
 
 
 @compiled_summing
-def centre_spectrum(packed: Singles, channel: int, turns: Singles, seen: Singles) -> None:
-    """Write the spectrum of one channel, each frequency turned by its phase, into `seen` (H, C, 4, H).
+def centre_spectra(every: Singles, turns: Singles, seen: Singles) -> None:
+    """Write the spectra of C channels, each frequency turned by its phase, into `seen` (H, C, 4, H).
 
     Args:
-        packed: (F, F) as OpenCV packs spectra of real images, F even, H = F / 2 + 1: pairs of real and
+        every: (C, F, F) as OpenCV packs spectra of real images, F even, H = F / 2 + 1: pairs of real and
             imaginary part lie along a row, in the first and in the last column along the column.
-        channel: which of C.
         turns: (H, 2, 2, H) cosine and sine of each phase, for vertical frequencies upward and downward.
         seen: [row, channel]: real and imaginary parts at the vertical frequency `row`, then at -`row`.
     """
-    side = packed.shape[0]
+    side = every.shape[1]
     last = side // 2
-    for j in range(last + 1):
-        for sign in range(2):
-            line = packed[j if sign == 0 or j == 0 else side - j]
-            cosine, sine = turns[j, sign, 0], turns[j, sign, 1]
-            real, imaginary = seen[j, channel, 2 * sign], seen[j, channel, 2 * sign + 1]
-            for k in range(1, last):
-                real[k] = line[2 * k - 1] * cosine[k] - line[2 * k] * sine[k]
-            for k in range(1, last):
-                imaginary[k] = line[2 * k - 1] * sine[k] + line[2 * k] * cosine[k]
-            for k in (0, last):
-                column, other = min(2 * k, side - 1), np.float32(0.0)
-                one = packed[min(max(2 * j - 1, 0), side - 1), column]
-                if 0 < j < last:
-                    other = packed[2 * j, column] if sign == 0 else -packed[2 * j, column]
-                real[k] = one * cosine[k] - other * sine[k]
-                imaginary[k] = one * sine[k] + other * cosine[k]
+    for channel in range(len(every)):
+        packed = every[channel]
+        for j in range(last + 1):
+            for sign in range(2):
+                line = packed[j if sign == 0 or j == 0 else side - j]
+                cosine, sine = turns[j, sign, 0], turns[j, sign, 1]
+                real, imaginary = seen[j, channel, 2 * sign], seen[j, channel, 2 * sign + 1]
+                for k in range(1, last):
+                    real[k] = line[2 * k - 1] * cosine[k] - line[2 * k] * sine[k]
+                for k in range(1, last):
+                    imaginary[k] = line[2 * k - 1] * sine[k] + line[2 * k] * cosine[k]
+                for k in (0, last):
+                    column, other = min(2 * k, side - 1), np.float32(0.0)
+                    one = packed[min(max(2 * j - 1, 0), side - 1), column]
+                    if 0 < j < last:
+                        other = packed[2 * j, column] if sign == 0 else -packed[2 * j, column]
+                    real[k] = one * cosine[k] - other * sine[k]
+                    imaginary[k] = one * sine[k] + other * cosine[k]
 
 
 @compiled
 def fill_halves(kernel: Singles, parts: Singles) -> None:
-    """Write the even and odd part of a filter (C, S, S) by row and column into `parts` (2, Q, C, 2, Q)."""
+    """Write the even and odd part of a filter (C, S, S) by column and row into `parts` (2, 2, H, C, H)."""
     channels, side = kernel.shape[0], kernel.shape[1]
     for j in range(side // 2):
         for c in range(channels):
@@ -61,42 +60,8 @@ def fill_halves(kernel: Singles, parts: Singles) -> None:
                 k = side - 1 - i
                 even_left, even_right = above[i] + below[i], above[k] + below[k]
                 odd_left, odd_right = above[i] - below[i], above[k] - below[k]
-                parts[0, j, c, 0, i], parts[0, j, c, 1, i] = even_left + even_right, even_left - even_right
-                parts[1, j, c, 0, i], parts[1, j, c, 1, i] = odd_left + odd_right, odd_left - odd_right
-
-
-@compiled_summing
-def _four(w: Singles, rows: Singles, first: int, k: int) -> Any:
-    """The sum of 4 rows (Q, K) at `k` by their weights `w` (Q,), from row `first` on."""
-    one = w[first] * rows[first, k] + w[first + 1] * rows[first + 1, k]
-    return one + w[first + 2] * rows[first + 2, k] + w[first + 3] * rows[first + 3, k]
-
-
-@compiled_summing
-def _add_twelve(start: Any, w: Singles, rows: Singles, first: int, k: int) -> Any:
-    """Likewise 12 rows, added to `start`."""
-    total = start + _four(w, rows, first, k)
-    return total + _four(w, rows, first + 4, k) + _four(w, rows, first + 8, k)
-
-
-@compiled_summing
-def _weigh(weights: Singles, rows: Singles, line: Singles) -> None:
-    """Write the sum of the rows (Q, K) by their weights (Q,) into `line` (K,); Q is a multiple of 4."""
-    first = 12 if len(weights) >= 12 else 4
-    if first == 12:
-        for k in range(len(line)):
-            line[k] = _add_twelve(np.float32(0.0), weights, rows, 0, k)
-    else:
-        for k in range(len(line)):
-            line[k] = _four(weights, rows, 0, k)
-    while first + 12 <= len(weights):
-        for k in range(len(line)):
-            line[k] = _add_twelve(line[k], weights, rows, first, k)
-        first += 12
-    while first < len(weights):
-        for k in range(len(line)):
-            line[k] += _four(weights, rows, first, k)
-        first += 4
+                parts[0, 0, j, c, i], parts[1, 0, j, c, i] = even_left + even_right, even_left - even_right
+                parts[0, 1, j, c, i], parts[1, 1, j, c, i] = odd_left + odd_right, odd_left - odd_right
 
 
 @compiled_summing
@@ -119,33 +84,21 @@ def pack_row(sums: Singles, j: int, total: Singles) -> None:
 
 
 @compiled_summing
-def scaled_product(seen: Singles, halves: Singles, waves: Singles, total: Singles) -> None:
+def conjugate_product(seen: Singles, waves: Singles, total: Singles) -> None:
     """Fill `total` (F, F), packed, with the sum over channels of a patch times a conjugate filter.
 
     Args:
-        seen: (H, C, 4, H) spectra of the patch by `centre_spectrum`.
-        halves: (2, Q, C, 2, Q) even and odd part of the filter by row and column, Q a multiple of 4.
-        waves: (2, Q, H) what each cell of the even and odd part adds to the cosine and sine of a frequency.
+        seen: (H, C, 4, H) spectra of the patch by `centre_spectra`.
+        waves: (2, 2, H, C, H) of the filter: cosines (0) and sines (1) by column, then by row.
         total: (F, F), F = 2 H - 2.
     """
     rows, channels = seen.shape[0], seen.shape[1]
-    quarter = halves.shape[1]
-    lines = np.empty((2, quarter, channels, 2, rows), np.float32)
-    for p in range(2):  # the horizontal transform
-        for i in range(quarter):
-            for c in range(channels):
-                for q in range(2):
-                    _weigh(halves[p, i, c, q], waves[q], lines[p, i, c, q])
-    flat = lines.reshape(2, quarter, channels * 2 * rows)
-    own = np.empty((2, channels, 2, rows), np.float32)
-    own_flat, sums = own.reshape(2, channels * 2 * rows), np.empty((4, rows), np.float32)
+    sums = np.empty((4, rows), np.float32)
     for j in range(rows):
-        for p in range(2):
-            _weigh(waves[p, :, j], flat[p], own_flat[p])
         sums[:] = np.float32(0.0)
         for c in range(channels):
-            even, across = own[0, c, 0], own[0, c, 1]
-            down, both = own[1, c, 0], own[1, c, 1]
+            even, across = waves[0, 0, j, c], waves[1, 0, j, c]
+            down, both = waves[0, 1, j, c], waves[1, 1, j, c]
             patch = seen[j, c]
             for k in range(rows):
                 real, imaginary = even[k] - both[k], -down[k] - across[k]

@@ -149,7 +149,7 @@ def _features(resized: Bytes, cells: int, signed: bool) -> Singles:
     means = np.empty((around, around, 3), np.uint8)
     cell_means(resized.reshape(len(resized), -1), means.reshape(around, -1))
     mixed = cv2.transform(means[1:-1, 1:-1].astype(np.float32), _MIXES)
-    features[-3:] = np.moveaxis(mixed, 2, 0)
+    features[-3:] = mixed.transpose(2, 0, 1)
     return features
 
 
