@@ -63,8 +63,8 @@ def explain_foreground(panels: list[Axes], cue: Cue, case: Case) -> None:
         around = case.box + [0, 0, *np.full(2, ring * case.box[2:].sum())]
         boxes(panels[0], around, BEST, width=0.8)
     close(panels[0], case.box, 2.4)
-    tables = Cells(p.levels, False).tables
-    cells = sum(tables[k][case.image[..., k]] for k in range(3))
+    levels, adds = Cells(p.levels, False).layout.astype(int)
+    cells = case.image.astype(int) * levels // 256 @ adds
     reference = learnt(cue, case)
     panels[1].imshow(reference["posterior"][cells] / 255.0, cmap=SURFACE, vmin=0, vmax=1)
     panels[1].set(xticks=[], yticks=[], title="the target's, by colour (later)")

@@ -21,6 +21,7 @@ from bayesnet_track.observation.cue import (
     Hypotheses,
     Reference,
     SizedCueParameters,
+    blend_arrays,
     blend_sizes,
     floored,
     log_size_penalty,
@@ -113,12 +114,13 @@ class ForegroundColor:
         from bayesnet_track.vision import foreground as f
 
         p, frame = self.parameters, planes.frame
-        box, rings = np.asarray(box, dtype=np.float64), (p.surround, p.wide)
-        around = [f.grow_boxes(box, ring) for ring in sorted(rings, reverse=True)]
-        boxes = np.stack([*around, box, box * [1, 1, p.inner, p.inner]])
+        box = np.asarray(box, dtype=np.float64)
+        x, y, w, h = box.tolist()
+        around = [ring * (w + h) for ring in sorted((p.surround, p.wide), reverse=True)]
+        sizes = *((w + more, h + more) for more in around), (w, h), (p.inner * w, p.inner * h)
+        boxes = np.array([(x, y, *size) for size in sizes])
         counts = f.count_pixels(frame, self._cells(frame), boxes)
-        counts[:2] -= counts[2]
-        of_rings, foreground = f.shares(counts[:2]), f.shares(counts[3])
+        of_rings, foreground = f.shares(counts[:2] - counts[2]), f.shares(counts[3])
         learnt = {
             "foreground": foreground,
             "background": of_rings[int(p.surround < p.wide)],
@@ -132,11 +134,9 @@ class ForegroundColor:
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), for the wide ring at a slower rate, for the size in its logarithm."""
-        slow = {"memory": 1.0 - (1.0 - rate) ** self.parameters.memory_rate}
-        blended = {
-            name: np.asarray((1.0 - slow.get(name, rate)) * old[name] + slow.get(name, rate) * new[name])
-            for name in ("foreground", "background", "memory", "contrast")
-        }
+        slow = 1.0 - (1.0 - rate) ** self.parameters.memory_rate
+        quick = {name: old[name] for name in ("foreground", "background", "contrast")}
+        blended = {**blend_arrays(quick, new, rate), **blend_arrays({"memory": old["memory"]}, new, slow)}
         size = blend_sizes(old, new, rate)
         return {**blended, **relax(old, new, rate), "size": size, "posterior": self._posterior(blended)}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.arrays import Bytes, Floats
 from bayesnet_track.numerics.compiled import plain
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.shared import for_reading, read_only
 from bayesnet_track.vision.kernels.foreground_kernels import (
     box_and_ring_means,
     color_posterior,
@@ -43,23 +44,31 @@ class Cells:
         return self.levels if self.gray else self.levels**3
 
     @property
-    def tables(self) -> NDArray[np.int32]:
-        """(3, 256) each channel's part of a cell's number."""
-        return _tables(self)
+    def layout(self) -> NDArray[np.uint16]:
+        """(2, 3) levels of blue, green and red, and what one of each adds to a cell's number."""
+        return _layout(self)
 
 
 @cache
-def _tables(cells: Cells) -> NDArray[np.int32]:
-    value = np.arange(256, dtype=np.int32) * cells.levels // 256
+def _layout(cells: Cells) -> NDArray[np.uint16]:
     strides = (1, 0, 0) if cells.gray else (cells.levels**2, cells.levels, 1)
-    return np.stack([value * stride for stride in strides]).astype(np.int32)
+    return np.array([[cells.levels] * 3, strides], np.uint16)
+
+
+_OF_FRAME: WeakKeyDictionary[Frame, dict[tuple[Cells, bytes], Floats]] = WeakKeyDictionary()
 
 
 def count_pixels(frame: Frame, cells: Cells, boxes: Floats) -> Floats:
-    """(K, cells) visible pixels of the centre boxes (K, 4) in each cell; each box holds the next."""
-    counts = np.empty((len(boxes), cells.count))
-    count_cells(for_reading(frame.image), cells.tables, plain(boxes), counts)
-    return counts
+    """(K, cells) visible pixels of the centre boxes (K, 4) in each cell; each box holds the next.
+
+    They are kept while the frame lives: an agent and a verifier learn in the same box.
+    """
+    known, asked = _OF_FRAME.setdefault(frame, {}), (cells, boxes.tobytes())
+    if asked not in known:
+        counts = np.empty((len(boxes), cells.count))
+        count_cells(for_reading(frame.image), cells.layout, plain(boxes), counts)
+        known[asked] = read_only(counts)
+    return known[asked]
 
 
 def shares(counts: Floats) -> Floats:
@@ -77,7 +86,7 @@ def means(frame: Frame, cells: Cells, levels: Bytes, boxes: Floats, ring: float)
     """(N, 2) mean posterior, 0..1, inside each centre box (N, 4) and in a ring of `ring` mean sides."""
     found = np.empty((len(boxes), 2))
     image = for_reading(frame.image)
-    box_and_ring_means(image, cells.tables, for_reading(levels), plain(boxes), ring, found)
+    box_and_ring_means(image, cells.layout, for_reading(levels), plain(boxes), ring, found)
     return found / TOP
 
 

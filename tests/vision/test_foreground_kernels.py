@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.vision.foreground import Cells
+from bayesnet_track.vision.kernels.color_kernels import fill_cells
 from bayesnet_track.vision.kernels.foreground_kernels import (
     STEPS,
     box_and_ring_means,
@@ -11,9 +13,7 @@ from bayesnet_track.vision.kernels.foreground_kernels import (
     integral_of_cells,
 )
 
-TABLES = np.stack([16 * (np.arange(256) // 64), 4 * (np.arange(256) // 64), np.arange(256) // 64]).astype(
-    np.int32
-)
+LAYOUT = np.array([[4, 4, 4], [16, 4, 1]], np.uint16)
 
 
 @pytest.fixture
@@ -26,10 +26,22 @@ def cells_of(image):
     return 16 * b + 4 * g + r
 
 
+@pytest.mark.parametrize(
+    ("levels", "is_gray"), [(2, False), (16, False), (32, False), (5, True), (256, True)]
+)
+def test_a_cell_has_one_level_of_each_channel(levels, is_gray):
+    line = np.concatenate([np.repeat(np.arange(256), 3), np.random.default_rng(2).integers(0, 256, 300)])
+    cells = np.empty(len(line) // 3, np.uint16)
+    fill_cells(line.astype(np.uint8), Cells(levels, is_gray).layout, cells)
+    blue, green, red = (line * levels // 256).reshape(-1, 3).T
+    expected = blue if is_gray else (blue * levels + green) * levels + red
+    np.testing.assert_array_equal(cells, expected)
+
+
 def test_every_pixel_is_counted_in_its_cell(image):
     counts = np.full((4, 64), np.nan)
     boxes = np.array([[3.0, 2, 40, 40], [3, 2, 5.5, 3], [3, 2, 5, 1.5], [3, 2, 1, 1]])
-    count_cells(image, TABLES, boxes, counts)
+    count_cells(image, LAYOUT, boxes, counts)
     inside = (np.s_[:, :], np.s_[1:4, 0:7], np.s_[1:4, 1:6], np.s_[2:3, 3:4])
     for own, of in zip(counts, inside, strict=True):
         np.testing.assert_array_equal(own, np.bincount(cells_of(image[of]).ravel(), minlength=64))
@@ -37,7 +49,7 @@ def test_every_pixel_is_counted_in_its_cell(image):
 
 def test_the_integral_sums_levels_above_and_left(image):
     levels = np.random.default_rng(3).integers(0, 256, 64).astype(np.uint8)
-    integral = integral_of_cells(image, TABLES, levels, np.array([1, 6, 2, 5]))
+    integral = integral_of_cells(image, LAYOUT, levels, np.array([1, 6, 2, 5]))
     expected = np.zeros((4, 6), np.int64)
     expected[1:, 1:] = levels[cells_of(image[2:5, 1:6])].astype(int).cumsum(0).cumsum(1)
     np.testing.assert_array_equal(integral, expected)
@@ -76,11 +88,11 @@ def test_means_of_a_box_and_its_ring(box, ring):
         own.sum() / (box[2] * box[3] * STEPS**2),
         (grown.sum() - own.sum()) / around if around else 0.0,
     ]
-    tables = np.stack([np.arange(256), np.zeros(256), np.zeros(256)]).astype(np.int32)
+    gray = np.array([[256, 256, 256], [1, 0, 0]], np.uint16)
     image, values = np.repeat(levels[:, :, None], 3, 2).astype(np.uint8), np.arange(256, dtype=np.uint8)
     for boxes in ([box], [box, (3.0, 12.0, 4.0, 4.0)]):  # whatever else is asked, in a larger crop
         means = np.full((len(boxes), 2), np.nan)
-        box_and_ring_means(image, tables, values, np.array(boxes), ring, means)
+        box_and_ring_means(image, gray, values, np.array(boxes), ring, means)
         np.testing.assert_allclose(means[0], expected, rtol=1e-12)
 
 

@@ -65,12 +65,30 @@ def bins_of_hue(hue: NDArray[np.int16], bin_of_hue: NDArray[np.uint8]) -> NDArra
 
 
 @compiled
-def fill_color_cells(image: NDArray[np.uint8], tables: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """(H, W) cell of each pixel of an (H, W, 3) image: the sum of what `tables` (3, 256) have of it."""
+def fill_cells(line: NDArray[np.uint8], layout: NDArray[np.uint16], cells: NDArray[np.uint16]) -> None:
+    """Write the cell of each pixel of `line` (3 W,) into `cells` (W,).
+
+    Args:
+        line: three channels of each pixel.
+        layout: (2, 3) of each channel how many levels it has, at most 256, and what one of them adds to the
+            number of a cell, which is at most 65535.
+        cells: filled.
+    """
+    one, two, three = layout[0, 0], layout[0, 1], layout[0, 2]
+    first, second, third = layout[1, 0], layout[1, 1], layout[1, 2]
+    half = np.uint16(8)
+    for x in range(len(cells)):  # whole numbers of 16 bits: four times as many at once as of 64
+        a = np.uint16(np.uint16(np.uint16(line[3 * x]) * one) >> half) * first
+        b = np.uint16(np.uint16(np.uint16(line[3 * x + 1]) * two) >> half) * second
+        c = np.uint16(np.uint16(np.uint16(line[3 * x + 2]) * three) >> half) * third
+        cells[x] = np.uint16(a) + np.uint16(b) + np.uint16(c)
+
+
+@compiled
+def fill_color_cells(image: NDArray[np.uint8], layout: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """(H, W) cell of each pixel of an (H, W, 3) image; `layout` as of `fill_cells`."""
     height, width = image.shape[0], image.shape[1]
     cells = np.empty((height, width), np.uint16)
     for y in range(height):
-        line, own = image[y].reshape(3 * width), cells[y]
-        for x in range(width):
-            own[x] = tables[0, line[3 * x]] + tables[1, line[3 * x + 1]] + tables[2, line[3 * x + 2]]
+        fill_cells(image[y].reshape(3 * width), layout, cells[y])
     return cells

@@ -10,25 +10,21 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.vision.kernels.color_kernels import fill_cells
+
+Words = NDArray[np.uint16]
 
 STEPS = 16
 """Steps of a pixel to which the edges of boxes are rounded."""
 
 
 @compiled
-def _fill_cells(line: Bytes, tables: NDArray[np.int32], cells: NDArray[np.int32]) -> None:
-    """Write the cell of each pixel of `line` (3 W,) into `cells` (W,)."""
-    for x in range(len(cells)):
-        cells[x] = tables[0, line[3 * x]] + tables[1, line[3 * x + 1]] + tables[2, line[3 * x + 2]]
-
-
-@compiled
-def count_cells(image: Bytes, tables: NDArray[np.int32], boxes: Floats, counts: Floats) -> None:
+def count_cells(image: Bytes, layout: Words, boxes: Floats, counts: Floats) -> None:
     """Fill `counts` (K, cells) with the pixels of the image that touch each box, by cell.
 
     Args:
         image: (H, W, 3), C order.
-        tables: (3, 256) each channel's part of a cell's number, which is the sum of the three.
+        layout: of `fill_cells`.
         boxes: (K, 4) centre boxes, each inside the one before it.
         counts: filled.
     """
@@ -42,12 +38,12 @@ def count_cells(image: Bytes, tables: NDArray[np.int32], boxes: Floats, counts: 
         bounds[k, 3] = int(np.ceil(min(max(y + down + 0.5, 0.0), float(height))))
     bounds[size] = 0
     first, last = bounds[0, 0], bounds[0, 1]
-    cells = np.empty(last - first, np.int32)
-    # Each pixel is counted in the smallest box that has it. Two counts each: the next pixel is often of the
-    # same cell, and would wait for this one.
-    even, odd = np.zeros(counts.shape, np.int64), np.zeros(counts.shape, np.int64)
+    cells = np.empty(last - first, np.uint16)
+    # Each pixel is counted in the smallest box that has it. Four counts each: the next pixels are often of
+    # the same cell, and would wait for this one.
+    apart = np.zeros((*counts.shape, 4), np.int32)
     for y in range(bounds[0, 2], bounds[0, 3]):
-        _fill_cells(image[y, first:last].reshape(3 * (last - first)), tables, cells)
+        fill_cells(image[y, first:last].reshape(3 * (last - first)), layout, cells)
         for k in range(size):
             if not bounds[k, 2] <= y < bounds[k, 3]:
                 break
@@ -55,17 +51,15 @@ def count_cells(image: Bytes, tables: NDArray[np.int32], boxes: Floats, counts: 
             left, right = stop, stop
             if bounds[k + 1, 2] <= y < bounds[k + 1, 3]:
                 left, right = bounds[k + 1, 0] - first, bounds[k + 1, 1] - first
-            one, other = even[k], odd[k]
+            own = apart[k]
             for begin, end in ((start, left), (right, stop)):
-                for x in range(begin, end - 1, 2):
-                    one[cells[x]] += 1
-                    other[cells[x + 1]] += 1
-                if (end - begin) % 2 == 1:
-                    one[cells[end - 1]] += 1
+                for x in range(begin, end):
+                    own[cells[x], x & 3] += 1
     for cell in range(counts.shape[1]):
         total = 0
         for k in range(size - 1, -1, -1):
-            total += even[k, cell] + odd[k, cell]
+            one = apart[k, cell]
+            total += one[0] + one[1] + one[2] + one[3]
             counts[k, cell] = total
 
 
@@ -83,21 +77,21 @@ def color_posterior(
 
 
 @compiled
-def integral_of_cells(image: Bytes, tables: NDArray[np.int32], levels: Bytes, crop: Ints) -> Ints:
+def integral_of_cells(image: Bytes, layout: Words, levels: Bytes, crop: Ints) -> Ints:
     """(H + 1, W + 1) sums of the pixels' levels above and left in a crop: the first row and column are 0.
 
     Args:
         image: (rows, columns, 3), C order.
-        tables: (3, 256) as of `count_cells`.
+        layout: of `fill_cells`.
         levels: (cells,) the value of each cell.
         crop: (4,) first and last column, first and last row, the last ones left out.
     """
     left, right, top, bottom = crop
     integral = np.empty((bottom - top + 1, right - left + 1), np.int64)
-    cells = np.empty(right - left, np.int32)
+    cells = np.empty(right - left, np.uint16)
     integral[0] = 0
     for y in range(bottom - top):
-        _fill_cells(image[top + y, left:right].reshape(3 * (right - left)), tables, cells)
+        fill_cells(image[top + y, left:right].reshape(3 * (right - left)), layout, cells)
         above, own = integral[y], integral[y + 1]
         own[0] = 0
         total = np.int64(0)
@@ -122,14 +116,14 @@ def _corner(integral: Ints, x: int, y: int) -> int:
 
 @compiled
 def box_and_ring_means(
-    image: Bytes, tables: NDArray[np.int32], levels: Bytes, boxes: Floats, ring: float, means: Floats
+    image: Bytes, layout: Words, levels: Bytes, boxes: Floats, ring: float, means: Floats
 ) -> None:
     """Mean level inside each box, and in the ring around it.
 
     What lies outside the frame counts as 0 inside a box; the ring is what of it lies inside the frame.
 
     Args:
-        image: of `integral_of_cells`; likewise `tables` and `levels`.
+        image: of `integral_of_cells`; likewise `layout` and `levels`.
         boxes: (N, 4) centre boxes, px.
         ring: width of the ring in mean sides of the box.
         means: (N, 2) filled.
@@ -153,7 +147,7 @@ def box_and_ring_means(
     if crop[0] >= crop[1] or crop[2] >= crop[3]:
         means[:] = 0.0
         return
-    integral = integral_of_cells(image, tables, levels, crop)
+    integral = integral_of_cells(image, layout, levels, crop)
     x0, y0 = crop[0] * STEPS, crop[2] * STEPS
     for k in range(len(boxes)):
         inside, whole, own_area, whole_area = 0, 0, 0, 0

@@ -49,17 +49,16 @@ class ColorCells:
             import cv2
 
             image, last = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2HSV_FULL), self.levels // 2
-        cells: NDArray[np.uint16] = fill_color_cells(for_reading(image), _tables(self.levels, last))
+        cells: NDArray[np.uint16] = fill_color_cells(for_reading(image), _layout(self.levels, last))
         return cells
 
 
 @lru_cache(maxsize=8)
-def _tables(levels: int, last: int) -> NDArray[np.uint16]:
-    """(3, 256) each channel's part of a cell's number, `last` values of the third."""
-    value, counts = np.arange(256), np.array([[levels], [levels], [last]])
-    tables: NDArray[np.uint16] = (value * counts // 256 * [[levels * last], [last], [1]]).astype(np.uint16)
-    tables.setflags(write=False)  # shared by all who ask for it
-    return tables
+def _layout(levels: int, last: int) -> NDArray[np.uint16]:
+    """(2, 3) levels of each channel, `last` of the third, and what one of them adds to a cell's number."""
+    layout = np.array([[levels, levels, last], [levels * last, last, 1]], np.uint16)
+    layout.setflags(write=False)  # shared by all who ask for it
+    return layout
 
 
 def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
