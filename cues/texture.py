@@ -32,6 +32,8 @@ from bayesnet_track.vision.planes.texture import TextureCodes
 
 STEP = 0.7
 """Factor of a local action on alpha."""
+FEW = 4
+"""Boxes whose pixels are counted one by one; more are faster by an integral image."""
 
 
 class TextureParameters(SizedCueParameters):
@@ -140,15 +142,22 @@ class Texture:
 
     def _shares(self, planes: Planes, boxes: Floats) -> Floats:
         """(N, cells, cells, codes) share of each code."""
-        from bayesnet_track.vision.kernels.texture_kernels import cell_shares, integral_histogram
+        from bayesnet_track.vision.kernels.texture_kernels import (
+            cell_shares,
+            counted_shares,
+            integral_histogram,
+        )
         from bayesnet_track.vision.planes.color_cells import seen_cells
 
         plane, cells = self._plane, self.parameters.cells
         boxes = np.ascontiguousarray(boxes, dtype=np.float64)
         codes, first = seen_cells(planes, plane, boxes)
+        shares = np.empty((len(boxes), cells, cells, plane.bins))
+        if len(boxes) <= FEW:
+            counted_shares(codes, boxes, int(first[0]), int(first[1]), cells, shares)
+            return shares
         integral = np.empty((codes.shape[0] + 1, codes.shape[1] + 1, plane.bins), np.int32)
         integral_histogram(codes, integral)
-        shares = np.empty((len(boxes), cells, cells, plane.bins))
         cell_shares(integral, boxes, int(first[0]), int(first[1]), cells, shares)
         return shares
 

@@ -7,7 +7,6 @@ joined. Both are functions of the target's state and the frame; time is read for
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -164,7 +163,7 @@ def measure_target(
         notices = (*notices, found)
     if score >= HELD and not unfit:
         verified = verification.follow(verified)
-    scored, notices = replace(scored, references=verified.references), (*notices, *verified.failed)
+    scored, notices = changed(scored, references=verified.references), (*notices, *verified.failed)
     return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
 
 

@@ -81,11 +81,12 @@ class Region:
 
     def within(self, frame: Frame) -> Region:
         """The part of the region inside the frame (possibly empty)."""
+        height, width = frame.image.shape[:2]
         return Region(
-            min(max(self.x0, 0), frame.width),
-            min(max(self.y0, 0), frame.height),
-            min(max(self.x1, 0), frame.width),
-            min(max(self.y1, 0), frame.height),
+            min(max(self.x0, 0), width),
+            min(max(self.y0, 0), height),
+            min(max(self.x1, 0), width),
+            min(max(self.y1, 0), height),
         )
 
     def union(self, other: Region) -> Region:

@@ -6,6 +6,7 @@ from bayesnet_track.vision.kernels.texture_kernels import (
     bhattacharyya,
     binary_patterns,
     cell_shares,
+    counted_shares,
     gradient_directions,
     integral_histogram,
 )
@@ -55,6 +56,20 @@ def test_shares_are_of_the_whole_cell_and_nothing_lies_outside():
                 expected = np.bincount(np.array(inside, int), minlength=3) / ((far - near) * (lower - upper))
                 np.testing.assert_allclose(found[i, j], expected)
     assert shares[0].sum() == 4.0 and shares[-1].sum() == 0.0
+    counted = np.full_like(shares, np.nan)
+    counted_shares(CODES, boxes, X0, Y0, 2, counted)
+    np.testing.assert_array_equal(counted, shares)
+
+
+def test_directions_are_those_of_the_angle_for_every_gradient():
+    dx, dy = (one.ravel() for one in np.meshgrid(np.arange(-255, 256), np.arange(-255, 256)))
+    gray = np.zeros((3, 3 * len(dx)), np.uint8)  # every third pixel has a gradient of its own
+    gray[1, 0::3], gray[1, 2::3] = np.maximum(-dx, 0), np.maximum(dx, 0)
+    gray[0, 1::3], gray[2, 1::3] = np.maximum(-dy, 0), np.maximum(dy, 0)
+    codes = np.empty((1, gray.shape[1] - 2), np.uint8)
+    gradient_directions(gray, 8, codes)
+    sectors = np.rint(np.degrees(np.arctan2(dy, dx)) / 45).astype(int) % 8
+    np.testing.assert_array_equal(codes[0, 0::3], np.where(np.abs(dx) + np.abs(dy) <= 8, 8, sectors))
 
 
 def test_the_coefficient_is_the_mean_over_the_cells():

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 
 from bayesnet_track.engine.scoring.score import LEAST_LOG, Scored
 from bayesnet_track.graph.settings.adapt import Lost
 from bayesnet_track.journal.events.statuses import FoundAgain
+from bayesnet_track.numerics.records import changed
 
 USUAL_FRAMES = 10
 """Frames on target whose median fit counts as usual."""
@@ -69,30 +70,30 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
     log_fit = max(math.log(look.fit), LEAST_LOG) if look.fit > 0.0 else LEAST_LOG
     if scored.missing is None:
         if look.surprise < SAYS_NOTHING:
-            return replace(scored, low=0), 1.0, None
+            return changed(scored, low=0), 1.0, None
         if look.score >= rule.score_below:
             if look.score < (rule.uncertain_below or rule.score_below):
-                return replace(scored, low=0), 1.0, None
+                return changed(scored, low=0), 1.0, None
             held = (*scored.fits, log_fit)[-USUAL_FRAMES:]
-            return replace(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
+            return changed(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
         low = scored.low + 1
         is_lost = low >= rule.frames and len(scored.fits) >= LEAST_FRAMES
-        return replace(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
+        return changed(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
     share = math.exp(log_fit - median(scored.fits))
     moved_px = math.hypot(look.x - scored.place[0], look.y - scored.place[1])
     away = moved_px / look.side_px
     strict = 1.0 / (1.0 + min(away, FAR_BOX))
     level = rule.found_fit**strict
     if share < level:
-        return replace(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
+        return changed(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
     again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
     if len(again) < rule.frames:
-        return replace(scored, again=again), 1.0, None
+        return changed(scored, again=again), 1.0, None
     # Where the target was badly held its usual fit is poor, and a look-alike reaches it, but no high score.
     beyond = min(max(away - 1.0, 0.0), FAR_BOX)
     score_level = (rule.uncertain_below or rule.score_below) ** (1.0 / (1.0 + beyond))
     if look.score < score_level:
-        return replace(scored, again=again[1:]), 0.5, None
+        return changed(scored, again=again[1:]), 0.5, None
     found = FoundAgain(
         look.frame,
         look.target,
@@ -106,4 +107,4 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
         look.score,
         score_level,
     )
-    return replace(scored, missing=None, again=(), low=0), 1.0, found
+    return changed(scored, missing=None, again=(), low=0), 1.0, found

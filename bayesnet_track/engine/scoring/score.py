@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import median
 from types import MappingProxyType
 
@@ -16,6 +16,7 @@ from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
 
 Region = tuple[float, float, float, float]
@@ -110,14 +111,14 @@ class Scored:
         }
         smooth = {name: smooth.get(name, self.smooth.get(name, 0.0)) for name in rule.coefficients}
         doubt = max(self.doubt - 1, 0)
-        return replace(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
+        return changed(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
 
 
 def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
     """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
     count = 0 if distractor is None else scored.distractors + 1
     doubt = distractor.hold if distractor is not None and count >= frames else scored.doubt
-    return replace(scored, distractors=count, doubt=doubt)
+    return changed(scored, distractors=count, doubt=doubt)
 
 
 def probability(rule: Logistic, features: Mapping[str, float]) -> float:
@@ -180,14 +181,14 @@ def marginal_points(posterior: Posterior) -> Floats:
 def _log_evidence(step: Step[Posterior], agent: str) -> float:
     """log of the sum of beta L over the hypotheses, beta their prior weights."""
     log = step.prior.log + step.evidence.messages[agent]
-    top = float(np.max(log))
-    return max(top + math.log(float(np.sum(np.exp(log - top)))), LEAST_LOG) if top > LEAST_LOG else LEAST_LOG
+    top = float(log.max())
+    return max(top + math.log(float(np.exp(log - top).sum())), LEAST_LOG) if top > LEAST_LOG else LEAST_LOG
 
 
 def _agreement(step: Step[Posterior], agents: list[str]) -> float:
-    best = int(np.argmax(step.support.weights.log))
+    best = int(step.support.weights.log.argmax())
     messages = [step.evidence.messages[agent] for agent in agents]
-    return _mean([max(float(one[best]) - float(np.max(one)), LEAST_LOG) for one in messages])
+    return _mean([max(float(one[best]) - float(one.max()), LEAST_LOG) for one in messages])
 
 
 def _mean(values: list[float]) -> float:

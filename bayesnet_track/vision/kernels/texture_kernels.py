@@ -14,7 +14,7 @@ PATTERNS = 10
 """Codes of binary patterns: 0 .. 8 brighter neighbours in one arc, 9 for more than one arc."""
 FLAT = 8
 """Code of a pixel without a gradient, after those of 8 directions."""
-_TANGENT = float(np.tan(np.pi / 8))
+_TANGENT = np.float32(np.tan(np.pi / 8))
 
 
 @compiled
@@ -47,22 +47,21 @@ def gradient_directions(gray: Bytes, noise: int, codes: Bytes) -> None:
         noise: sum of absolute central differences up to which a pixel is flat, gray levels.
         codes: (H, W) filled with 0 .. FLAT.
     """
+    limit = np.float32(noise)
     for y in range(codes.shape[0]):
-        for x in range(codes.shape[1]):
-            dx = np.int64(gray[y + 1, x + 2]) - np.int64(gray[y + 1, x])
-            dy = np.int64(gray[y + 2, x + 1]) - np.int64(gray[y, x + 1])
+        above, here, below = gray[y], gray[y + 1], gray[y + 2]
+        for x in range(codes.shape[1]):  # without branches, so that it becomes vector instructions
+            dx = np.float32(here[x + 2]) - np.float32(here[x])
+            dy = np.float32(below[x + 1]) - np.float32(above[x + 1])
             across, down = abs(dx), abs(dy)
-            if across + down <= noise:
-                code = 8
-            elif down < _TANGENT * across:
-                code = 0 if dx > 0 else 4
-            elif across < _TANGENT * down:
-                code = 2 if dy > 0 else 6
-            elif dy > 0:
-                code = 1 if dx > 0 else 3
-            else:
-                code = 7 if dx > 0 else 5
-            codes[y, x] = code
+            level = np.uint8(0) if dx > 0 else np.uint8(4)
+            upright = np.uint8(2) if dy > 0 else np.uint8(6)
+            rising = np.uint8(1) if dx > 0 else np.uint8(3)
+            falling = np.uint8(7) if dx > 0 else np.uint8(5)
+            code = rising if dy > 0 else falling
+            code = upright if across < _TANGENT * down else code
+            code = level if down < _TANGENT * across else code
+            codes[y, x] = np.uint8(8) if across + down <= limit else code
 
 
 @compiled
@@ -81,6 +80,13 @@ def integral_histogram(codes: Bytes, integral: Ints32) -> None:
 
 
 @compiled
+def _cell_edges(first: float, side: float, cell: int, cells: int) -> tuple[int, int]:
+    """First pixel of a cell and of the next one, of the `cells` of a side that begins at `first`, px."""
+    begin = int(np.floor(first + side * cell / cells + 0.5))
+    return begin, max(int(np.floor(first + side * (cell + 1) / cells + 0.5)), begin + 1)
+
+
+@compiled
 def cell_shares(integral: Ints32, boxes: Floats, x0: int, y0: int, cells: int, shares: Floats) -> None:
     """Share of each code in the cells of boxes, of the whole cell: what lies outside the crop has none.
 
@@ -95,17 +101,36 @@ def cell_shares(integral: Ints32, boxes: Floats, x0: int, y0: int, cells: int, s
     for k in range(boxes.shape[0]):
         left, top = boxes[k, 0] - 0.5 * boxes[k, 2] + 0.5, boxes[k, 1] - 0.5 * boxes[k, 3] + 0.5
         for i in range(cells):
-            upper = int(np.floor(top + boxes[k, 3] * i / cells + 0.5))
-            lower = max(int(np.floor(top + boxes[k, 3] * (i + 1) / cells + 0.5)), upper + 1)
+            upper, lower = _cell_edges(top, boxes[k, 3], i, cells)
             t, b = min(max(upper - y0, 0), rows), min(max(lower - y0, 0), rows)
             for j in range(cells):
-                near = int(np.floor(left + boxes[k, 2] * j / cells + 0.5))
-                far = max(int(np.floor(left + boxes[k, 2] * (j + 1) / cells + 0.5)), near + 1)
+                near, far = _cell_edges(left, boxes[k, 2], j, cells)
                 l, r = min(max(near - x0, 0), columns), min(max(far - x0, 0), columns)  # noqa: E741
                 area = float(far - near) * float(lower - upper)
                 for c in range(integral.shape[2]):
                     count = integral[b, r, c] - integral[t, r, c] - integral[b, l, c] + integral[t, l, c]
                     shares[k, i, j, c] = count / area
+
+
+@compiled
+def counted_shares(codes: Bytes, boxes: Floats, x0: int, y0: int, cells: int, shares: Floats) -> None:
+    """As `cell_shares`, from the codes (H, W) themselves: in less time where there are few boxes."""
+    rows, columns = codes.shape
+    counts = np.empty(shares.shape[3], np.int64)
+    for k in range(boxes.shape[0]):
+        left, top = boxes[k, 0] - 0.5 * boxes[k, 2] + 0.5, boxes[k, 1] - 0.5 * boxes[k, 3] + 0.5
+        for i in range(cells):
+            upper, lower = _cell_edges(top, boxes[k, 3], i, cells)
+            for j in range(cells):
+                near, far = _cell_edges(left, boxes[k, 2], j, cells)
+                counts[:] = 0
+                for y in range(max(upper - y0, 0), min(lower - y0, rows)):
+                    line = codes[y]
+                    for x in range(max(near - x0, 0), min(far - x0, columns)):
+                        counts[line[x]] += 1
+                area = float(far - near) * float(lower - upper)
+                for c in range(len(counts)):
+                    shares[k, i, j, c] = counts[c] / area
 
 
 @compiled

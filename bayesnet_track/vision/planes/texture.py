@@ -43,7 +43,8 @@ class TextureCodes:
         wanted = region.grown(1)
         has = wanted.within(frames.current)
         beyond = ((has.y0 - wanted.y0, wanted.y1 - has.y1), (has.x0 - wanted.x0, wanted.x1 - has.x1))
-        values = np.pad(gray(has.of(frames.current.image)), beyond, mode="edge")
+        values = gray(has.of(frames.current.image))
+        values = values if has == wanted else np.pad(values, beyond, mode="edge")
         if self.form == "patterns":
             binary_patterns(values, self.noise, codes)
         else:
