@@ -2,13 +2,15 @@
 
     python benchmarks/real_video_halves.py DATA_FOLDER --half A --graphs general,one.yaml --why WORDS
         [--seeds 2] [--first-seed 0] [--max-frames 150] [--peers-python PYTHON --models FOLDER]
-        [--looks FILE] [--processes 2]
+        [--looks FILE] [--processes 2] [--anchors 4] [--stride 2] [--backwards]
 
 The sequences are split by a coin that is tossed once and for all (`real_video_coin`), stratified by whether
 settings of `general` had been chosen on them before. `--half` says which are run: A, B, or both. The first
 graph is compared with each other one, paired by sequence, with bootstrap intervals; the new sequences are
 reported apart, and the difference without the sequence that moves it most. With `--best` it only prints the
 name of the graph with the largest mean of that half. Every call adds a line to the file of looks.
+`--anchors` begins in several places of each sequence, `--stride` and `--backwards` take its frames in another
+order; all passes of a sequence weigh as one sequence.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from pathlib import Path
 import numpy as np
 from measuring import environment, on_one_thread
 from real_video import SWITCHES, Elsewhere, changed, digest
+from real_video_anchors import add_arguments, anchors_of
 from real_video_coin import HALVES
 from real_video_frames import Frames, Pass, report
 from sequences import Sequence, find_sequences
@@ -49,7 +52,7 @@ def read_graph(name: str) -> tuple[str, GraphSpec]:
 
 def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Pass:
     """One pass of the engine, with what it said of every frame."""
-    tracker = Tracker(spec, seed)
+    tracker = Tracker(spec, seed, copy_frames=False)  # as OpenCV's, which copy none either
     start = tuple(float(value) for value in sequence.truth[0])
     held, every, found = [start], [start], Frames([], [], [], [])
     regions: tuple[list[tuple[float, ...]], list[tuple[float, ...]]] = ([(0.0,) * 4], [(0.0,) * 4])
@@ -152,15 +155,18 @@ def main() -> None:
     parser.add_argument("--looks", type=Path, default=Path(__file__).with_name("real_video_looks.jsonl"))
     parser.add_argument("--passes", type=Path, metavar="FILE", help="write every pass, a JSON object a line")
     parser.add_argument("--best", action="store_true", help="print only the graph with the best mean")
+    add_arguments(parser)
     options = parser.parse_args()
     on_one_thread()
     halves = ["A", "B"] if options.half == "both" else [options.half]
     names = [name for half in halves for name in HALVES[half]]
-    sequences = find_sequences(options.data, names, options.max_frames)
+    anchors = anchors_of(options)
+    sequences = [piece for one in find_sequences(options.data, names, None) for piece in anchors.of(one)]
     specs = [read_graph(name) for name in options.graphs.split(",")]
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     shown = ", ".join(f"{name} {digest(spec)}" for name, spec in specs)
     look = {"half": options.half, "graphs": shown, "seeds": str(seeds), "frames": options.max_frames}
+    look |= {"anchors": str(anchors)} if str(anchors) else {}
     note(options.looks, **look, why=options.why)
 
     passes = list(run_all(specs, sequences, seeds, options.processes))

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayesnet_track.graph.text.load import load_graph
+
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
@@ -30,6 +32,35 @@ def test_the_coin_splits_each_stratum_and_never_falls_anew(frames):
     assert {*coin.HALVES["A"], *coin.HALVES["B"]} == {*coin.OLD, *coin.NEW}
     assert [len(set(half) & set(coin.NEW)) for half in coin.HALVES.values()] == [6, 6]
     assert coin.HALVES["A"][:3] == ("Basketball", "Crossing", "Girl")
+
+
+def test_anchors_begin_where_enough_frames_remain_and_the_target_is_seen(frames):
+    """150 frames, 4 starts: 0, 37, 75, and 112 with too few left; at 37 there is no true box."""
+    anchors, sequences = sys.modules["real_video_anchors"], sys.modules["sequences"]
+    truth = np.arange(600.0).reshape(150, 4)
+    truth[37] = np.nan
+    one = sequences.Sequence("a", [Path(f"{k}.jpg") for k in range(150)], truth)
+
+    def places(**how):
+        return [[int(f.stem) for f in piece.files] for piece in anchors.Anchors(**how).of(one)]
+
+    assert places() == [[*range(150)]]
+    assert places(count=4, length=70) == [[*range(70)], [*range(75, 145)]]
+    assert places(stride=2, backwards=True, count=3) == [[*range(149, -1, -2)]]
+    (piece,) = anchors.Anchors(backwards=True, length=2).of(one)
+    assert (piece.name, piece.truth[:, 0].tolist()) == ("a", [596.0, 592.0])
+    assert [str(anchors.Anchors(4, 2, True)), str(anchors.Anchors())] == [
+        "4 starts, every 2 frames, backwards",
+        "",
+    ]
+
+
+@pytest.mark.parametrize("graph", ["general", "deep"])
+def test_a_graph_without_its_rules_is_valid(frames, graph):
+    name, spec = sys.modules["real_video_halves"].read_graph(f"{graph}:always")
+    plates = load_graph(spec).targets.values()
+    assert name == f"{graph}:always"
+    assert [plate.inference(plate.root).adapt for plate in plates] == [None]
 
 
 def _made(frames, sequence, iou, score, tracker="one", auc=0.5):
