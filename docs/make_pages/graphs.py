@@ -15,16 +15,17 @@ from bayesnet_track.graphs import graphs_about
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.detector import GIVEN
 
+CROWDS = "benchmarks/crowds.md"
 MEASURED: Mapping[str, str] = MappingProxyType(
     {
-        "general": "[success AUC .694 on 25 real sequences](benchmarks.md)",
-        "two_squares_velocity": "[47 of 50 random crossings](benchmarks.md#example-1)",
-        "two_squares": "[50 of 50 crossings as stated, 39 of 50 random ones](benchmarks.md)",
-        "kalman_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
-        "people_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
-        "sort": "[IDF1 .998 or more against `trackers`](benchmarks.md#trackers-of-the-field)",
-        "bytetrack": "[IDF1 1.000 against `trackers`](benchmarks.md#trackers-of-the-field)",
-        "oc_sort": "[IDF1 .984 or more against `trackers`](benchmarks.md#trackers-of-the-field)",
+        "general": "[success AUC .681 on 25 real sequences](benchmarks/real_video.md)",
+        "two_squares_velocity": "[47 of 50 random crossings](benchmarks/scenes.md#example-1)",
+        "two_squares": "[50 of 50 crossings as stated, 39 of 50 random ones](benchmarks/scenes.md)",
+        "kalman_detections": f"[MOTA .845 on noisy detections]({CROWDS}#many-people-in-a-real-sequence)",
+        "people_detections": f"[MOTA .845 on noisy detections]({CROWDS}#many-people-in-a-real-sequence)",
+        "sort": f"[IDF1 .998 or more against `trackers`]({CROWDS}#trackers-of-the-field)",
+        "bytetrack": f"[IDF1 1.000 against `trackers`]({CROWDS}#trackers-of-the-field)",
+        "oc_sort": f"[IDF1 .984 or more against `trackers`]({CROWDS}#trackers-of-the-field)",
         "orange_and_gray_detected": "[both squares in 49 of 50 scenes](targets.md)",
     }
 )
@@ -46,8 +47,8 @@ field's own trackers](field_trackers.md). The others belong to the scenes of
 graph NAME --formula` prints the density that a graph stands for.
 
 Cost is what the cues of all agents declare for 1000 hypotheses of 60 × 60 px, in ms, with all of them on: a
-figure to compare graphs by. [Benchmarks](benchmarks.md) have measured times. Where the column of accuracy
-is empty, no page has measured it.
+figure to compare graphs by. [Benchmarks](benchmarks/speed.md) have measured times. Where the column of
+accuracy is empty, no page has measured it.
 """
 
 

@@ -61,7 +61,7 @@ def benchmark() -> Iterator[Any]:
 
 
 def test_the_right_square_is_held_in_the_stated_geometry(benchmark: Any) -> None:
-    """docs/benchmarks.md: 50 of 50, with 1.17 agents per frame."""
+    """docs/benchmarks/scenes.md: 50 of 50, with 1.17 agents per frame."""
     script, seeds = benchmark("two_squares"), range(FRESH, FRESH + 12)
     runs = [script.engine_run("two_squares", two_squares(seed), seed) for seed in seeds]
     check([one.held for one in runs], (50, 50))
@@ -69,7 +69,7 @@ def test_the_right_square_is_held_in_the_stated_geometry(benchmark: Any) -> None
 
 
 def test_the_right_square_is_held_in_random_geometries(benchmark: Any) -> None:
-    """docs/benchmarks.md: 39 of 50, with 1.27 agents per frame; colour alone 24 of 50."""
+    """docs/benchmarks/scenes.md: 39 of 50, with 1.27 agents per frame; colour alone 24 of 50."""
     script, seeds = benchmark("two_squares"), range(FRESH, FRESH + 40)
     scenes = [two_squares(seed, random_geometry(np.random.default_rng(seed))) for seed in seeds]
     runs = [script.engine_run("two_squares", scene, seed) for scene, seed in zip(scenes, seeds, strict=True)]
@@ -79,7 +79,7 @@ def test_the_right_square_is_held_in_random_geometries(benchmark: Any) -> None:
 
 
 def test_velocity_as_evidence_survives_the_borders(benchmark: Any) -> None:
-    """docs/benchmarks.md: 47 of 50, with 1.06 agents per frame."""
+    """docs/benchmarks/scenes.md: 47 of 50, with 1.06 agents per frame."""
     script, seeds = benchmark("two_squares"), range(FRESH, FRESH + 16)
     scenes = [two_squares(seed, random_geometry(np.random.default_rng(seed))) for seed in seeds]
     graph = "two_squares_velocity"
@@ -99,7 +99,7 @@ def test_velocity_as_evidence_survives_the_borders(benchmark: Any) -> None:
 def test_a_hidden_target_is_found_again(
     benchmark: Any, graph: str, hidden: int, claimed: tuple[int, int]
 ) -> None:
-    """docs/benchmarks.md, "Occlusion"."""
+    """docs/benchmarks/scenes.md, "Occlusion"."""
     script, seeds = benchmark("occlusion"), range(FRESH, FRESH + 12)
     again = [script.engine_run(graph, occluder(seed, hidden), seed).again for seed in seeds]
     check(again, claimed)
