@@ -59,7 +59,7 @@ class SiameseBoxParameters(NetworkParameters):
         ge=0,
         le=1,
         description="Probability of the box below which the frame is looked at again, in the usual crop and "
-        "hardly bound to the prediction (no unit).",
+        "hardly bound to the prediction; what is found then counts from this probability on (no unit).",
     )
     min_probability: float = Field(
         default=0.1, ge=0, lt=1, description="Smallest probability of the chosen box; below, it is not seen."
@@ -70,6 +70,21 @@ class SiameseBoxParameters(NetworkParameters):
         description="Error of the centre at a probability of 1 (share of the box's sides).",
     )
     sd_size: float = Field(default=0.1, gt=0, description="The same of the sides (share of the box's sides).")
+
+
+@dataclass(frozen=True)
+class Found:
+    """A proposal that was chosen.
+
+    Attributes:
+        box: (4,) centre box, px.
+        probability: 0..1.
+        worth: the same, less what its change of size and shape costs.
+    """
+
+    box: Floats
+    probability: float
+    worth: float
 
 
 @dataclass(frozen=True)
@@ -104,21 +119,23 @@ class SiameseBox:
         Its sds are divided by its probability times what its change of size leaves.
         """
         p, expected = self.parameters, weights @ hypotheses.boxes
-        doubtful = min(p.window, DOUBTFUL_WINDOW)
-        for shown, window in ((p.crop_px, p.window), (p.crop_px, doubtful), (SEARCH, doubtful)):
-            found = self._look(planes[WholeFrame()], expected, shown, reference["template"], window)
-            if (0.0 if found is None else found[1]) >= p.sure_probability:
-                break
-        if found is None or found[1] < p.min_probability:
+        image, template = planes[WholeFrame()], reference["template"]
+        found = self._look(image, expected, p.crop_px, template, p.window)
+        if not _is_sure(found, p):
+            doubtful = min(p.window, DOUBTFUL_WINDOW)
+            again = (self._look(image, expected, side, template, doubtful) for side in (p.crop_px, SEARCH))
+            # What is far from the prediction counts only if it is sure.
+            found = next((one for one in again if _is_sure(one, p)), found)
+        if found is None or found.probability < p.min_probability:
             return None
-        box, _, worth = found
-        sds = np.tile(box[2:], 2) * np.repeat([p.sd_place, p.sd_size], 2) / max(worth, 0.1)
+        box = found.box
+        sds = np.tile(box[2:], 2) * np.repeat([p.sd_place, p.sd_size], 2) / max(found.worth, 0.1)
         return Measurement(("x", "y", "w", "h"), box, np.diag(sds**2), p.floor)
 
     def _look(
         self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float
-    ) -> tuple[Floats, float, float] | None:
-        """The proposal that is chosen in a crop around a centre box (4,), its probability, and its worth."""
+    ) -> Found | None:
+        """The proposal that is chosen in a crop around a centre box (4,)."""
         from bayesnet_track.vision.kernels.proposal_kernels import choose
         from bayesnet_track.vision.siamese.crops import context_side, search_crop
         from bayesnet_track.vision.siamese.networks import TEMPLATE
@@ -130,7 +147,11 @@ class SiameseBox:
             return None
         reach = WINDOW_PX / TEMPLATE * context_side(expected[2:])
         best, worth = choose(proposals, logs, expected, window, reach, p.size_penalty)
-        return proposals[best], float(np.exp(logs[best])), worth
+        return Found(proposals[best], float(np.exp(logs[best])), worth)
+
+
+def _is_sure(found: Found | None, parameters: SiameseBoxParameters) -> bool:
+    return (0.0 if found is None else found.probability) >= parameters.sure_probability
 
 
 def _sides(parameters: SiameseBoxParameters) -> tuple[int, ...]:

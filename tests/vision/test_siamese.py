@@ -150,6 +150,19 @@ def test_a_head_whose_shape_cannot_be_told_takes_no_smaller_crop(tmp_path, files
         load_networks(**odd, sides=(159,))
 
 
+@pytest.mark.parametrize(("contrast", "is_seen"), [(0, False), (4, False), (40, True)])
+def test_a_flat_crop_shows_nothing_whatever_the_network_says(contrast, is_seen):
+    sure = Response(np.ones((16, 16), np.float32), np.full((4, 16, 16), 20, np.float32), STRIDE)
+    stand_in = plain()
+    memory = Memory(Networks(stand_in.describe, lambda template, crop, size: sure))
+    image = np.zeros((240, 320, 3), np.uint8)
+    image[110:130, 150:170] = contrast
+    size = np.array([40.0, 40.0])
+    template = template_crop(np.array([159.5, 119.5, 40.0, 40.0])).cut(bright(160, 120))
+    boxes, logs = memory.proposals(image, search_crop(160.0, 120.0, size), template, size)
+    assert (len(boxes) > 0) == (len(logs) > 0) == is_seen
+
+
 def test_the_network_runs_once_for_the_same_question():
     runs, stand_in = [], plain()
     memory = Memory(Networks(stand_in.describe, lambda *given: runs.append(1) or stand_in.compare(*given)))

@@ -12,6 +12,8 @@ from bayesnet_track.vision.siamese.networks import TEMPLATE, Networks
 
 LEAST = 1e-4
 """Proposals of a smaller probability are left out."""
+FLAT = 8
+"""Gray levels between the darkest and the brightest of a crop in which nothing is to be seen."""
 TEMPLATES = 256
 """Templates whose descriptions are kept."""
 
@@ -51,7 +53,10 @@ class Memory:
             if len(self._described) >= TEMPLATES:
                 self._described.clear()
             features = self._described[shown] = self._networks.describe(template)
-        response = self._networks.compare(features, crop.cut(image), size * TEMPLATE / context_side(size))
+        seen = crop.cut(image)
+        if int(seen.max()) - int(seen.min()) < FLAT:
+            return np.empty((0, 4)), np.empty(0)
+        response = self._networks.compare(features, seen, size * TEMPLATE / context_side(size))
         probabilities = response.probabilities.reshape(-1).astype(np.float64)
         order = np.argsort(-probabilities, kind="stable")
         order = order[probabilities[order] >= LEAST]
