@@ -95,24 +95,25 @@ def test_nothing_probable_is_not_seen(measured):
     assert measured([(0, 0.05)], min_probability=0.01) is not None
 
 
-def test_deep_follows_a_target_by_plain_pixels_in_the_networks_place(tmp_path, scene):
+@pytest.fixture
+def tracker(tmp_path, scene):
+    """The graph `deep` with plain pixels in the network's place, in the first frame of the scene."""
     graph = tmp_path / "deep.yaml"
     graph.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
     tracker = Tracker(graph, seed=0)
     x, y, w, h = scene.box()
     tracker.init(scene.image(scene.start), (x - w / 2 + 0.5, y - h / 2 + 0.5, w, h))
+    return tracker
+
+
+def test_deep_follows_a_target_by_plain_pixels_in_the_networks_place(tracker, scene):
     for k in range(1, 16):
         _, found = tracker.update(scene.image(scene.start + np.array([2, 1]) * k))
     centre = np.array(found[:2]) + np.array(found[2:]) / 2 - 0.5
     assert np.abs(centre - scene.start - np.array([30, 15])).max() < 5.0
 
 
-def test_in_deep_a_copy_carries_the_box_between_the_runs_of_the_network(tmp_path, scene):
-    graph = tmp_path / "deep.yaml"
-    graph.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
-    tracker = Tracker(graph, seed=0)
-    x, y, w, h = scene.box()
-    tracker.init(scene.image(scene.start), (x - w / 2 + 0.5, y - h / 2 + 0.5, w, h))
+def test_in_deep_a_copy_carries_the_box_between_the_runs_of_the_network(tracker, scene):
     runs, events = [], []
     for k in range(1, 31):
         _, found = tracker.update(scene.image(scene.start + np.array([2, 1]) * k))
@@ -124,3 +125,19 @@ def test_in_deep_a_copy_carries_the_box_between_the_runs_of_the_network(tmp_path
     scheduled = [event for event in events if isinstance(event, Scheduled)]
     assert {event.frame for event in scheduled} <= set(runs)
     assert not [event for event in events if isinstance(event, Switch)]
+
+
+def test_deep_loses_its_target_in_black_frames_and_finds_it_again(tracker, scene):
+    status, scores = [], []
+    for k in range(1, 31):
+        place = scene.start + np.array([2, 1]) * k
+        image = scene.image(place)
+        _, found = tracker.update(np.zeros_like(image) if 8 <= k < 18 else image)
+        status.append(tracker.status)
+        scores.append(tracker.score)
+        if k >= 19:
+            centre = np.array(found[:2]) + np.array(found[2:]) / 2 - 0.5
+            assert np.abs(centre - place).max() < 5.0
+    assert max(scores[7:17]) < 0.1  # from the first black frame on
+    assert status[9:17] == ["lost"] * 8
+    assert status[20:] == ["tracking"] * 10
