@@ -55,6 +55,8 @@ def _layout(cells: Cells) -> NDArray[np.uint16]:
     return np.array([[cells.levels] * 3, strides], np.uint16)
 
 
+KEPT = 64
+"""Boxes of a frame whose counts are kept: many targets ask for more memory than they save time."""
 _OF_FRAME: WeakKeyDictionary[Frame, dict[tuple[Cells, bytes], Floats]] = WeakKeyDictionary()
 
 
@@ -64,11 +66,15 @@ def count_pixels(frame: Frame, cells: Cells, boxes: Floats) -> Floats:
     They are kept while the frame lives: an agent and a verifier learn in the same box.
     """
     known, asked = _OF_FRAME.setdefault(frame, {}), (cells, boxes.tobytes())
-    if asked not in known:
-        counts = np.empty((len(boxes), cells.count))
-        count_cells(for_reading(frame.image), cells.layout, plain(boxes), counts)
-        known[asked] = read_only(counts)
-    return known[asked]
+    counts = known.get(asked)
+    if counts is None:
+        filled = np.empty((len(boxes), cells.count))
+        count_cells(for_reading(frame.image), cells.layout, plain(boxes), filled)
+        counts = read_only(filled)
+        if len(known) >= KEPT:
+            known.clear()
+        known[asked] = counts
+    return counts
 
 
 def shares(counts: Floats) -> Floats:
