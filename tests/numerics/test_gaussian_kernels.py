@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.gaussian import linear_update, root, standard_normals, weighted_moments
-from bayesnet_track.numerics.kernels.gaussian_kernels import correct_fields, stand_for
+from bayesnet_track.numerics.kernels.gaussian_kernels import carry, correct_fields, stand_for
 
 ANYWHERE = (np.inf, np.inf)
 
@@ -17,11 +17,30 @@ def gaussian(seed, width, rank=None):
     return rng.normal(size=width) * 100.0 + 500.0, sides @ sides.T
 
 
+def points(mean, covariance, half, size, image):
+    width = len(mean)
+    lower, unit, states = np.empty((width, width)), np.empty((size, width)), np.empty((size, width))
+    is_full = stand_for(mean, covariance, half, (*image, 1e-6), unit, (lower, states))
+    return lower, unit, states, is_full
+
+
+@given(st.integers(0, 10_000), st.integers(1, 8))
+def test_a_gaussian_is_carried_by_a_linear_motion(seed, width):
+    mean, covariance = gaussian(seed, width)
+    noise, transition = gaussian(seed + 1, width)[1], np.random.default_rng(seed).normal(size=(width, width))
+    moved, spread = np.empty(width), np.empty((width, width))
+    carry(transition, noise, mean, covariance, moved, spread)
+    expected = transition @ covariance @ transition.T + noise
+    np.testing.assert_allclose(moved, transition @ mean, rtol=1e-9, atol=1e-9 * np.abs(mean).max())
+    np.testing.assert_allclose(spread, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_array_equal(spread, spread.T)
+
+
 @given(st.integers(0, 10_000), st.integers(4, 8), st.integers(18, 31))
 def test_they_are_the_whitened_draws_put_where_the_gaussian_is(seed, width, size):
     mean, covariance = gaussian(seed, width)
     half = np.random.default_rng(seed).standard_normal((size // 2, width))
-    lower, unit, states, is_full = stand_for(mean, covariance, half, size, ANYWHERE, 1e-6)
+    lower, unit, states, is_full = points(mean, covariance, half, size, ANYWHERE)
     assert is_full
     np.testing.assert_allclose(unit, standard_normals(size, width, np.random.default_rng(seed)), atol=1e-9)
     sds = np.sqrt(np.diag(covariance))
@@ -38,7 +57,7 @@ def test_they_are_the_whitened_draws_put_where_the_gaussian_is(seed, width, size
 def test_centres_stay_on_the_image_and_sizes_below_twice_its_own():
     half = np.random.default_rng(0).standard_normal((50, 4))
     mean, covariance = np.array([100.0, 50.0, 100.0, 50.0]), np.eye(4) * 200.0**2
-    _, _, states, _ = stand_for(mean, covariance, half, 100, (200.0, 100.0), 1e-6)
+    _, _, states, _ = points(mean, covariance, half, 100, (200.0, 100.0))
     np.testing.assert_array_equal(states.min(axis=0), [0, 0, 1, 1])
     np.testing.assert_array_equal(states.max(axis=0), [199, 99, 400, 200])
 
@@ -55,7 +74,7 @@ def test_centres_stay_on_the_image_and_sizes_below_twice_its_own():
 )
 def test_a_covariance_without_such_a_root_is_named(covariance):
     half = np.random.default_rng(0).standard_normal((10, 4))
-    assert not stand_for(np.zeros(4), covariance, half, 20, ANYWHERE, 1e-6)[3]
+    assert not points(np.zeros(4), covariance, half, 20, ANYWHERE)[3]
 
 
 @given(st.integers(0, 10_000), st.integers(4, 8))

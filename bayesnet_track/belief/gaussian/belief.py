@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
 
@@ -30,6 +30,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Hypotheses
 
 
@@ -128,7 +129,7 @@ class GaussianFilter:
             mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
-            return replace(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
+            return changed(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
         by_points = self.settings.filter == "unscented"
         after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
         stepped = _step(
@@ -139,7 +140,7 @@ class GaussianFilter:
             evidence,
             tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
         )
-        return replace(stepped, predicted=predicted)
+        return changed(stepped, predicted=predicted)
 
 
 def draws_of(settings: spec.Gaussian, width: int) -> int:

@@ -16,6 +16,7 @@ from bayesnet_track.belief.motion.nested import Nested
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
+from bayesnet_track.observation.shared import for_reading
 
 
 def predict(
@@ -31,14 +32,20 @@ def predict(
     Of a motion that is confined to an image, the predicted mean is confined, and the spread of each field of
     the box is at most that of a target which may be anywhere in the image.
     """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.gaussian_kernels import carry
+
     free = motion.motion if isinstance(motion, Confined) else motion
     transition, noise = free.linearise(mean, dt)
     if settings.filter == "unscented":
         mean, spread = unscented_moments(mean, covariance, free, dt, settings.sigma)
+        covariance = symmetric(spread + noise)
     else:
-        moved = transition @ mean if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
-        mean, spread = moved, transition @ covariance @ transition.T
-    covariance = symmetric(spread + noise)
+        moved, spread = np.empty(len(mean)), np.empty((len(mean), len(mean)))
+        carry(for_reading(transition), plain(noise), plain(mean), plain(covariance), moved, spread)
+        mean = moved if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
+        covariance = spread
     if isinstance(motion, Confined):
         mean = motion.confine_one(mean)
         covariance = _confine_moments(covariance, motion.spread_limit(mean))

@@ -32,6 +32,9 @@ from bayesnet_track.observation.cue import Measurement
 WORST = 1e-100
 """The least likelihood of a sigma point, as a share of the best: a parabola has no place for zero."""
 
+LEAST = math.sqrt(ALONE)
+"""A field whose sd is less than this share of it when the fields before are known follows from them."""
+
 FLAT = 1e-9
 """Log-likelihoods that differ by less than this, relative to the largest, say nothing: rounding."""
 
@@ -79,14 +82,13 @@ def _draw(
     from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.kernels.gaussian_kernels import stand_for
 
-    width, image = len(mean), (np.inf, np.inf)
+    width, bounds = len(mean), (math.inf, math.inf, LEAST)
     if isinstance(motion, Confined) and not motion.leaves_image:
-        image = float(motion.width), float(motion.height)
+        bounds = float(motion.width), float(motion.height), LEAST
     size = max(samples, 2 * (width + 1))
     half = rng.standard_normal((size // 2, width))
-    found = stand_for(plain(mean), plain(covariance), half, size, image, math.sqrt(ALONE))
-    lower, unit, states, is_full = found
-    if not is_full:
+    lower, unit, states = np.empty((width, width)), np.empty((size, width)), np.empty((size, width))
+    if not stand_for(plain(mean), plain(covariance), half, bounds, unit, (lower, states)):
         lower = root(covariance)
         width = lower.shape[1]
         size = max(samples, 2 * (width + 1))

@@ -124,7 +124,7 @@ class KinematicMotion:
         F is exact, and read-only. Q is exact for noise in px; relative noise is taken at the state's own
         size, noise of log w and log h to first order, and `heavy_tail` by its total variance.
         """
-        transition, kinematic = _kinematics(self, dt)
+        transition, kinematic = _kinematics(self.dynamics, self.diffusion, dt)
         covariance = kinematic.copy()
         w, h = state[2:4].tolist()
         x, y, ww, wh, hh = box_covariance(self.noise, w, h, dt)
@@ -254,10 +254,10 @@ def _same_sds(motion: KinematicMotion, dt: float) -> Floats:
 
 
 @lru_cache(maxsize=256)
-def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
+def _kinematics(dynamics: Rows, diffusion: float, dt: float) -> tuple[Floats, Floats]:
     """F and the kinematic part of Q, each (D, D), read-only."""
-    moves, covariance = steps(motion.dynamics, motion.diffusion, dt)
-    size = len(motion.fields)
+    moves, covariance = steps(dynamics, diffusion, dt)
+    size = 2 + 2 * len(dynamics)
     transition, noise_covariance = np.eye(size), np.zeros((size, size))
     for axis in (0, 1):
         columns = [axis, *range(4 + axis, size, 2)]

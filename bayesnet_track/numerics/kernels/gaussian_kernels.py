@@ -15,20 +15,57 @@ from bayesnet_track.numerics.kernels.cholesky_kernels import factor
 
 
 @compiled
-def stand_for(
-    mean: Floats, covariance: Floats, half: Floats, size: int, image: tuple[float, float], alone: float
-) -> tuple[Floats, Floats, Floats, bool]:
-    """States (size, D) that stand for a Gaussian, by draws `half` (size // 2, D) of N(0, I).
-
-    Their mean and covariance are its own, until centres are moved onto an image (width, height; infinite:
-    they go anywhere), and sizes to 1 px .. twice the image's. Before them come its root (D, D) and the states
-    in units of it (size, D); after them, whether each field keeps more than the share `alone` of its sd when
-    those before it are known. Else all the others are worthless.
-    """
-    width, pairs = mean.shape[0], half.shape[0]
-    lower, white = np.zeros((width, width)), np.zeros((width, width))
-    unit, states, room = np.zeros((size, width)), np.empty((size, width)), np.empty((width, width))
+def carry(
+    transition: Floats, noise: Floats, mean: Floats, covariance: Floats, moved: Floats, spread: Floats
+) -> None:
+    """Fill `moved` (D,) with F m and `spread` (D, D) with F P F' + Q, exactly symmetric."""
+    width = mean.shape[0]
+    across = np.empty((width, width))
     for i in range(width):
+        value = 0.0
+        for k in range(width):
+            value += transition[i, k] * mean[k]
+        moved[i] = value
+        for j in range(width):
+            value = 0.0
+            for k in range(width):
+                value += transition[i, k] * covariance[k, j]
+            across[i, j] = value
+    for i in range(width):
+        for j in range(width):
+            value = 0.0
+            for k in range(width):
+                value += across[i, k] * transition[j, k]
+            spread[i, j] = value + noise[i, j]
+    for i in range(width):
+        for j in range(i):
+            value = 0.5 * (spread[i, j] + spread[j, i])
+            spread[i, j], spread[j, i] = value, value
+
+
+@compiled
+def stand_for(
+    mean: Floats,
+    covariance: Floats,
+    half: Floats,
+    bounds: tuple[float, float, float],
+    unit: Floats,
+    filled: tuple[Floats, Floats],
+) -> bool:
+    """Fill states (N, D) that stand for a Gaussian, by draws `half` (N // 2, D) of N(0, I).
+
+    Their mean and covariance are its own, until centres are moved onto an image of the width and height in
+    `bounds` (infinite: they go anywhere), and sizes to 1 px .. twice the image's. `filled` are the Gaussian's
+    root (D, D) and the states; `unit` (N, D) is them in units of the root. True where each field keeps more
+    than the share of its sd that is last in `bounds` when those before it are known; else all is worthless.
+    """
+    (lower, states), (across, down, alone) = filled, bounds
+    size, width, pairs = unit.shape[0], mean.shape[0], half.shape[0]
+    white, room = np.zeros((width, width)), np.empty((width, width))
+    for i in range(width):
+        unit[size - 1, i] = 0.0  # that of an odd number has no opposite
+        for k in range(i + 1, width):
+            lower[i, k] = 0.0
         for k in range(i + 1):
             room[i, k] = covariance[i, k] / (math.sqrt(covariance[i, i]) * math.sqrt(covariance[k, k]))
     factor(room, lower, width)
@@ -56,14 +93,14 @@ def stand_for(
                 value += unit[n, k] * lower[i, k]
             states[n, i] = value
         for i in range(4):
-            extent = image[i % 2]
+            extent = down if i % 2 else across
             least = 0.0 if extent < np.inf else -np.inf
             low, high = (least, extent - 1.0) if i < 2 else (1.0, 2.0 * extent)
             if states[n, i] < low:
                 states[n, i] = low
             elif states[n, i] > high:
                 states[n, i] = high
-    return lower, unit, states, is_full
+    return is_full
 
 
 @compiled
