@@ -113,7 +113,7 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
         return changed(memory, self_check={}) if memory.self_check else memory
     streaks: dict[str, Streak] = {}
     active = set(now.net.active)
-    quiet = quiet_level(now.plate, now.net, memory, now.plate.root)
+    quiet = quiet_level(now.plate, now.net.active, memory, now.plate.root)
     for agent, ud in now.measures.agent_ud_px2.items():
         check = now.plate.agent(agent).self_check
         reading = None if check is None else read_level(check.above, ud, now.measures.area_px2, quiet)
@@ -279,7 +279,7 @@ def _choose_drop(
     # Without it the rule that switches agents on would not call it back at once.
     level = rules.deactivate.below if rules.activate is None else rules.activate.above
     assert level is not None
-    quiet = quiet_level(now.plate, now.net, memory, node)
+    quiet = quiet_level(now.plate, now.net.active, memory, node)
     spared = [
         agent
         for agent, ud in index.items()

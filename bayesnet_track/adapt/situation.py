@@ -51,14 +51,14 @@ class Situation:
     call: Call | None = None
 
 
-def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:
-    """The measured baseline of a node's UD in px^2 with the agents now active; None while unknown."""
-    return memory.quiet.get(node, NO_QUIET).level_px2(active_below(plate, net, node))
+def quiet_level(plate: CheckedTarget, active: frozenset[str], memory: Memory, node: str) -> float | None:
+    """The measured baseline of a node's UD in px^2 with the agents that are `active`; None while unknown."""
+    return memory.quiet.get(node, NO_QUIET).level_px2(plate.below[node] & active)
 
 
 def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
     """The UD of an inference node in the level's unit."""
-    quiet = quiet_level(now.plate, now.net, memory, node) if level.kind == "ud_baseline" else None
+    quiet = quiet_level(now.plate, now.net.active, memory, node) if level.kind == "ud_baseline" else None
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 

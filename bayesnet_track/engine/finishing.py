@@ -194,7 +194,7 @@ def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> De
     plate = work.plate_of(filtered.target).plate
     see = partial(_see, work, filtered, measured)
     chosen, memory = decide(see(), filtered.before.memory)
-    return Decided(chosen, memory, quiet_level(plate, measured.net, memory, plate.root), see)
+    return Decided(chosen, memory, quiet_level(plate, measured.net.active, memory, plate.root), see)
 
 
 def _see(work: FrameWork, filtered: Filtered, measured: Measured) -> Situation:

@@ -185,7 +185,7 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
     rate, at_parts = rate * seen, dict[str, float]()
     if measures.parts:
-        quiet_of = partial(quiet_level, compiled.plate, net, decided.memory)
+        quiet_of = partial(quiet_level, compiled.plate, net.active, decided.memory)
         at_parts = {part: own * seen for part, own in part_rates(rule, measures.parts, quiet_of).items()}
     score, least = measured.score, None if rule is None else rule.score_above
     likely = score is not None and least is not None and score > least

@@ -12,15 +12,18 @@ import numpy as np
 
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.adapt.measures import Call
+from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.on_call import is_due, on_call_rule
 from bayesnet_track.adapt.situation import quiet_level
-from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
+from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.state import TargetState, with_agents
+from bayesnet_track.engine.state import TargetState, plan_for
+from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import each_at_once
+from bayesnet_track.inference.measure import columns_of
 from bayesnet_track.inference.observe import (
     Observer,
     Question,
@@ -31,7 +34,6 @@ from bayesnet_track.inference.observe import (
 )
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
-from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import region_of_boxes
 
@@ -46,7 +48,7 @@ def plan_without_calls(work: FrameWork, target: str, before: TargetState) -> Pla
         return plan
     by_hand = work.net.targets[target].by_hand
     first = {agent for agent in plan.active if plate.governor[agent] != plate.root or agent in by_hand}
-    return with_agents(work.plate_of(target), before, frozenset(first)).plan if first else plan
+    return plan_for(work.plate_of(target), frozenset(first)) if first else plan
 
 
 def call_agents(
@@ -62,11 +64,12 @@ def call_agents(
     where none of the first gave an answer. Then, or where they gave none themselves, nothing can be compared.
     """
     plan, first, by = steps
-    root = work.plate_of(target).plate.inference(work.plate_of(target).plate.root)
+    plate, net = work.plate_of(target).plate, work.net.targets[target]
+    root = plate.inference(plate.root)
     agents = tuple(one.agent for one in before.plan.observations if one.agent not in plan.active)
     alone = estimate(root.estimate, first)
-    reading = _read(work, target, before, (plan, first), alone)
-    due = is_due(work.net.targets[target], work.frame.index) or plan.active <= _without_answer(observer)
+    reading = _read(plate, before.memory, plan, first, alone)
+    due = is_due(net, work.frame.index) or plan.active <= _without_answer(observer)
     if not due and (reading is None or not reading.above):
         return plan, first, Call(agents, ran=False)
     _ask_around(before.plan, observer, agents, hypotheses_of(alone[None], first.posterior.fields))
@@ -101,15 +104,12 @@ def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hyp
 
 
 def _read(
-    work: FrameWork, target: str, before: TargetState, by: tuple[Plan, Step[Posterior]], state: Floats
+    plate: CheckedTarget, memory: Memory, plan: Plan, step: Step[Posterior], state: Floats
 ) -> Reading | None:
-    """UD of the belief `by` the agents of a plan, without those on call; its estimate is `state` (D,)."""
-    plan, step = by
-    plate, net = work.plate_of(target).plate, work.net.targets[target]
+    """UD of a step by the agents of a plan, without those on call; its estimate is `state` (D,)."""
     rule = on_call_rule(plate)
     assert rule is not None
-    columns = [BOX_FIELDS.index(name) for name in plate.inference(plate.root).ud_fields]
-    ud_px2 = step.posterior.uncertainty(step.map_state, columns)
+    ud_px2 = step.posterior.uncertainty(step.map_state, columns_of(plate, plate.root))
     # Of more agents the baseline is lower: they would always be called.
-    quiet = quiet_level(plate, changed(net, active=plan.active), before.memory, plate.root)
+    quiet = quiet_level(plate, plan.active, memory, plate.root) if rule.above.kind == "ud_baseline" else None
     return read_level(rule.above, ud_px2, float(state[2] * state[3]), quiet)

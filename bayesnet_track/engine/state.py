@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +17,7 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
 
@@ -58,13 +59,12 @@ def recompile(engine: Engine, net: Net, target: str, state: TargetState) -> Targ
 
 def with_agents(compiled: CompiledPlate, state: TargetState, agents: frozenset[str]) -> TargetState:
     """The state with a plan for exactly these agents."""
-    if agents == state.plan.active:
-        return state
-    return replace(state, plan=_plan_for(compiled, agents))
+    plan = state.plan if agents == state.plan.active else plan_for(compiled, agents)
+    return state if plan is state.plan else changed(state, plan=plan)
 
 
 @lru_cache(maxsize=256)
-def _plan_for(compiled: CompiledPlate, agents: frozenset[str]) -> Plan:
+def plan_for(compiled: CompiledPlate, agents: frozenset[str]) -> Plan:
     """The plan of a plate with these agents: the same few take turns where agents are sampled."""
     return compile_plan(compiled.plate, agents, compiled.cues)
 

@@ -86,7 +86,7 @@ def _measure_flat(target: CheckedTarget, plan: Plan, step: Step[Posterior], area
     asked: Found[tuple[float, float, float]] = Found(agents, partial(_ask_flat, target, plan, step, agents))
     kl, strength, agent_ud = (Found(agents, partial(_part_of, asked, which)) for which in range(3))
     return Measures(
-        ud_px2={target.root: step.posterior.uncertainty(step.map_state, _columns(target, target.root))},
+        ud_px2={target.root: step.posterior.uncertainty(step.map_state, columns_of(target, target.root))},
         agent_ud_px2=agent_ud,
         kl=kl,
         contribution=dict(zip(agents, contributions, strict=True)),
@@ -168,17 +168,18 @@ def _rows(arrays: Iterable[Floats], size: int) -> Floats:
     return np.array(list(arrays), dtype=np.float64).reshape(-1, size)
 
 
-def _columns(target: CheckedTarget, node: str) -> tuple[int, ...]:
-    return _columns_of(tuple(target.inference(node).ud_fields))
+def columns_of(target: CheckedTarget, node: str) -> tuple[int, ...]:
+    """The columns of a state over which UD of a node is taken."""
+    return _indices(tuple(target.inference(node).ud_fields))
 
 
 @lru_cache(maxsize=64)
-def _columns_of(fields: tuple[str, ...]) -> tuple[int, ...]:
+def _indices(fields: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(BOX_FIELDS.index(name) for name in fields)
 
 
 def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Floats) -> float:
-    columns = select(_columns(target, node))
+    columns = select(columns_of(target, node))
     return uncertainty_deviation(boxes[:, columns], np.exp(log), centre[columns])
 
 
@@ -189,13 +190,13 @@ def _node_uds(
     parts: Mapping[str, PartBelief],
 ) -> dict[str, float]:
     """UD of every inference node, the root's first."""
-    uds = {target.root: step.posterior.uncertainty(step.map_state, _columns(target, target.root))}
+    uds = {target.root: step.posterior.uncertainty(step.map_state, columns_of(target, target.root))}
     for node in target.order:
         above = target.parent[node]
         if above is None or node not in target.children:
             continue
         if node in parts:
-            uds[node] = parts[node].uncertainty(_columns(target, node))
+            uds[node] = parts[node].uncertainty(columns_of(target, node))
         elif node in beliefs:
             latent = step.evidence.latent.get(node)
             boxes = step.support.boxes if latent is None else latent.boxes
@@ -218,9 +219,9 @@ def _inherit(
     while above is not None and above != target.root and above not in beliefs and above not in parts:
         above = target.parent[above]
     if above is not None and above in parts:
-        return parts[above].uncertainty(_columns(target, node))
+        return parts[above].uncertainty(columns_of(target, node))
     if above is None or above == target.root:
-        return step.posterior.uncertainty(step.map_state, _columns(target, node))
+        return step.posterior.uncertainty(step.map_state, columns_of(target, node))
     latent = step.evidence.latent.get(above)
     boxes = step.support.boxes if latent is None else latent.boxes
     return _ud(target, node, boxes, beliefs[above], boxes[int(np.argmax(beliefs[above]))])
