@@ -41,17 +41,28 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
     else:
         states = {**dict(zip(BOX_FIELDS, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
         away = measured.seen.less(measured.seen.function(states), measured.mean)
+    log = _log_of(away, measured)
+    return floored(log, measured.floor) if measured.floor > 0 else log
+
+
+def _log_of(away: Floats, measured: Measurement) -> Floats:
+    """(N,) -d^2 / 2 of errors (N, K) of a measurement."""
+    if measured.variances is not None:
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.compiled import plain
+        from bayesnet_track.numerics.kernels.gaussian_kernels import independent_log
+
+        log = np.empty(len(away))
+        independent_log(plain(away), np.array(measured.variances), FAR * FAR, log)
+        return log
     with np.errstate(over="ignore", invalid="ignore"):
-        if measured.variances is not None:
-            sds = (away / np.sqrt(measured.covariance.diagonal())).T
-        else:
-            sds = np.linalg.solve(np.linalg.cholesky(measured.covariance), away.T)
+        sds = np.linalg.solve(np.linalg.cholesky(measured.covariance), away.T)
         sds *= sds
         log = np.asarray(-0.5 * sds.sum(axis=0))
     if not math.isfinite(log.min(initial=0.0)):  # also where one is NaN
         squares = np.nan_to_num(np.clip(sds, 0.0, FAR * FAR), nan=FAR * FAR)
         log = np.asarray(-0.5 * np.sum(squares, axis=0))
-    return floored(log, measured.floor) if measured.floor > 0 else log
+    return log
 
 
 def to_power(measured: Measurement, power: float) -> Measurement:

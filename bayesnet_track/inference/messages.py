@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 
@@ -206,6 +206,10 @@ def without(
     agents = {step.agent for step in plan.observations} - {agent}
     said = {name: message for name, message in evidence.messages.items() if name in agents}
     said |= evidence.factors
+    if not evidence.latent:
+        silent = {name for name, own in evidence.measured.items() if own is None}
+        seeing = {name: message for name, message in said.items() if name not in silent}
+        return join_plain(plan, seeing, (len(prior_log),))
     measured = {name: own for name, own in evidence.measured.items() if name in agents}
     return join_messages(plan, said, measured, evidence.latent, hypotheses, prior_log).messages
 
@@ -263,7 +267,4 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
 
 def _region(at: Mapping[str, Hypotheses]) -> Region:
     """The smallest region that holds every hypothesis of every node."""
-    region = Region(0, 0, 0, 0)
-    for hypotheses in at.values():
-        region = region.union(region_of_boxes(hypotheses.boxes))
-    return region
+    return reduce(Region.union, (region_of_boxes(hypotheses.boxes) for hypotheses in at.values()))

@@ -238,13 +238,13 @@ def _check_covariance(measured: Measurement) -> str | None:
     covariance, variances = measured.covariance, measured.variances
     if variances is not None:  # independent errors need no solver
         definite = min(variances) > 0.0
-        inverted: Floats | float = 1.0 / min(variances) if definite else 0.0
+        invertible = not definite or math.isfinite(1.0 / min(variances))
     else:
         definite = np.allclose(covariance, covariance.T) and bool(np.linalg.eigvalsh(covariance)[0] > 0)
-        inverted = np.asarray(np.linalg.inv(covariance), np.float64) if definite else 0.0
+        invertible = not definite or bool(np.isfinite(np.linalg.inv(covariance)).all())
     if not definite:
         return "measured a covariance that is not symmetric and positive definite"
-    return None if np.isfinite(inverted).all() else "measured a covariance too small to be inverted"
+    return None if invertible else "measured a covariance too small to be inverted"
 
 
 def _check_choices(

@@ -43,7 +43,7 @@ def plain(array: NDArray[np.float64]) -> NDArray[np.float64]:
     """`array` as float64, writable and in C order, so that a kernel has one compiled version only."""
     if array.dtype.char == "d" and array.flags.carray:
         return array
-    return np.require(array, np.float64, ("C", "W"))
+    return np.array(array, np.float64, order="C")
 
 
 def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:

@@ -109,12 +109,11 @@ def update_by_fields(
     ([0.0, 5.0], [[1.0, 0.0], [0.0, 2.0]], 12.5)
     """
     # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.kernels.gaussian_kernels import correct_fields
 
     at, spread = np.array(mean), np.array(covariance, order="C")
-    d2, log_likelihood = correct_fields(
-        at, spread, np.array(columns), np.array(measured, np.float64), np.array(variances)
-    )
+    d2, log_likelihood = correct_fields(at, spread, np.array(columns), plain(measured), np.array(variances))
     return Updated(at, spread, d2, log_likelihood)
 
 

@@ -129,3 +129,15 @@ def correct_fields(
         d2 += innovation * innovation / expected
         log_ratio += math.log(kept)
     return d2, 0.5 * log_ratio - 0.5 * d2
+
+
+@compiled
+def independent_log(away: Floats, variances: Floats, most: float, log: Floats) -> None:
+    """Fill `log` (N,) with -d^2 / 2 of errors (N, K) of the variances (K,), each at most sqrt(`most`) sds."""
+    for n in range(away.shape[0]):
+        d2 = 0.0
+        for k in range(away.shape[1]):
+            sds = away[n, k] / math.sqrt(variances[k])
+            square = sds * sds
+            d2 += square if square < most else most  # also where it is NaN
+        log[n] = -0.5 * d2
