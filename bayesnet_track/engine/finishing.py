@@ -29,7 +29,7 @@ from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
 from bayesnet_track.engine.scoring.verifying import HELD, Verification
-from bayesnet_track.engine.state import TargetState, inside_frame_all
+from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes
@@ -72,8 +72,7 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> Results
     left = {target: filtered[target] for target in names if target not in together}
     results: dict[str, TargetResult] = {}
     states = {target: estimate_target(work, one) for target, one in left.items()}
-    inside = inside_frame_all(np.array([state[:4] for state in states.values()]).reshape(-1, 4), work.frame)
-    boxes = dict(zip(states, inside, strict=True))
+    boxes = {target: inside_frame(state[:4], work.frame) for target, state in states.items()}
     started = work.engine.clock()
     measures = measure_all(work, left, boxes)
     measured = {

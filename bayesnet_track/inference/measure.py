@@ -12,7 +12,7 @@ from bayesnet_track.adapt.measures import Measures, PartMeasure
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure_rows import is_flat
+from bayesnet_track.inference.measure_rows import is_alone, is_flat
 from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
@@ -80,7 +80,10 @@ def _measure_flat(target: CheckedTarget, plan: Plan, step: Step[Posterior], area
     """`measure` of a net whose only belief is the root's; what rules seldom ask for is found when they do."""
     evidence, prior, root = step.evidence, step.prior.log, step.support.weights.log
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
-    without_each = tilt(prior, _rows(_left(target, plan, step, agents), len(prior)))
+    if is_alone(plan):
+        without_each = prior[None]
+    else:
+        without_each = tilt(prior, _rows(_left(target, plan, step, agents), len(prior)))
     contributions = divergences(root, without_each).tolist() if agents else ()
     silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
     asked: Found[tuple[float, float, float]] = Found(agents, partial(_ask_flat, target, plan, step, agents))
@@ -110,11 +113,6 @@ def _left(target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequ
     ]
 
 
-def is_alone(plan: Plan) -> bool:
-    """Whether nobody but one agent says anything."""
-    return len(plan.observations) == 1 and not plan.factors
-
-
 def _ask_flat(
     target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequence[str]
 ) -> dict[str, tuple[float, float, float]]:
@@ -136,8 +134,8 @@ def fit_of(messages: Sequence[Floats]) -> float:
     """Largest geometric mean of a hypothesis' likelihood over agents, whose messages (N,) these are."""
     if not messages:
         return 0.0
-    mean = sum((own / len(messages) for own in messages), np.zeros(len(messages[0])))
-    return float(np.exp(min(mean.max(), 0.0)))
+    first, *others = (own if len(messages) == 1 else own / len(messages) for own in messages)
+    return float(np.exp(min(float(sum(others, first).max()), 0.0)))
 
 
 def _asks_for_the_dispensable(target: CheckedTarget, governor: str) -> bool:

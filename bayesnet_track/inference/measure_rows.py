@@ -42,6 +42,11 @@ def is_flat(target: CheckedTarget) -> bool:
     )
 
 
+def is_alone(plan: Plan) -> bool:
+    """Whether nobody but one agent says anything: without it the prior is left."""
+    return len(plan.observations) == 1 and not plan.factors
+
+
 def is_plain(plan: Plan, step: Step[Any]) -> bool:
     """Whether a step of a flat net is of particles that all of its agents, one at least, scored."""
     evidence = step.evidence
@@ -134,7 +139,9 @@ def measure_rows(target: CheckedTarget, plan: Plan, looks: Looks, areas_px2: Seq
     """What is measured of plain steps of a flat net."""
     agents, columns, messages = [one.agent for one in plan.observations], _columns(target), looks.messages
     boxes = np.ascontiguousarray(looks.states[:, :, columns])
-    without = tilt(looks.prior, _without_each(plan, agents, messages))
+    without = (
+        looks.prior[None] if is_alone(plan) else tilt(looks.prior, _without_each(plan, agents, messages))
+    )
     nats = divergences(np.array([looks.log] * len(agents)), without).T
     fits = np.exp(
         np.minimum(sum((own / len(agents) for own in messages), np.zeros_like(looks.prior)).max(axis=1), 0.0)
