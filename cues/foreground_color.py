@@ -120,7 +120,7 @@ class ForegroundColor:
         sizes = *((w + more, h + more) for more in around), (w, h), (p.inner * w, p.inner * h)
         boxes = np.array([(x, y, *size) for size in sizes])
         counts = f.count_pixels(frame, self._cells(frame), boxes)
-        of_rings, foreground = f.shares(counts[:2] - counts[2]), f.shares(counts[3])
+        *of_rings, foreground = f.shares_of(counts)
         learnt = {
             "foreground": foreground,
             "background": of_rings[int(p.surround < p.wide)],

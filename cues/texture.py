@@ -32,7 +32,7 @@ from bayesnet_track.vision.planes.texture import TextureCodes
 
 STEP = 0.7
 """Factor of a local action on alpha."""
-FEW = 4
+FEW = 5
 """Boxes whose pixels are counted one by one; more are faster by an integral image."""
 
 
@@ -96,11 +96,12 @@ class Texture:
         the colour histogram (thesis figure 3.2).
         """
         p = self.parameters
-        shares = self._shares(planes, box[None])[0]
+        boxes = np.tile(box, (5, 1)).astype(np.float64)
+        boxes[1:, :2] += HALF_OVERLAP * box[2:]
+        shares, *shifted = self._shares(planes, boxes)
         seen = shares.sum(axis=-1, keepdims=True)
         shares = np.divide(shares, seen, out=np.zeros_like(shares), where=seen > 0)
-        shifted = np.concatenate([box[:2] + HALF_OVERLAP * box[2:], np.tile(box[2:], (4, 1))], axis=1)
-        alpha = p.alpha_share * float(self._distances(planes, shifted, shares).mean())
+        alpha = p.alpha_share * float(_distances(np.array(shifted), shares).mean())
         return {
             "shares": shares,
             "alpha": np.array(max(alpha, p.alpha_min)),
@@ -121,7 +122,7 @@ class Texture:
         p, alpha = self.parameters, float(reference["alpha"]) * factor_of(reference)
         if not reference["shares"].any():
             return np.zeros(len(hypotheses))
-        distances = self._distances(planes, hypotheses.boxes, reference["shares"])
+        distances = _distances(self._shares(planes, hypotheses.boxes), reference["shares"])
         similarity = log_logistic(distances, alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
@@ -129,16 +130,6 @@ class Texture:
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
         """A sharper likelihood; None at once when the reference has seen nothing."""
         return sharpen(reference, attempt, STEP) if reference["shares"].any() else None
-
-    def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> Floats:
-        """(N,) Bhattacharyya distances to the reference's shares, 0..1."""
-        from bayesnet_track.numerics.compiled import plain
-        from bayesnet_track.vision.kernels.texture_kernels import bhattacharyya
-
-        found = self._shares(planes, boxes)
-        coefficients = np.empty(len(found))
-        bhattacharyya(found, plain(shares), coefficients)
-        return np.asarray(np.sqrt(1.0 - coefficients))
 
     def _shares(self, planes: Planes, boxes: Floats) -> Floats:
         """(N, cells, cells, codes) share of each code."""
@@ -160,6 +151,16 @@ class Texture:
         integral_histogram(codes, integral)
         cell_shares(integral, boxes, int(first[0]), int(first[1]), cells, shares)
         return shares
+
+
+def _distances(found: Floats, shares: Floats) -> Floats:
+    """(N,) Bhattacharyya distances of shares (N, cells, cells, codes) from the reference's, 0..1."""
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.vision.kernels.texture_kernels import bhattacharyya
+
+    coefficients = np.empty(len(found))
+    bhattacharyya(found, plain(shares), coefficients)
+    return np.asarray(np.sqrt(1.0 - coefficients))
 
 
 def _make(parameters: TextureParameters) -> Cue:

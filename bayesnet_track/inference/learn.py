@@ -133,7 +133,7 @@ def learn_references(
 def blend_reference(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
     """A reference between `old` (rate 0) and `new` (rate 1), or what went wrong."""
     try:
-        return _check(cue.blend(shown(old), shown(new), rate))
+        return check_reference(cue.blend(shown(old), shown(new), rate))
     except AgentUnavailable as error:
         return Missing(str(error))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
@@ -151,7 +151,7 @@ def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: i
         return None
     try:
         tuned = cue.adapt(shown(reference), attempt)
-        return None if tuned is None else _check(tuned)
+        return None if tuned is None else check_reference(tuned)
     except AgentUnavailable as error:
         availability.note(agent, Missing(str(error)))
         return None
@@ -180,11 +180,11 @@ def _learnt(
     try:
         method, arguments = _to_learn(lesson, agent)
         if agent not in old:
-            return _check(getattr(cue, method)(*arguments))
+            return check_reference(getattr(cue, method)(*arguments))
         known, rate = shown(old[agent]), rates[agent]
         if method == "learn":
-            return _check(follow(cue, known, rate, *arguments))
-        return _check(cue.blend(known, getattr(cue, method)(*arguments), rate))
+            return check_reference(follow(cue, known, rate, *arguments))
+        return check_reference(cue.blend(known, getattr(cue, method)(*arguments), rate))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
         return _failure(error)
 
@@ -231,7 +231,7 @@ def _to_learn(lesson: Lesson, agent: str) -> tuple[str, tuple[Any, ...]]:
 
 def _collect(wait: Wait[Reference]) -> Reference | str | Missing:
     try:
-        return _check(wait())
+        return check_reference(wait())
     except FAULTS as error:
         return _failure(error)
 
@@ -253,7 +253,8 @@ def check_references(references: Sequence[Reference]) -> Sequence[Reference] | N
     return references if together else [seal(one) for one in references]
 
 
-def _check(reference: Reference) -> Reference | str:
+def check_reference(reference: Reference) -> Reference | str:
+    """What a cue learnt of one target, each array for reading only; or which of them is not finite."""
     for name, values in reference.items():
         array = np.asarray(values)
         if array.dtype.kind in "fc" and not _is_finite(array):

@@ -18,6 +18,7 @@ from bayesnet_track.vision.kernels.foreground_kernels import (
     box_and_ring_means,
     color_posterior,
     count_cells,
+    ring_shares,
 )
 
 TOP = 255
@@ -77,9 +78,14 @@ def count_pixels(frame: Frame, cells: Cells, boxes: Floats) -> Floats:
     return counts
 
 
-def shares(counts: Floats) -> Floats:
-    """(..., cells) counts divided by their sum; all 0 where nothing was counted."""
-    return np.asarray(counts / np.maximum(counts.sum(axis=-1, keepdims=True), 1.0))
+def shares_of(counts: Floats) -> Floats:
+    """(3, cells) shares of colours in two boxes without what the third holds, and in the last one.
+
+    `counts` (4, cells) are those of `count_pixels`; all 0 where nothing was counted.
+    """
+    filled = np.empty((3, counts.shape[1]))
+    ring_shares(for_reading(counts), filled)
+    return filled
 
 
 def grow_boxes(boxes: Floats, ring: float) -> Floats:
@@ -103,4 +109,6 @@ def posterior(shares: Mapping[str, Floats], memory: float, prior: float) -> Byte
     `memory`. `prior` is that of a colour which none of them has; it counts as a share of `UNSEEN`.
     """
     f, b, old = (for_reading(shares[name]) for name in ("foreground", "background", "memory"))
-    return color_posterior(f, b, old, memory, (prior * UNSEEN, UNSEEN))
+    found = np.empty(len(f), np.uint8)
+    color_posterior(f, b, old, memory, (prior * UNSEEN, UNSEEN), found)
+    return found

@@ -11,6 +11,7 @@ from bayesnet_track.vision.kernels.foreground_kernels import (
     color_posterior,
     count_cells,
     integral_of_cells,
+    ring_shares,
 )
 
 LAYOUT = np.array([[4, 4, 4], [16, 4, 1]], np.uint16)
@@ -99,4 +100,15 @@ def test_means_of_a_box_and_its_ring(box, ring):
 def test_the_posterior_of_colours():
     f, b, old = np.random.default_rng(5).random((3, 100))
     expected = (f + 0.25) / (f + (0.7 * b + 0.3 * old) + 0.5)
-    np.testing.assert_array_equal(color_posterior(f, b, old, 0.3, (0.25, 0.5)), np.rint(255 * expected))
+    found = np.empty(len(f), np.uint8)
+    color_posterior(f, b, old, 0.3, (0.25, 0.5), found)
+    np.testing.assert_array_equal(found, np.rint(255 * expected))
+
+
+def test_shares_are_of_the_pixels_around_a_box_and_of_those_in_the_last():
+    counts = np.array([[9.0, 5, 0], [4, 4, 0], [3, 1, 0], [1, 1, 0]])
+    shares = np.empty((3, 3))
+    ring_shares(counts, shares)
+    np.testing.assert_array_equal(shares, [[0.6, 0.4, 0], [0.25, 0.75, 0], [0.5, 0.5, 0]])
+    ring_shares(np.ones((4, 3)), shares)
+    np.testing.assert_array_equal(shares[:2], 0.0)

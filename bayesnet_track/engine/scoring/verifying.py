@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.spec import Verifier
-from bayesnet_track.inference.learn import check_references, follow, over_frames
+from bayesnet_track.inference.learn import check_reference, follow, over_frames
 from bayesnet_track.inference.observe import check_log_likelihood
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.numerics.arrays import Floats
@@ -46,7 +46,7 @@ class VerifierAtWork:
         if self.needs_color and not cache.frames.current.has_color:
             return "needs colour, and the source is gray"
         try:
-            return _checked(self.cue.learn(self.planes(cache, box), box.copy()))
+            return check_reference(self.cue.learn(self.planes(cache, box), box.copy()))
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             return f"raised {said(error)}"
 
@@ -66,7 +66,7 @@ class VerifierAtWork:
             return reference
         try:
             planes = self.planes(cache, box)
-            return _checked(follow(self.cue, shown(reference), self.learn_rate, planes, box.copy()))
+            return check_reference(follow(self.cue, shown(reference), self.learn_rate, planes, box.copy()))
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             return f"raised {said(error)}"
 
@@ -158,8 +158,3 @@ class Verification:
 
     def _failed(self, faults: Mapping[str, str]) -> tuple[VerifierFailed, ...]:
         return tuple(VerifierFailed(self.frame, self.target, name, why) for name, why in faults.items())
-
-
-def _checked(reference: Reference) -> Reference | str:
-    checked = check_references([reference])
-    return "made a reference that is not finite" if checked is None else checked[0]

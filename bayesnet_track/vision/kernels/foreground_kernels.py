@@ -64,16 +64,39 @@ def count_cells(image: Bytes, layout: Words, boxes: Floats, counts: Floats) -> N
 
 
 @compiled
+def ring_shares(counts: Floats, shares: Floats) -> None:
+    """Fill `shares` (3, cells) from the counts (4, cells) of two boxes, of a box in both, and of one in that.
+
+    Of the pixels around the third box in the first and in the second, and of those in the last; 0 where there
+    are none.
+    """
+    for k in range(3):
+        total = 0.0
+        for cell in range(counts.shape[1]):
+            own = counts[3, cell] if k == 2 else counts[k, cell] - counts[2, cell]
+            shares[k, cell] = own
+            total += own
+        for cell in range(counts.shape[1]):
+            shares[k, cell] /= max(total, 1.0)
+
+
+@compiled
 def color_posterior(
-    foreground: Floats, background: Floats, memory: Floats, share: float, unseen: tuple[float, float]
-) -> Bytes:
-    """(cells,) 255 f / (f + b), b with the `share` of `memory`; `unseen` is added to f and to f + b."""
-    found = np.empty(len(foreground), np.uint8)
+    foreground: Floats,
+    background: Floats,
+    memory: Floats,
+    share: float,
+    unseen: tuple[float, float],
+    found: Bytes,
+) -> None:
+    """Fill `found` (cells,) with 255 f / (f + b), b with the `share` of `memory`.
+
+    `unseen` is added to f and to f + b.
+    """
     for cell in range(len(foreground)):
         around = (1.0 - share) * background[cell] + share * memory[cell]
         of_all = (foreground[cell] + unseen[0]) / (foreground[cell] + around + unseen[1])
         found[cell] = np.uint8(np.rint(255.0 * of_all))
-    return found
 
 
 @compiled
