@@ -128,9 +128,9 @@ class SiameseBox:
             found = next((one for one in again if _is_sure(one, p)), found)
         if found is None or found.probability < p.min_probability:
             return None
-        box = found.box
-        sds = np.tile(box[2:], 2) * np.repeat([p.sd_place, p.sd_size], 2) / max(found.worth, 0.1)
-        return Measurement(("x", "y", "w", "h"), box, np.diag(sds**2), p.floor)
+        box, worth = found.box, max(found.worth, 0.1)
+        sds = [side * sd / worth for sd in (p.sd_place, p.sd_size) for side in box[2:].tolist()]
+        return Measurement(("x", "y", "w", "h"), box, np.diag([sd * sd for sd in sds]), p.floor)
 
     def _look(
         self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float

@@ -33,7 +33,7 @@ from bayesnet_track.inference.observe import (
     remember,
 )
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.numerics.boxes import overlap_of_two
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import region_of_boxes
 
@@ -77,7 +77,7 @@ def call_agents(
     ran = tuple(agent for agent in agents if agent not in out)
     if not ran or plan.active <= out:
         return before.plan, both, None
-    share = float(overlap(alone[:4], estimate(root.estimate, both)[:4]))
+    share = overlap_of_two(alone[:4], estimate(root.estimate, both)[:4])
     cause = None if due or reading is None else reading.cause(1, reading.value)
     return before.plan, both, Call(ran, True, share, cause)
 

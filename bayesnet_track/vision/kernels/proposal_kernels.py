@@ -4,8 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Singles
 from bayesnet_track.numerics.compiled import compiled
+
+
+@compiled
+def read_boxes(
+    sides: Singles, corner: tuple[float, float], whole: int, shown: int, stride: int, boxes: Floats
+) -> None:
+    """Fill `boxes` (S * S, 4), row by row, with the centre boxes that a map says in pixels of the frame.
+
+    Args:
+        sides: (4, S, S) how far left, top, right and bottom are from the middle of each cell, px of the crop.
+        corner: x and y where the crop begins.
+        whole: side of the crop in the frame; it is `shown` in so many px.
+        stride: from cell to cell, px of the crop.
+        boxes: filled; sides of no extent are left tiny.
+    """
+    cells, scale, middle = sides.shape[1], whole / shown, 0.5 * shown
+    for row in range(cells):
+        for column in range(cells):
+            own = boxes[row * cells + column]
+            for axis in range(2):
+                place = float(((row if axis else column) - cells // 2) * stride)
+                before = np.float64(sides[axis, row, column])
+                after = np.float64(sides[2 + axis, row, column])
+                own[axis] = corner[axis] + scale * (middle + place + 0.5 * (after - before))
+                own[2 + axis] = scale * max(before + after, 1e-3)
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Response
 
 TILE = 0.8
@@ -46,14 +48,12 @@ class Crop:
 
     def boxes(self, response: Response) -> Floats:
         """(S * S, 4) centre boxes in the frame, px, row by row; sides of no extent are left tiny."""
-        cells = len(response.probabilities)
-        line = (np.arange(cells) - cells // 2) * float(response.stride)
-        left, top, right, bottom = response.sides.reshape(4, cells, cells).astype(np.float64)
-        scale, middle = self.side / self.shown, 0.5 * self.shown
-        x = self.left - 0.5 + scale * (middle + line[None, :] + 0.5 * (right - left))
-        y = self.top - 0.5 + scale * (middle + line[:, None] + 0.5 * (bottom - top))
-        w, h = (scale * np.maximum(extent, 1e-3) for extent in (left + right, top + bottom))
-        return np.stack([x, y, w, h], axis=-1).reshape(-1, 4)
+        from bayesnet_track.vision.kernels.proposal_kernels import read_boxes
+
+        sides = for_reading(response.sides)
+        boxes = np.empty((sides.shape[1] * sides.shape[2], 4))
+        read_boxes(sides, (self.left - 0.5, self.top - 0.5), self.side, self.shown, response.stride, boxes)
+        return boxes
 
 
 def _mean_color(image: Bytes) -> Bytes:
@@ -65,8 +65,8 @@ def _mean_color(image: Bytes) -> Bytes:
 
 def context_side(size: Floats) -> float:
     """Side of the square that the template shows, px, for a target of w, h: half their sum around it."""
-    w, h = (float(side) for side in size)
-    return max(float(np.sqrt((w + 0.5 * (w + h)) * (h + 0.5 * (w + h)))), 2.0)
+    w, h = size.tolist()
+    return max(math.sqrt((w + 0.5 * (w + h)) * (h + 0.5 * (w + h))), 2.0)
 
 
 def template_crop(box: Floats) -> Crop:

@@ -136,7 +136,7 @@ def _response(scores: Singles, sides: Singles) -> Response:
         raise SiameseError(
             f"gives outputs of {_shape(scores)} and {_shape(sides)}; allowed: 1x2xSxS and 1x4xSxS"
         )
-    difference = np.clip(scores[0, 0] - scores[0, 1], -80.0, 80.0)
+    difference = (scores[0, 0] - scores[0, 1]).clip(-80.0, 80.0)
     return Response((1.0 / (1.0 + np.exp(difference))).astype(np.float32), sides[0], STRIDE)
 
 
