@@ -110,6 +110,8 @@ def follow_all(
     rates: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, Reference]]:
     """Target -> its references after learning in its box (4,); without those of plates whose cues fail."""
+    if not rates:
+        return {}
     moved = {target: dict(references) for target, references in before.items()}
     plates = {work.plate_of(target).plate.name: work.plate_of(target) for target in rates}
     for compiled in plates.values():

@@ -40,8 +40,10 @@ def divergences(f: Floats, g: Floats) -> Floats:
     Of T targets, (M, T, N) gives (M, T).
     """
     shared = np.exp(f)
-    with np.errstate(invalid="ignore"):  # 0 times the infinity of log 0, which counts nothing
+    if shared.all():
         terms = shared * (f - g)
-    if not shared.all():
+    else:
+        with np.errstate(invalid="ignore"):  # 0 times the infinity of log 0, which counts nothing
+            terms = shared * (f - g)
         terms[np.broadcast_to(shared == 0.0, terms.shape)] = 0.0
     return np.asarray(np.maximum(terms.sum(axis=-1), 0.0))

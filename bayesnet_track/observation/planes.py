@@ -82,6 +82,8 @@ class Region:
     def within(self, frame: Frame) -> Region:
         """The part of the region inside the frame (possibly empty)."""
         height, width = frame.image.shape[:2]
+        if 0 <= self.x0 <= self.x1 <= width and 0 <= self.y0 <= self.y1 <= height:  # the usual case
+            return self
         return Region(
             min(max(self.x0, 0), width),
             min(max(self.y0, 0), height),

@@ -136,10 +136,9 @@ class Measurement:
     @cached_property
     def variances(self) -> tuple[float, ...] | None:
         """(K,) those of the errors where they are independent; None where they are not."""
-        rows = self.covariance.tolist()
-        if any(value for i, row in enumerate(rows) for k, value in enumerate(row) if i != k):
-            return None
-        return tuple(row[k] for k, row in enumerate(rows))
+        own = self.covariance.diagonal()
+        apart = np.count_nonzero(self.covariance) == np.count_nonzero(own)
+        return tuple(own.tolist()) if apart else None
 
 
 @runtime_checkable

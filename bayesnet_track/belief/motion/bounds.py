@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -61,7 +62,7 @@ class Confined(Wrapped):
             held[2], held[3] = min(max(w, 1.0), 2.0 * across), min(max(h, 1.0), 2.0 * down)
         return held
 
-    @property
+    @cached_property
     def leaves_image(self) -> bool:
         """Whether the model's centres go on beyond the image."""
         return bool(getattr(self.motion, "leaves_image", False))
