@@ -145,6 +145,8 @@ def _checks_itself(plate: CheckedTarget) -> bool:
 
 def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: list[Decision]) -> Memory:
     """Activate above, deactivate below; one kind of decision per node and frame."""
+    if rules.activate is None and rules.deactivate is None:
+        return memory
     up = down = Streak()
     fired = False
     if rules.activate is not None:
