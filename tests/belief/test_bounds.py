@@ -44,12 +44,19 @@ def test_the_spread_is_at_most_that_of_a_box_anywhere():
     mean, draws = np.array([30.0, 100.0, 50.0, 60.0]), np.random.default_rng(0).random((200_000, 4))
     anywhere = draws * [319, 239, 639, 479] + [0, 0, 1, 1]
     expected = np.sqrt(((anywhere - mean) ** 2).mean(axis=0))
-    np.testing.assert_allclose(motion.spread_limit(mean), expected, rtol=0.01)
+    wide = np.full((4, 4), 2000.0**2) + np.eye(4)
+    held, spread = motion.confine_moments(mean, wide)
+    np.testing.assert_array_equal(held, mean)
+    np.testing.assert_allclose(np.sqrt(spread.diagonal()), expected, rtol=0.01)
+    np.testing.assert_allclose(spread, np.outer(*[np.sqrt(spread.diagonal())] * 2), rtol=1e-5)
+    np.testing.assert_array_equal(motion.confine_moments(mean, np.eye(4))[1], np.eye(4))
 
 
 def test_one_state_is_confined_as_several_are():
     confined = Confined(WALK, width=120, height=100)
     for state in ([-3.0, 120.0, 0.5, 300.0], [130.0, -1.0, 260.0, 0.0], [60.0, 50.0, 30.0, 20.0]):
         one = np.array(state)
-        np.testing.assert_array_equal(confined.confine_one(one), confined.confine(one[None].copy())[0])
+        held, spread = confined.confine_moments(one, np.eye(4))
+        np.testing.assert_array_equal(held, confined.confine(one[None].copy())[0])
+        np.testing.assert_array_equal(spread, np.eye(4))
         assert one.tolist() == state

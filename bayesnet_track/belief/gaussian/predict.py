@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
@@ -46,10 +43,7 @@ def predict(
         carry(for_reading(transition), plain(noise), plain(mean), plain(covariance), moved, spread)
         mean = moved if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
         covariance = spread
-    if isinstance(motion, Confined):
-        mean = motion.confine_one(mean)
-        covariance = _confine_moments(covariance, motion.spread_limit(mean))
-    return mean, covariance
+    return motion.confine_moments(mean, covariance) if isinstance(motion, Confined) else (mean, covariance)
 
 
 def unscented_moments(
@@ -120,16 +114,3 @@ def _is_positive(covariance: Floats) -> bool:
     sds = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(sds > 0, sds, 1.0)
     return bool(np.linalg.eigvalsh(symmetric(covariance / np.outer(scale, scale)))[0] > -1e-9)
-
-
-def _confine_moments(covariance: Floats, limits: Sequence[float]) -> Floats:
-    """The covariance with the sds of the first fields at most `limits`, correlations kept."""
-    variances = covariance.diagonal().tolist()[: len(limits)]
-    if all(own <= limit * limit for own, limit in zip(variances, limits, strict=True)):
-        return covariance
-    shrink = np.ones(len(covariance))
-    shrink[: len(limits)] = [
-        min(1.0, limit / math.sqrt(own)) if own > 0 else 1.0
-        for own, limit in zip(variances, limits, strict=True)
-    ]
-    return covariance * np.outer(shrink, shrink)

@@ -50,17 +50,15 @@ class Confined(Wrapped):
             confine(moved, float(self.width), float(self.height))
         return moved
 
-    def confine_one(self, state: Floats) -> Floats:
-        """A copy of the state (D,), confined."""
-        x, y, w, h = state[:4].tolist()
-        held = state.copy()
-        if self.leaves_image:
-            held[2:4] = max(w, 1.0), max(h, 1.0)
-        else:
-            across, down = float(self.width), float(self.height)
-            held[0], held[1] = min(max(x, 0.0), across - 1.0), min(max(y, 0.0), down - 1.0)
-            held[2], held[3] = min(max(w, 1.0), 2.0 * across), min(max(h, 1.0), 2.0 * down)
-        return held
+    def confine_moments(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """Copies of a mean (D,), confined, and of a covariance (D, D), no wider than of a box anywhere."""
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.kernels.kinematic_kernels import confine_moments
+
+        across, down = (math.inf, math.inf) if self.leaves_image else (float(self.width), float(self.height))
+        held, spread = np.array(mean, np.float64), np.array(covariance, np.float64, order="C")
+        confine_moments(held, spread, across, down)
+        return held, spread
 
     @cached_property
     def leaves_image(self) -> bool:
@@ -72,15 +70,4 @@ class Confined(Wrapped):
         """(2,) width and height of the image; infinite where nothing is confined to it."""
         return np.array(
             [np.inf, np.inf] if self.leaves_image else [self.width, self.height], dtype=np.float64
-        )
-
-    def spread_limit(self, mean: Floats) -> tuple[float, ...]:
-        """Root mean square distances from the state `mean` (D,), by x, y, w, h, of a box anywhere."""
-        if self.leaves_image:
-            return (math.inf,) * 4
-        low, across, down = (0.0, 0.0, 1.0, 1.0), float(self.width), float(self.height)
-        high = across - 1.0, down - 1.0, 2.0 * across, 2.0 * down
-        return tuple(
-            math.sqrt((b - a) ** 2 / 12 + (at - (a + b) / 2) ** 2)
-            for a, b, at in zip(low, high, mean[:4].tolist(), strict=True)
         )

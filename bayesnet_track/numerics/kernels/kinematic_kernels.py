@@ -65,6 +65,33 @@ def confine(states: Floats, width: float, height: float) -> None:
 
 
 @compiled
+def confine_moments(mean: Floats, covariance: Floats, width: float, height: float) -> None:
+    """In place: the mean (D,) as by `confine`, and its sds by x, y, w, h at most those of a box anywhere.
+
+    Those are root mean square distances from the mean. Correlations are kept. In an image that is infinite
+    centres go anywhere.
+    """
+    shrink, shrinks = np.ones(mean.shape[0]), False
+    for k in range(4):
+        extent = width if k % 2 == 0 else height
+        low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+        if mean[k] < low and (k >= 2 or extent < np.inf):
+            mean[k] = low
+        elif mean[k] > high:
+            mean[k] = high
+        if extent < np.inf:
+            away = mean[k] - (low + high) / 2
+            most = np.sqrt((high - low) * (high - low) / 12 + away * away)
+            own = covariance[k, k]
+            if own > most * most:
+                shrink[k], shrinks = min(1.0, most / np.sqrt(own)), True
+    if shrinks:
+        for i in range(mean.shape[0]):
+            for j in range(mean.shape[0]):
+                covariance[i, j] *= shrink[i] * shrink[j]
+
+
+@compiled
 def scale_steps(
     steps: Floats,
     areas: Floats,
