@@ -102,9 +102,11 @@ class Template:
         found = self.find(planes[WholeFrame()], expected, reference)
         if found is None or found[1] < p.min_correlation:
             return None
-        box, correlation = found
-        variances = (np.tile(box[2:], 2) * np.repeat([p.sd_place, p.sd_size], 2) / max(correlation, 0.1)) ** 2
-        variances[:2] += p.sd_shift**2 * np.sum((box[:2] - expected) ** 2)
+        (box, correlation), (x, y) = found, expected.tolist()
+        right, below, w, h = box.tolist()
+        shift = p.sd_shift**2 * ((right - x) * (right - x) + (below - y) * (below - y))
+        sds = [side * sd / max(correlation, 0.1) for sd in (p.sd_place, p.sd_size) for side in (w, h)]
+        variances = [sd * sd + more for sd, more in zip(sds, (shift, shift, 0.0, 0.0), strict=True)]
         return Measurement(("x", "y", "w", "h"), box, np.diag(variances), p.floor)
 
     def find(self, image: Bytes, place: Floats, reference: Reference) -> tuple[Floats, float] | None:
@@ -121,7 +123,8 @@ class Template:
         # Cells of the template's own size, so that it fits without a shift where it was cut out.
         gray, left, top = _gray_around(image, np.concatenate([place, size / cells * area_cells]))
         area = _shrunk(gray, area_cells)
-        if np.ptp(area) == 0:  # OpenCV says 1 where both are flat, but nothing says where
+        least, most, _, _ = cv2.minMaxLoc(area)
+        if least == most:  # OpenCV says 1 where both are flat, but nothing says where
             return None
         across, down = gray.shape[1] / area.shape[1], gray.shape[0] / area.shape[0]
         best, found = 0.0, None
@@ -129,7 +132,7 @@ class Template:
             template = reference[name]
             answers = np.asarray(cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED))
             weight = preferred(answers.shape, side)
-            row, column = divmod(int(np.argmax(answers * weight)), answers.shape[1])
+            row, column = divmod(int((answers * weight).argmax()), answers.shape[1])
             value = float(answers[row, column])
             worth = value * float(weight[row, column]) * (1.0 if scale == 1.0 else OTHER_SIZE)
             if best < worth < np.inf:
@@ -183,7 +186,7 @@ def between(line: NDArray[np.float32], at: int) -> float:
     """
     if not 0 < at < len(line) - 1:
         return 0.0
-    before, here, after = (float(value) for value in line[at - 1 : at + 2])
+    before, here, after = line[at - 1 : at + 2].tolist()
     bend = before - 2.0 * here + after
     return max(-1.0, min(1.0, 0.5 * (before - after) / bend)) if bend < -1e-6 else 0.0
 
