@@ -26,7 +26,7 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.opencv_trackers import Session, missing_tracker
+from bayesnet_track.vision.opencv_trackers import FILES, Session, missing_tracker
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
 TrackerName = Literal[
@@ -147,10 +147,10 @@ class OpencvTracker:
         if session.likeness < p.min_correlation:
             session.refuse()
             return None
-        score = 1.0 if session.score is None else session.score
-        sd = np.maximum(p.sd_box * session.box[2:] / max(score, 0.1), 0.5)
-        variance = np.tile(sd**2, 2)
-        return Measurement(("x", "y", "w", "h"), session.box, np.diag(variance), p.floor)
+        score = None if session.score is None else min(max(session.score, 0.0), 1.0)
+        sd = np.maximum(p.sd_box * session.box[2:] / (1.0 if score is None else max(score, 0.1)), 0.5)
+        covariance = np.diag(np.tile(sd**2, 2))
+        return Measurement(("x", "y", "w", "h"), session.box, covariance, p.floor, confidence=score)
 
     def _session(self, arrays: Reference) -> Session:
         p = self.parameters
@@ -161,6 +161,10 @@ class OpencvTracker:
 
 def _missing(parameters: OpencvTrackerParameters) -> str | None:
     return missing_tracker(parameters.tracker, parameters.models)
+
+
+def _is_confident(parameters: OpencvTrackerParameters) -> bool:
+    return parameters.tracker in FILES  # the others have no score
 
 
 def _make(parameters: OpencvTrackerParameters) -> MeasuringCue:
@@ -181,4 +185,5 @@ CUE = CueDeclaration(
     missing=_missing,
     files=lambda parameters: tuple(parameters.models.values()),
     measures=True,
+    is_confident=_is_confident,
 )

@@ -128,9 +128,10 @@ class SiameseBox:
             found = next((one for one in again if _is_sure(one, p)), found)
         if found is None or found.probability < p.min_probability:
             return None
-        box, worth = found.box, max(found.worth, 0.1)
+        box, worth, sure = found.box, max(found.worth, 0.1), found.probability
         sds = [side * sd / worth for sd in (p.sd_place, p.sd_size) for side in box[2:].tolist()]
-        return Measurement(("x", "y", "w", "h"), box, np.diag([sd * sd for sd in sds]), p.floor)
+        covariance = np.diag([sd * sd for sd in sds])
+        return Measurement(("x", "y", "w", "h"), box, covariance, p.floor, confidence=sure)
 
     def _look(
         self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float
@@ -175,6 +176,7 @@ CUE = CueDeclaration(
     cost_ms=6.0,
     rate_max=0.0,
     measures=True,
+    is_confident=lambda parameters: True,
     missing=_missing,
     files=files_of,
 )

@@ -25,6 +25,7 @@ from bayesnet_track.engine.modes import with_modes
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.plain_rows import Described, Results, finish_rows
 from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
+from bayesnet_track.engine.scoring.confidences import confidences
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
@@ -140,7 +141,8 @@ def measure_target(
     verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit)
     ud_px2 = measures.ud_px2[compiled.plate.root]
-    scored = scored.after(rule, measures, filtered.step, ud_px2, verified.values)
+    said = {**verified.values, **confidences(rule, filtered.step.evidence)}
+    scored = scored.after(rule, measures, filtered.step, ud_px2, said)
     if root.distractors is not None:
         able = compiled.cues.keys() - live.quarantined
         distractor = find_distractor(

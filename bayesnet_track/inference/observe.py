@@ -227,10 +227,13 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
         return "measured a place that is not finite"
     if not 0.0 <= measured.floor < 1.0:
         return f"measured with a floor of {measured.floor:.6g}, not in 0..1"
+    confidence = None if measured.confidence is None else float(measured.confidence)
+    if confidence is not None and not 0.0 <= confidence <= 1.0:
+        return f"measured with a confidence of {confidence:.6g}, not in 0..1"
     choices = _check_choices(measured, known)
     if isinstance(choices, str):
         return choices
-    checked = Measurement(fields, mean, covariance, float(measured.floor), choices)
+    checked = Measurement(fields, mean, covariance, float(measured.floor), choices, confidence)
     return _check_covariance(checked) or checked
 
 

@@ -136,6 +136,7 @@ class CueDeclaration:
         files: parameters -> paths of the files that it reads, such as a network's; runs record their SHA-256.
         gives: parameters -> what it measures, of one whose quantities need not be fields of the state: the
             agent's `measures` says what they would be of a state.
+        is_confident: parameters -> whether its measurements have a `confidence`; left out, they have none.
         measures: True for a `MeasuringCue`: it has `measure`, and no `log_likelihood`.
         adapts: True for a `LocallyAdaptable` one: it has `adapt`.
         reads_detection: True for a `AssociatingCue`: it has `rule`.
@@ -168,6 +169,7 @@ class CueDeclaration:
     reads: Callable[[Any], tuple[str, ...]] | None = None
     files: Callable[[Any], tuple[str, ...]] | None = None
     gives: Callable[[Any], tuple[str, ...]] | None = None
+    is_confident: Callable[[Any], bool] | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):

@@ -74,8 +74,10 @@ def real_numbers(returned: Any) -> NDArray[np.float64] | str:
 
 def foreign_part(measured: Measurement) -> str:
     """Which part of a measurement is not of real numbers; empty when all are."""
-    for name in ("mean", "covariance", "floor"):
+    for name in ("mean", "covariance", "floor", "confidence"):
         value = getattr(measured, name)
+        if name == "confidence" and value is None:
+            continue
         if type(value) is float or (type(value) is np.ndarray and value.dtype.kind in "iuf"):
             continue
         found = real_numbers(value)

@@ -118,6 +118,8 @@ class Measurement:
         choices: where several places may be the target's: (probability, measurement) of each, of the same
             fields and without choices of their own. What they lack of 1 is that none is. `mean` and
             `covariance` then stand for all of them.
+        confidence: how sure the agent itself is that this is the target, 0..1; None where it does not say.
+            A score can go by it; the belief does not.
         seen: what they would be of a state, where `fields` are no fields of it; the engine sets it.
     """
 
@@ -126,6 +128,7 @@ class Measurement:
     covariance: Floats
     floor: float = 0.0
     choices: tuple[tuple[float, Measurement], ...] = ()
+    confidence: float | None = None
     seen: Seen | None = None
 
     @property

@@ -61,6 +61,12 @@ def test_a_run_in_which_nothing_is_wrong(lines):
             None,
             "0.61 of the likelihood of a perfect match (median); by the verifier texture it has 0.05",
         ),
+        (
+            {"status": "uncertain", "features": {"most": 1.0, "old": -1.0, "confidence.net": 1.4}},
+            range(9, 29),
+            None,
+            "frame 9; by the verifier old it has 0.37; net is sure of it to 80% (median)",
+        ),
         ({"ess": 2.0}, range(40), "sharp", "the effective number of hypotheses is 2.0 (median; below 3)"),
         ({"log_evidence": -9.0}, range(20, 23), "bursts", "in 3 of 39 frames the evidence is far below"),
         ({"kl": {"color": 0.1, "filter": 5.0}}, range(40), "sharp", "filter contradicts the belief: KL 5.0"),

@@ -11,7 +11,7 @@ import pytest
 
 from bayesnet_track.cli.commands.answer import UsageError
 from bayesnet_track.cli.fitting.promises import check_count
-from bayesnet_track.cli.fitting.written import verifiers_of
+from bayesnet_track.cli.fitting.written import further_features
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 
@@ -93,13 +93,28 @@ def test_coefficients_of_verifiers_are_fitted_and_their_settings_kept(data, caps
     out = data / "fitted.yaml"
     assert main([*arguments, "--features", "log_fit,first", "--what", "score", "--out", str(out)]) == 0
     root = load_graph(out).targets["target"].inference("target")
-    found = verifiers_of(load_graph(out))
-    assert found == root.score.settings.verifiers
-    assert verifiers_of(load_graph("two_squares")) == {}
+    found = root.score.settings.verifiers
     assert found["first"].coefficient > 0.01 and found["texture"].coefficient == 0.0
     assert (found["texture"].every, found["first"].learn_rate) == (2, 0)
     assert main([*arguments, "--features", "log_fit,second"]) == 2
     assert "no 'second'; there are" in (said := capsys.readouterr().err) and "texture, first" in said
+
+
+def test_coefficients_of_confidence_are_fitted(data, capsys):
+    score = "score: {logistic: {bias: 1, confidence: {net: 0.5}}}"
+    net = "net: {parent: target, agent: siamese_box}"
+    text = GRAPH.replace("# moves\n", f"# moves\n        fuse: product\n        {score}\n")
+    (data / "g.yaml").write_text(text.replace("      # an agent\n", f"      {net}\n"))
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    out, names = data / "fitted.yaml", "log_fit,confidence.net"
+    assert main([*arguments, "--features", names, "--what", "score", "--out", str(out)]) == 0
+    root = load_graph(out).targets["target"].inference("target")
+    assert list(root.score.settings.confidence) == ["net"]
+    assert further_features(load_graph(out)) == ("confidence.net",)
+    assert further_features(load_graph("two_squares")) == ()
+    assert root.score.settings.confidence["net"] >= 0.0
+    assert main([*arguments, "--features", "confidence.nett"]) == 2
+    assert "agreement, log_size, confidence.net\n" in capsys.readouterr().err
 
 
 POOLED = GRAPH.replace("# moves\n", "# moves\n        fuse: {pool: learned}  # dependent\n").replace(

@@ -17,6 +17,7 @@ def sound(measured):
     assert np.allclose(measured.covariance, measured.covariance.T)
     assert np.linalg.eigvalsh(measured.covariance).min() > 0
     assert 0 <= measured.floor < 1
+    assert measured.confidence is None or 0 <= measured.confidence <= 1
     return measured
 
 
@@ -50,6 +51,9 @@ def test_the_place_moves_with_the_target(measuring, scene, shift):
     reference = measuring.learn(scene.pair(), scene.box())
     now = scene.start + shift
     measured = sound(measuring.measure(scene.pair(shift), cloud(scene, now + [12, -9]), reference))
+    says = measuring.declaration.is_confident
+    is_confident = says is not None and says(measuring.declaration.parameters())
+    assert (measured.confidence is not None) == is_confident
     away = np.abs(place_of(measured) - now)
     assert (away <= 0.1 * scene.size).all()
     assert (away <= 3.0 * sd_of(measured)).all()

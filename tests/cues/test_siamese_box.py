@@ -52,6 +52,7 @@ def test_it_measures_the_most_probable_box(measured):
     assert found.fields == ("x", "y", "w", "h")
     cell = STRIDE * 80.0 / 127.0  # the template shows a square of twice the side
     np.testing.assert_allclose(found.mean, BOX + [cell, 0, 0, 0], atol=1.0)
+    assert found.confidence == pytest.approx(0.99)
 
 
 def test_a_near_box_is_preferred_to_a_slightly_more_probable_one_far_away(measured):

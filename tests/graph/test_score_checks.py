@@ -73,6 +73,18 @@ CASES = [
         "alpha_share, alpha_min; nearest: cells",
     ),
     (
+        "  score: {logistic: {bias: 1, confidence: {a: 1}}}",
+        "4:44: s: the confidence of 'a', which is no agent that says how sure it is; allowed: an agent such "
+        "as siamese_box",
+    ),
+    (
+        "  score: {logistic: {bias: 1, confidence: {nt: 1, c: 1}}}, fuse: product}, c: "
+        "{parent: s, agent: {opencv_tracker: {tracker: MIL}}}, net: {parent: s, agent: siamese_box",
+        "4:44: s: the confidence of 'nt', which is no agent that says how sure it is; allowed: net; nearest: "
+        "net\n"
+        "4:51: s: the confidence of 'c', which is no agent that says how sure it is; allowed: net",
+    ),
+    (
         "  score: {logistic: {bias: 1, verifiers: {v: {agent: klt}, w: {agent: motion}}}}",
         "4:54: s: verifier v: klt measures; allowed: a cue that scores boxes by looks\n"
         "4:71: s: verifier w: motion does not go by the target's looks; allowed: a cue that scores boxes by "

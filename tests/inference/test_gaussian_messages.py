@@ -204,6 +204,14 @@ FAULTS = {
     "negative floor": (replace(GOOD, floor=-0.1), "measured with a floor of -0.1, not in 0..1"),
     "floor NaN": (replace(GOOD, floor=float("nan")), "measured with a floor of nan, not in 0..1"),
     "floor 1": (replace(GOOD, floor=1.0), "measured with a floor of 1, not in 0..1"),
+    "confidence above 1": (
+        replace(GOOD, confidence=1.5),
+        "measured with a confidence of 1.5, not in 0..1",
+    ),
+    "confidence NaN": (
+        replace(GOOD, confidence=float("nan")),
+        "measured with a confidence of nan, not in 0..1",
+    ),
     **{
         f"{part} {kind}": (
             replace(GOOD, **{part: value}),
@@ -216,6 +224,7 @@ FAULTS = {
             ("covariance", np.eye(2).astype(object), "array of object"),
             ("floor", "low", "array of <U3"),
             ("floor", None, "NoneType"),
+            ("confidence", "high", "array of <U4"),
         )
     },
 }

@@ -81,7 +81,7 @@ def _effective(lines: Lines) -> Iterator[Finding]:
 
 
 def _doubt(lines: Lines) -> Iterator[Finding]:
-    from bayesnet_track.graph.settings.scores import FEATURES
+    from bayesnet_track.graph.settings.scores import CONFIDENCE, FEATURES
 
     doubtful = [line for line in lines if line.status == "uncertain"]
     if len(doubtful) <= len(lines) // 10:
@@ -96,11 +96,15 @@ def _doubt(lines: Lines) -> Iterator[Finding]:
     fits = [line.features["log_fit"] for line in doubtful if "log_fit" in line.features]
     if fits:
         what += f"; the best box has {exp(median(fits)):.2g} of the likelihood of a perfect match (median)"
-    verifiers = sorted({name for line in doubtful for name in line.features} - {*FEATURES, "most"})
-    said = {name: median(line.features.get(name, 0.0) for line in doubtful) for name in verifiers}
-    if said:
-        worst = min(said, key=lambda name: said[name])
+    further = sorted({name for line in doubtful for name in line.features} - {*FEATURES, "most"})
+    said = {name: median(line.features.get(name, 0.0) for line in doubtful) for name in further}
+    verifiers = [name for name in said if not name.startswith(CONFIDENCE)]
+    if verifiers:
+        worst = min(verifiers, key=lambda name: said[name])
         what += f"; by the verifier {worst} it has {exp(said[worst]):.2g}"
+    for name in (name for name in said if name.startswith(CONFIDENCE)):
+        sure = 1.0 / (1.0 + exp(-said[name]))
+        what += f"; {name.removeprefix(CONFIDENCE)} is sure of it to {sure:.0%} (median)"
     yield Finding(lines[0].target, what, None, frame=doubtful[0].frame)
 
 

@@ -13,7 +13,7 @@ from bayesnet_track.cli.fitting.motion import add_motion, fit_motion_text
 from bayesnet_track.cli.fitting.promises import check_count, check_promises, write_promises
 from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
-from bayesnet_track.cli.fitting.written import calibration_table, verifiers_of, write_fitted
+from bayesnet_track.cli.fitting.written import calibration_table, further_features, write_fitted
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.journal.disk import is_there
@@ -38,7 +38,7 @@ def fit(options: argparse.Namespace) -> int:
     promises = options.guarantee is not None or options.alarm is not None
     what = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
     graph, text = load_graph(options.graph), graph_text(options.graph)
-    features = _choose("--features", options.features, (*SIGNS, *verifiers_of(graph)))
+    features = _choose("--features", options.features, (*SIGNS, *further_features(graph)))
     out = None if options.out is None else Path(options.out)
     if out is not None:
         with writing(out):
@@ -181,7 +181,8 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         "--features",
         default="log_ud_box,evidence",
         metavar="LIST",
-        help="features of the score, verifiers by name (default log_ud_box,evidence)",
+        help="features of the score, verifiers by name, the confidence of an agent as confidence.AGENT "
+        "(default log_ud_box,evidence)",
     )
     fit.add_argument(
         "--guarantee",

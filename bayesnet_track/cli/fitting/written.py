@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.journal.text.wording import plural
@@ -10,21 +10,27 @@ from bayesnet_track.journal.text.wording import plural
 if TYPE_CHECKING:
     from bayesnet_track.evaluate.fitting import Checked, Fitted
     from bayesnet_track.graph.checked import CheckedGraph
-    from bayesnet_track.graph.spec import Verifier
+    from bayesnet_track.graph.spec import Logistic
 
 
-def verifiers_of(graph: CheckedGraph) -> Mapping[str, Verifier]:
-    """Those of the first plate's score."""
+def further_features(graph: CheckedGraph) -> tuple[str, ...]:
+    """The features that the first plate's score has from its verifiers and agents."""
+    from bayesnet_track.graph.settings.scores import FEATURES
+
+    score = _score_of(graph)
+    return () if score is None else tuple(name for name in score.coefficients if name not in FEATURES)
+
+
+def _score_of(graph: CheckedGraph) -> Logistic | None:
     plate = next(iter(graph.targets.values()))
     score = plate.inference(plate.root).score
-    return {} if score is None else score.settings.verifiers
+    return None if score is None else score.settings
 
 
 def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
     """The graph's text with what was estimated, each with a comment that says from what."""
     from bayesnet_track.evaluate.calibration import HEAVY_TAIL
     from bayesnet_track.graph.text.edit import set_value
-    from bayesnet_track.graph.text.write import as_plain
 
     name, plate = next(iter(graph.targets.items()))
     path = ("targets", name, "nodes", plate.root)
@@ -53,18 +59,7 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
         put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
     if "score" in what:
-        others: dict[str, Any] = (
-            {} if spec.score is None else {"memory_frames": _short(spec.score.settings.memory_frames)}
-        )
-        if spec.score is not None and spec.score.settings.full_fit > 0:
-            others["full_fit"] = _short(spec.score.settings.full_fit)
-        values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
-        verifiers = {
-            name: {**as_plain(one), "coefficient": values.pop(name, 0.0)}
-            for name, one in verifiers_of(graph).items()
-        }
-        others |= {"verifiers": verifiers} if verifiers else {}
-        put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
+        put(("score",), {"logistic": _score_values(graph, fitted)}, f"probability of IoU > 0.5; {from_what}")
     if "localization_error" in what:
         sd, lost_sd = (_short(value) for value in fitted.localization_error)
         error = {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)}
@@ -81,6 +76,31 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         said = f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
         put(("lost",), {**levels, **kept}, said)
     return text
+
+
+def _score_values(graph: CheckedGraph, fitted: Fitted) -> dict[str, Any]:
+    """The keys of `logistic`: those that were fitted, and those that the graph has beside them."""
+    from bayesnet_track.graph.settings.scores import confidence_feature
+    from bayesnet_track.graph.text.write import as_plain
+
+    values: dict[str, Any] = {
+        name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"
+    }
+    rule = _score_of(graph)
+    if rule is None:
+        return values
+    confidence = {agent: values.pop(confidence_feature(agent), 0.0) for agent in rule.confidence}
+    verifiers = {
+        name: {**as_plain(one), "coefficient": values.pop(name, 0.0)} for name, one in rule.verifiers.items()
+    }
+    values["memory_frames"] = _short(rule.memory_frames)
+    if rule.full_fit > 0:
+        values["full_fit"] = _short(rule.full_fit)
+    if confidence:
+        values["confidence"] = confidence
+    if verifiers:
+        values["verifiers"] = verifiers
+    return values
 
 
 def calibration_table(rows: Sequence[Checked], everyone: Checked) -> str:

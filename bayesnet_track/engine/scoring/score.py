@@ -77,11 +77,11 @@ class Scored:
         measures: Measures,
         step: Step[Posterior],
         ud_px2: float,
-        verified: Mapping[str, float] = MappingProxyType({}),
+        further: Mapping[str, float] = MappingProxyType({}),
     ) -> Scored:
-        """With one frame more; `ud_px2` is the root's UD, `verified` what each verifier says.
+        """With one frame more; `ud_px2` is the root's UD, `further` what verifiers and agents say of it.
 
-        The feature of a verifier that says nothing stays as it was.
+        The feature of one that says nothing stays as it was.
         """
         seeing = [agent for agent in measures.kl if agent not in measures.silent]
         own = {agent: _log_evidence(step, agent) for agent in seeing}
@@ -98,11 +98,11 @@ class Scored:
             "log_fit": _log(max(measures.fit, rule.full_fit)),
             "agreement": _agreement(step, seeing),
             "log_size": abs(math.log(side / first)),
-            **{name: max(value, LEAST_LOG) for name, value in verified.items()},
+            **{name: max(value, LEAST_LOG) for name, value in further.items()},
         }
         unfit = measures.fit < rule.full_fit
-        # What verifiers said while nothing fitted, as in a black frame, is forgotten when something does.
-        forgotten = {name: found[name] for name in verified} if unfit or self.unfit else {}
+        # What they said while nothing fitted, as in a black frame, is forgotten when something does.
+        forgotten = {name: found[name] for name in further} if unfit or self.unfit else {}
         before = {**found, **self.smooth, **forgotten}
         gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if self.smooth and rule.memory_frames else 1.0
         smooth = {

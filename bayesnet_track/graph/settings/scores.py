@@ -25,7 +25,7 @@ class Verifier(Model):
     """A cue that is asked about the estimate alone: it moves no box, and shows whether it still looks right.
 
     Its log-likelihood of the estimate is a feature of the score. It learns in the first frame, and whenever
-    it is asked and the score is at least one half. One that learns slowly remembers what the target was like
+    it is asked and the score is at least 0.1. One that learns slowly remembers what the target was like
     before.
 
     Example::
@@ -66,6 +66,11 @@ class Logistic(Model):
         "over these agents, nats",
     )
     log_size: Number = Field(default=0.0, description="|log| of the estimate's sqrt(w h) over the first one")
+    confidence: dict[Name, Number] = Field(
+        default_factory=dict,
+        description="agent that measures -> coefficient of the log odds of its own confidence that what it "
+        "measured is the target; within -6.9 and 6.9, the last one while it rests",
+    )
     verifiers: dict[Name, Verifier] = Field(
         default_factory=dict, description="further cues, each asked about the estimate alone"
     )
@@ -80,9 +85,19 @@ class Logistic(Model):
 
     @cached_property
     def coefficients(self) -> Mapping[str, float]:
-        """Feature -> its coefficient; those of verifiers by their names."""
-        further = {name: one.coefficient for name, one in self.verifiers.items()}
-        return {name: getattr(self, name) for name in FEATURES} | further
+        """Feature -> its coefficient; those of verifiers by their names, an agent's as `confidence.agent`."""
+        verifiers = {name: one.coefficient for name, one in self.verifiers.items()}
+        confidence = {confidence_feature(agent): slope for agent, slope in self.confidence.items()}
+        return {name: getattr(self, name) for name in FEATURES} | confidence | verifiers
+
+
+CONFIDENCE = "confidence."
+"""How the names of features begin that agents say themselves; no other name has a dot."""
+
+
+def confidence_feature(agent: str) -> str:
+    """The feature of a score that is the confidence of an agent."""
+    return CONFIDENCE + agent
 
 
 FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size")

@@ -121,7 +121,7 @@ def _measurement(returned: Any) -> Measurement | Foreign | None:
         if not isinstance(own, Measurement):
             return Foreign("Measurement with a choice that is none")
         choices.append((float(weight), own))
-    return Measurement(fields, mean, covariance, returned.floor, tuple(choices))
+    return Measurement(fields, mean, covariance, returned.floor, tuple(choices), returned.confidence)
 
 
 def _is_shortage(error: BaseException) -> bool:

@@ -107,8 +107,8 @@ class _Packing:
         if kind is Region:
             return REGION, value.x0, value.y0, value.x1, value.y1
         if kind is Measurement:
-            parts = (value.fields, value.mean, value.covariance, value.floor, value.choices)
-            return MEASUREMENT, [self.flat(part) for part in parts]
+            gaussian = (value.fields, value.mean, value.covariance, value.floor)
+            return MEASUREMENT, [self.flat(part) for part in (*gaussian, value.choices, value.confidence)]
         return OTHER, pickle.dumps(value, protocol=5)
 
     def _array(self, array: Array) -> tuple[Any, ...]:

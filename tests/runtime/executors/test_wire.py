@@ -79,7 +79,8 @@ def test_what_cues_are_asked_and_say_arrives_whole():
     assert asked.boxes.tobytes() == hypotheses.boxes.tobytes() and list(asked.fields) == ["angle"]
     assert asked.fields["angle"].tobytes() == VALUES[:, 5].tobytes()
     assert (said.fields, said.floor) == (("x", "y"), "floor")
-    (several,) = across(Measurement(("x",), VALUES[0, :1], VALUES[:1, :1], 0.0, ((0.5, measurement),)))
+    (several,) = across(Measurement(("x",), VALUES[0, :1], VALUES[:1, :1], 0.0, ((0.5, measurement),), 0.9))
+    assert (several.confidence, said.confidence, several.seen) == (0.9, None, None)
     assert several.choices[0][0] == 0.5 and several.choices[0][1].mean.tobytes() == VALUES[0, :2].tobytes()
     assert said.mean.tobytes() == VALUES[0, :2].tobytes()
     assert said.covariance.tobytes() == VALUES[:2, :2].tobytes()
