@@ -27,6 +27,7 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.siamese.halves import Runtime
 from bayesnet_track.vision.siamese.networks import SEARCH
 
 if TYPE_CHECKING:
@@ -43,6 +44,10 @@ class NetworkParameters(CueParameters):
     head: str = Field(
         default="",
         description="ONNX file (path) of the half that compares template and search crop.",
+    )
+    runtime: Runtime = Field(
+        default="opencv",
+        description="What runs the files: OpenCV, or ONNX Runtime (extra `onnx`), in less time.",
     )
     without_files: Literal["plain", "refuse"] = Field(
         default="plain",
@@ -140,7 +145,7 @@ def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)
 
     p = parameters
     if p.backbone or p.head:
-        return Memory(load_networks(p.backbone, p.head, sides))
+        return Memory(load_networks(p.backbone, p.head, sides, p.runtime))
     if p.without_files == "refuse":
         raise SiameseError(NEEDED)
     return Memory(plain())

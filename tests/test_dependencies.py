@@ -22,7 +22,7 @@ EVERY = [*CORE, *(one for extra in EXTRAS.values() for one in extra)]
 BUILD = [Requirement(text) for text in PROJECT["build-system"]["requires"]]
 
 MODULE_OF = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "rerun-sdk": "rerun"}
-OPTIONAL = {"matplotlib", "rerun", "ray"}
+OPTIONAL = {"onnxruntime", "matplotlib", "rerun", "ray"}
 """Modules that some command needs and that an extra installs."""
 ELSEWHERE = {"supervision", "pydantic_core"}
 """What the user's own program has installed, and what pydantic installs in the one version that fits it."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
 from bayesnet_track.vision.kernels.proposal_kernels import choose, explained
 from bayesnet_track.vision.siamese.crops import Crop, crops_for, search_crop, template_crop
+from bayesnet_track.vision.siamese.halves import RUNTIMES
 from bayesnet_track.vision.siamese.memory import Memory
 from bayesnet_track.vision.siamese.networks import (
     SEARCH,
@@ -126,6 +129,26 @@ def test_the_proposals_of_two_files_are_where_the_target_is_now(files):
     assert np.abs(sure[:, :2].mean(axis=0) - [183.5, 111.5]).max() <= 5.0
     np.testing.assert_allclose(sure[:, 2:], 40.0, rtol=0.03)
     assert (np.diff(logs) <= 0).all()
+
+
+def test_onnx_runtime_says_the_same(files):
+    pytest.importorskip("onnxruntime")
+    here, there = (load_networks(**files, sides=(159, 255), runtime=name) for name in RUNTIMES)
+    rng = np.random.default_rng(3)
+    template = rng.integers(0, 256, (TEMPLATE, TEMPLATE, 3), np.uint8)
+    features = here.describe(template)
+    np.testing.assert_allclose(there.describe(template), features, atol=1e-6)
+    for side in (159, 255):
+        crop = rng.integers(0, 256, (side, side, 3), np.uint8)
+        one, other = (network.compare(features, crop, np.ones(2)) for network in (here, there))
+        np.testing.assert_allclose(other.probabilities, one.probabilities, atol=1e-4)
+        np.testing.assert_allclose(other.sides, one.sides, rtol=1e-5)
+
+
+def test_without_onnx_runtime_it_is_said_what_to_install(files, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(SiameseError, match=r"ONNX Runtime is not installed: python -m pip install .*onnx"):
+        load_networks(**files, runtime="onnxruntime")
 
 
 @pytest.mark.parametrize("side", [159, 191, 255])
@@ -269,3 +292,10 @@ def written(folder, content):
 def test_files_that_do_not_fit_are_named(tmp_path, files, case):
     with pytest.raises(SiameseError, match=WRONG[case]):
         load_networks(**spoiled(case, tmp_path, files))
+
+
+@pytest.mark.parametrize("case", sorted(WRONG))
+def test_files_that_do_not_fit_are_named_by_onnx_runtime(tmp_path, files, case):
+    pytest.importorskip("onnxruntime")
+    with pytest.raises(SiameseError, match=WRONG[case].replace("OpenCV", "ONNX Runtime")):
+        load_networks(**spoiled(case, tmp_path, files), runtime="onnxruntime")

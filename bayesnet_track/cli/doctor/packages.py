@@ -22,6 +22,7 @@ EXTRAS = {
     "rerun-sdk": ("the viewer Rerun", "rerun"),
     "ray": ("batches on a cluster", "ray"),
     "h5netcdf": ("files for ArviZ", "arviz"),
+    "onnxruntime": ("Siamese networks in less time", "onnx"),
 }
 
 

@@ -1,4 +1,4 @@
-"""A Siamese tracking network as two ONNX files, run by OpenCV: where in a crop is what the template shows?
+"""A Siamese tracking network as two ONNX files: where in a crop is what the template shows?
 
 The files are those that OpenCV's `TrackerNano` takes (NanoTrack). The backbone describes a crop; the head
 compares the descriptions of template and search crop, and gives for each cell of a square map how probable it
@@ -12,13 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.capabilities import CueError
-from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
+from bayesnet_track.vision.siamese.halves import RUNTIMES, Half, HalfError, Runtime
 
 TEMPLATE = 127
 """Side of the template's crop, px of the network."""
@@ -72,32 +71,33 @@ def missing_file(key: str, path: str) -> str | None:
     return None
 
 
-def load_networks(backbone: str, head: str, sides: Sequence[int] = (SEARCH,)) -> Networks:
+def load_networks(
+    backbone: str, head: str, sides: Sequence[int] = (SEARCH,), runtime: Runtime = "opencv"
+) -> Networks:
     """The network of two ONNX files, tried once with search crops of each of the `sides`, px.
 
     Raises:
-        SiameseError: a file is missing or no ONNX model, the two are not the halves of such a network, or
-            they take no crops of such a side.
+        SiameseError: a file is missing or no ONNX model, the two are not the halves of such a network, they
+            take no crops of such a side, or the runtime is not installed.
     """
     import cv2
 
-    body, usual = _read("backbone", backbone), _read("head", head)
+    body, usual = _open("backbone", backbone, runtime), _open("head", head, runtime)
 
     @cache
-    def neck(cells: int) -> Any:
-        return usual if cells == FEATURES else _of_cells(head, usual, cells)
+    def neck(cells: int) -> Half:
+        changed = None if cells == FEATURES else _of_cells(Path(head).read_bytes(), cells)
+        return usual if changed is None else RUNTIMES[runtime](changed)
 
     def describe(crop: Bytes) -> Singles:
-        body.setInput(cv2.dnn.blobFromImage(crop, swapRB=True))
-        return np.array(body.forward(), np.float32)
+        (features,) = body({"": cv2.dnn.blobFromImage(crop, swapRB=True)})
+        return features
 
     def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
         features = describe(crop)
         half = neck(features.shape[-1])
-        half.setInput(template, "input1")
-        half.setInput(features, "input2")
-        scores, sides = half.forward(["output1", "output2"])
-        return _response(np.asarray(scores, np.float32), np.asarray(sides, np.float32))
+        scores, sides = half({"input1": template, "input2": features}, ["output1", "output2"])
+        return _response(scores, sides)
 
     networks = Networks(describe, compare)
     usual_cells = _try_out(networks, backbone, head, SEARCH)
@@ -105,29 +105,33 @@ def load_networks(backbone: str, head: str, sides: Sequence[int] = (SEARCH,)) ->
         fault = f"head: {head}: takes search crops of {SEARCH} px only, not of {side} px"
         try:
             cells = _try_out(networks, backbone, head, side)
-        except SiameseError as error:
+        except (SiameseError, HalfError) as error:
             raise SiameseError(fault) from error
         if cells - usual_cells != (side - SEARCH) // STRIDE:
             raise SiameseError(fault)
     return networks
 
 
-def _of_cells(head: str, usual: Any, cells: int) -> Any:
-    """The head for other features than those of `FEATURES` cells a side.
+def _of_cells(head: bytes, cells: int) -> bytes | None:
+    """The head for other features than those of `FEATURES` cells a side; None where it needs no change.
 
     It is convolutional but for the shape of its correlation, which such files hold as a constant. One that
     does not hold it, or more than once, is taken as it is.
     """
-    import cv2
-
-    model = Path(head).read_bytes()
     shape, wanted = (struct.pack("<4q", 1, -1, side, side) for side in (FEATURES, cells))
-    if model.count(shape) != 1:
-        return usual
-    # OpenCV 4 tries the constant on the shapes that the file declares: two fields dim {dim_value: side}.
-    declared, other = (2 * bytes([0x0A, 2, 0x08, side]) for side in (FEATURES, cells))
-    changed = model.replace(shape, wanted).replace(declared, other)
-    return cv2.dnn.readNetFromONNX(np.frombuffer(changed, np.uint8))
+    if head.count(shape) != 1:
+        return None
+    # OpenCV 4 and ONNX Runtime try the constant on the shapes that the file declares: height and width, and
+    # their product where a map is a row.
+    declared, other = (2 * _dimension(side, 1) for side in (FEATURES, cells))
+    row, other_row = (_dimension(side**2, 2) for side in (FEATURES, cells))
+    return head.replace(shape, wanted).replace(declared, other).replace(row, other_row)
+
+
+def _dimension(size: int, length: int) -> bytes:
+    """How a file declares a dimension: dim {dim_value: size}, the number in so many bytes of 7 bits."""
+    groups = [size >> 7 * k & 0x7F for k in range(length)]
+    return bytes([0x0A, 1 + length, 0x08, *(group | 0x80 for group in groups[:-1]), groups[-1]])
 
 
 def _response(scores: Singles, sides: Singles) -> Response:
@@ -144,10 +148,13 @@ def _shape(array: Singles) -> str:
     return "x".join(str(side) for side in array.shape)
 
 
-def _read(key: str, path: str) -> Any:
+def _open(key: str, path: str, runtime: Runtime) -> Half:
     if absent := missing_file(key, path):
         raise SiameseError(absent)
-    return read_onnx(path, lambda text: SiameseError(f"{key}: {text}"))
+    try:
+        return RUNTIMES[runtime](Path(path).read_bytes())
+    except (HalfError, OSError) as error:
+        raise SiameseError(f"{key}: {path}: {error}") from error
 
 
 def _try_out(networks: Networks, backbone: str, head: str, side: int) -> int:
@@ -156,23 +163,19 @@ def _try_out(networks: Networks, backbone: str, head: str, side: int) -> int:
     Raises:
         SiameseError: they do not run.
     """
-    import cv2
-
     swapped = "; are backbone and head interchanged?"
     try:
         template = networks.describe(np.full((TEMPLATE, TEMPLATE, 3), 114, np.uint8))
-    except cv2.error as error:
+    except HalfError as error:
         size = f"a 3-channel input of {TEMPLATE}x{TEMPLATE} px"
-        raise SiameseError(
-            f"backbone: {backbone}: does not run on {size}{swapped} {reason_of(error)}"
-        ) from error
+        raise SiameseError(f"backbone: {backbone}: does not run on {size}{swapped} {error}") from error
     try:
         found = networks.compare(template, np.full((side, side, 3), 114, np.uint8), np.ones(2))
     except SiameseError as error:
         raise SiameseError(f"head: {head}: {error}") from error
-    except cv2.error as error:
+    except HalfError as error:
         takes = f"features of {_shape(template)} as input1 and of the search crop as input2"
-        raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {reason_of(error)}") from error
+        raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {error}") from error
     if not (np.isfinite(found.probabilities).all() and (np.abs(found.sides) < 1e6).all()):
         raise SiameseError(f"head: {head}: its outputs are not finite numbers")
     return len(found.probabilities)
