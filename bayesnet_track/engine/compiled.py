@@ -65,6 +65,7 @@ class CompiledPlate:
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
         moving: what a frame's motion depends on besides its states; None when on nothing.
+        searching: agents that a lost target of a Gaussian belief is looked for by, elsewhere.
         finder: the detector that looks for a target which may reappear.
         association_rules: agent that measures by the detection that the target is given -> which one that is.
         opaque: agents that keep something which cannot be stored.
@@ -87,6 +88,7 @@ class CompiledPlate:
     guard: Guard | None = None
     part_of: Mapping[str, str] = field(default_factory=dict)
     moving: Moving | None = None
+    searching: frozenset[str] = frozenset()
     finder: Detector | None = None
     association_rules: Mapping[str, AssociationRule] = field(default_factory=dict)
     opaque: frozenset[str] = frozenset()
@@ -211,6 +213,7 @@ def _compile_plate(
         ),
         part_of=part_of_agents(plate),
         moving=moving,
+        searching=_searching(plate, of, moving),
         finder=None if moving is None else _finder(moving),
         association_rules={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection},
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
@@ -250,6 +253,15 @@ def _in_modes(usual: MotionModel, sd_angle_deg: float, modes: Mapping[str, spec.
     own = (None if mode.motion is None else make_motion(mode.motion) for mode in modes.values())
     turned = (one if one is None or sd_angle_deg == 0.0 else turning(one, sd_angle_deg) for one in own)
     return Modal(make_modes(modes), tuple(usual if one is None else one for one in turned))
+
+
+def _searching(
+    plate: CheckedTarget, of: Mapping[str, CueDeclaration], moving: Moving | None
+) -> frozenset[str]:
+    belief = plate.inference(plate.root).belief
+    if moving is None or moving.relocalize is None or belief is None or belief.gaussian is None:
+        return frozenset()
+    return frozenset(name for name in plate.agents if of[name].can_search(plate.parameters[name]))
 
 
 def _finder(moving: Moving) -> Detector | None:

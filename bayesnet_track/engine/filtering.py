@@ -18,6 +18,7 @@ from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState
+from bayesnet_track.engine.moving.elsewhere import look_elsewhere
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.moving.sudden import search_around
 from bayesnet_track.engine.on_call import call_agents, plan_without_calls
@@ -125,6 +126,8 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         if ride is None:
             again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
             moved, stepped = search_around(work, target, before, moves, (plan, stepped, again))
+            restart = partial(_step_from, work, belief, before.plan, (motion, dt, stream, compiled.modes))
+            moved, stepped = look_elsewhere(work, target, before, moved, (stepped, observer, restart))
         # With the answers of one that later gave none the belief would be neither with it nor without it.
         if not observer.broke_off:
             break
@@ -185,6 +188,21 @@ def _step_by(
     prior, dt, stream, motion = given
     own = partial(_renamed, stream, "by more")
     return _step_again(work, belief, (prior, dt, see(plan), own), motion)
+
+
+def _step_from(
+    work: FrameWork,
+    belief: Belief[Any],
+    plan: Plan,
+    given: tuple[MotionModel, float, Stream, Modes | None],
+    box: Floats,
+    observer: Observer,
+) -> Step[Posterior]:
+    """The step of the frame by a belief that starts in a centre box (4,)."""
+    motion, dt, stream, modes = given
+    own = partial(_renamed, stream, "elsewhere")
+    start = belief.start(box, motion, own)
+    return belief.step(start, motion, dt, _evaluation(work, modes, observer, plan), own)
 
 
 def _renamed(stream: Stream, name: str, purpose: str) -> np.random.Generator:

@@ -171,6 +171,14 @@ class CueDeclaration:
     gives: Callable[[Any], tuple[str, ...]] | None = None
     is_confident: Callable[[Any], bool] | None = None
 
+    def is_sure(self, parameters: Any) -> bool:
+        """Whether its measurements have a `confidence`."""
+        return self.is_confident is not None and self.is_confident(parameters)
+
+    def can_search(self, parameters: Any) -> bool:
+        """Whether it says how sure it is at any place of a frame, however often it is asked."""
+        return self.is_sure(parameters) and not self.opaque
+
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
             raise ValueError(f"cue {self.name!r}: a name of letters, digits and _ is needed, such as my_cue")

@@ -6,12 +6,14 @@ import pytest
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.runtime.lifetimes import NO_SEARCH
 
 FIELDS = (*BOX_FIELDS, "vx", "vy")
 VELOCITY = {
@@ -147,6 +149,23 @@ def test_a_reset_begins_trajectories_anew():
     found = smooth_particles([near, away], [Move(motion, 1.0)], 10, np.random.default_rng(0))
     assert [len(one) for one in found] == [3, 3]
     assert np.isfinite(found[0].mean).all()
+
+
+def test_nothing_is_learnt_across_a_jump():
+    """A Gaussian that jumped began anew: what comes after is smoothed as a track of its own."""
+    motion, settings = motion_of(WALK), spec.Gaussian()
+    seen = np.array([[51.0, 40.0], [53.0, 42.0], [54.0, 41.0], [90.0, 70.0], [92.0, 71.0]])
+    filtered = filter_track(settings, motion, seen)
+    moves = [Move(motion, 1.0)] * 5
+    jump = Move(Jumping(motion, 0.5, 120, 100, NO_SEARCH), 1.0)
+    found = smooth_gaussians(filtered, [*moves[:3], jump, *moves[4:]], settings)
+    parts = (
+        smooth_gaussians(filtered[:4], moves[:3], settings),
+        smooth_gaussians(filtered[4:], moves[4:], settings),
+    )
+    for one, other in zip(found, [*parts[0], *parts[1]], strict=True):
+        np.testing.assert_array_equal(one.mean, other.mean)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
 @pytest.mark.parametrize("smooth", [smooth_particles, smooth_gaussians])

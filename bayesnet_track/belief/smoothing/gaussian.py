@@ -11,6 +11,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.predict import predict, unscented_cross
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.jumps import jumping_of
 from bayesnet_track.belief.smoothing.backward import Move
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
@@ -24,7 +25,7 @@ def smooth_gaussians(
 
     With the filtered m, P, the prediction m-, P- from them, and C = cov(x_t, x_{t+1}): G = C P-^-1,
     m_s = m + G (m_s' - m-), P_s = P + G (P_s' - P-) G'. Exact for `kalman`; for `extended` with the Jacobian
-    at m, for `unscented` with C of the sigma points.
+    at m, for `unscented` with C of the sigma points. Nothing is learnt across a jump: the belief began anew.
 
     Args:
         filtered: T beliefs, in order.
@@ -38,6 +39,9 @@ def smooth_gaussians(
         raise ValueError(f"{len(filtered)} beliefs need {len(filtered) - 1} moves, not {len(moves)}")
     smoothed = [filtered[-1]]
     for belief, move in zip(reversed(filtered[:-1]), reversed(moves), strict=True):
+        if jumping_of(move.motion) is not None:
+            smoothed.append(belief)
+            continue
         after = smoothed[-1]
         mean, covariance = predict(belief.mean, belief.covariance, move.motion, move.dt, settings)
         gain = _cross(belief, move, settings) @ np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)

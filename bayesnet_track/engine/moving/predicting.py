@@ -135,7 +135,7 @@ def predict_motion(
     influences = Influences(dt, known.size, inflation, camera)
     motion = compose_motion(compiled.motion, settings, influences)
     found = PredictedMotion(motion, changed(known, influences=influences, away=known.away + dt))
-    if settings.relocalize is not None:
+    if settings.relocalize is not None and not compiled.searching:
         found = _relocalize(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
         return replace(found, motion=replace(given, motion=found.motion))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.base import PluginChoice
-from bayesnet_track.graph.spec import AgentChoice
+from bayesnet_track.graph.spec import AgentChoice, AgentNode
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, NoParameters
@@ -72,6 +72,17 @@ def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> NoParameters:
     """The agent's parameters as the cue's own type; raises as `plugin_parameters`."""
     return plugin_parameters(agent, declaration.parameters)
+
+
+def declares(plate: Plate, node: AgentNode, what: Callable[[CueDeclaration, NoParameters], bool]) -> bool:
+    """Whether an agent's cue is such a one; what is wrong with its parameters is said elsewhere."""
+    declaration = plate.cues.get(node.agent.cue)
+    if declaration is None:
+        return False
+    try:
+        return what(declaration, cue_parameters(node.agent, declaration))
+    except ValidationError:
+        return True
 
 
 def plugin_parameters(chosen: PluginChoice, model: type[Parameters]) -> Parameters:

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.graph.checks.cues import declares, plugin_parameters
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.motion import BoxVelocity, Moving
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, Path
+from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
 from bayesnet_track.observation.plugins import why_absent
 
@@ -47,7 +48,7 @@ def size_is_drawn_back_from_somewhere(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
-    """A grid takes no `camera`, no `size_reversion`; `relocalize` needs particles of a fixed size."""
+    """A grid takes no `camera`, `size_reversion` or `relocalize`; particles relocalize at a fixed size."""
     for name, key, settings in _moving(plate):
         belief = plate.inference[name].belief
         if belief is not None and belief.grid is not None:
@@ -61,9 +62,9 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
         if settings.relocalize.sudden is not None and (lost is None or lost.found_fit is None):
             found = "sudden without lost.found_fit, by which it is known how well the target usually fits"
             yield plate.message(name, found, "both, or none", key=(*here, "sudden"), on_key=True)
-        if belief is not None and belief.particles is None:
-            found = f"relocalize beside {belief.kind}, which cannot jump"
-            yield plate.message(name, found, "particles", key=here, on_key=True)
+        if belief is not None and belief.grid is not None:
+            found = "relocalize beside grid, which cannot jump"
+            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
         elif belief is not None and belief.particles is not None:
             particles = belief.particles
             if not isinstance(particles.size, int):
@@ -124,6 +125,21 @@ def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, able or "no sd_angle_deg", key=here, on_key=True)
 
 
+def gaussians_are_looked_for(plate: Plate) -> Iterator[GraphMessage]:
+    """Beside a Gaussian, `relocalize` takes `share` and `grow_box`; agents that are sure or not look."""
+    for name, key, settings in _moving(plate):
+        belief = plate.inference[name].belief
+        if settings.relocalize is None or belief is None or belief.gaussian is None:
+            continue
+        here = (*key, "relocalize")
+        for word in sorted(settings.relocalize.model_fields_set - {"share", "grow_box"}):
+            found = f"{word} beside gaussian, which has no hypotheses that could look"
+            yield plate.message(name, found, ["share", "grow_box"], key=(*here, word), on_key=True)
+        if not any(declares(plate, node, CueDeclaration.can_search) for node in plate.agents.values()):
+            found = "relocalize beside gaussian, and no agent says how sure it is wherever it is asked"
+            yield plate.message(name, found, "an agent such as siamese_box", key=here, on_key=True)
+
+
 def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
     """`relocalize` needs noise of both x and y, and a detector that is installed and takes its parameters."""
     for name, key, settings in _moving(plate):
@@ -167,5 +183,6 @@ MOTION_CHECKS: tuple[Check, ...] = (
     borders_can_be_met,
     box_velocities_are_gaussian,
     angle_is_seen,
+    gaussians_are_looked_for,
     jumps_have_places,
 )

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pydantic import ValidationError
-
-from bayesnet_track.graph.checks.cues import cue_parameters
+from bayesnet_track.graph.checks.cues import declares
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.adapt import Lost
 from bayesnet_track.graph.settings.scores import FEATURES
-from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.messages import GraphMessage
+from bayesnet_track.observation.cue import CueDeclaration
 
 
 def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
@@ -112,7 +110,7 @@ def verifiers_can_be_asked(plate: Plate) -> Iterator[GraphMessage]:
 
 def confidences_are_given(plate: Plate) -> Iterator[GraphMessage]:
     """A score goes by the confidence of agents that have one."""
-    able = [name for name, node in plate.agents.items() if _is_confident(plate, node)]
+    able = [name for name, node in plate.agents.items() if declares(plate, node, CueDeclaration.is_sure)]
     for name, node in plate.inference.items():
         for agent in {} if node.score is None else node.score.settings.confidence:
             if agent not in able:
@@ -120,16 +118,6 @@ def confidences_are_given(plate: Plate) -> Iterator[GraphMessage]:
                 allowed = able or "an agent such as siamese_box"
                 key = ("score", "logistic", "confidence", agent)
                 yield plate.message(name, found, allowed, key=key, word=agent, on_key=True)
-
-
-def _is_confident(plate: Plate, node: AgentNode) -> bool:
-    declaration = plate.cues.get(node.agent.cue)
-    if declaration is None or declaration.is_confident is None:
-        return False
-    try:
-        return declaration.is_confident(cue_parameters(node.agent, declaration))
-    except ValidationError:
-        return True  # said where parameters are checked
 
 
 RESERVED = frozenset({*FEATURES, "most", "bias"})

@@ -1,0 +1,145 @@
+"""A lost target of a Gaussian belief is looked for at other places by an agent that says how sure it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from bayesnet_track.engine.compiled import make_engine
+from bayesnet_track.engine.moving.elsewhere import APART_BOX, PLACES
+from bayesnet_track.engine.scoring.confidences import log_odds
+from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.observation.cue import Measurement
+
+BOX = (40.0, 50.0, 10.0, 10.0)
+AWAY = (4, 9)
+"""First and last frame in which nothing is to be seen."""
+NEW = np.array([95.0, 22.0])
+
+
+@dataclass(frozen=True)
+class Finder:
+    """It sees the target up to `reach` px from where it is asked, and else clutter right there.
+
+    The target is at BOX, then away, then at NEW. Places of which it is asked are written down by frame.
+    """
+
+    reach: float = 15.0
+    clutter: float = 0.05
+    sure: float = 0.99
+    breaks: bool = False
+    asked: dict = field(default_factory=dict)
+    needs: tuple = ()
+
+    def learn(self, planes, box):
+        return {"box": box}
+
+    def blend(self, old, new, rate):
+        return new
+
+    def measure(self, planes, hypotheses, weights, reference):
+        frame, place = planes.frame.index, (weights @ hypotheses.boxes)[:2]
+        places = self.asked.setdefault(frame, [])
+        places.append(place)
+        if self.breaks and len(places) > 1:
+            raise RuntimeError("asked twice")
+        true = np.array(BOX[:2]) if frame < AWAY[0] else NEW if frame > AWAY[1] else np.full(2, 1e6)
+        there = np.abs(true - place).max() < self.reach
+        mean = np.array([*(true if there else place), *BOX[2:]])
+        confidence = self.sure if there else self.clutter
+        return Measurement(("x", "y", "w", "h"), mean, np.eye(4), confidence=confidence)
+
+
+@pytest.fixture
+def play(fakes):
+    """(finder, relocalize, opaque) -> outcomes of fourteen frames."""
+
+    def run(finder, relocalize, frames=14, **settings):
+        walk = {"sd_px": {"x": 2.0, "y": 2.0}, "relocalize": relocalize}
+        root = {
+            "belief": {"gaussian": {"filter": "kalman"}},
+            "motion": {"random_walk": {key: value for key, value in walk.items() if value is not None}},
+            "fuse": "product",
+            "score": {"logistic": {"bias": 0.0, "memory_frames": 0, "confidence": {"finder": 1.0}}},
+            "lost": {"score_below": 0.2, "uncertain_below": 0.5, "frames": 1},
+        }
+        declared = {"finder": fakes.declare(finder, is_confident=lambda parameters: True, **settings)}
+        engine = make_engine(fakes.graph({"root": root, "finder": "root"}, declared), 0, declared)
+        return fakes.play(engine, frames, {"1": BOX})
+
+    return run
+
+
+def told(outcomes):
+    return [event for one in outcomes for event in one.events if isinstance(event, Reappeared)]
+
+
+def last_place(outcomes):
+    return np.array(outcomes[-1].metrics[0].centre_box[:2])
+
+
+def test_it_is_found_where_it_reappears_and_that_is_told_with_its_numbers(play):
+    outcomes = play(Finder(), {"share": 0.1, "grow_box": 1.0})
+    (event,) = told(outcomes)
+    assert np.abs(last_place(outcomes) - NEW).max() < 0.5
+    assert outcomes[-1].metrics[0].status == "tracking"
+    assert event.frame > AWAY[1] and event.hypotheses == PLACES
+    odds = 0.1 / 0.9 * math.exp(log_odds(0.99) - log_odds(0.05))
+    held = event.held / (1.0 - event.held)
+    count = odds / held  # of the places in reach
+    assert count == pytest.approx(round(count))
+    assert event.within_px == pytest.approx(10.0 * (event.frame - AWAY[0] + 1))
+    across, down = min(2 * event.within_px, 40.0 + event.within_px, 119.0), 99.0
+    assert round(count) == round(across / (10 * APART_BOX)) * round(down / (10 * APART_BOX))
+    assert "by finder" in event.describe()
+
+
+def test_with_less_than_the_share_that_is_told_it_would_not_have(play):
+    (event,) = told(play(Finder(), {"share": 0.1, "grow_box": 1.0}))
+    found = {
+        factor: [
+            one.frame for one in told(play(Finder(), {"share": factor * event.turning, "grow_box": 1.0}))
+        ]
+        for factor in (0.99, 1.01)
+    }
+    assert event.frame in found[1.01] and event.frame not in found[0.99]
+
+
+@pytest.mark.parametrize(
+    ("finder", "relocalize"),
+    [
+        (Finder(), None),
+        (Finder(clutter=0.15, sure=0.5), {"share": 0.1}),
+        (Finder(reach=2.0), {"share": 0.1, "grow_box": 0.1}),
+    ],
+    ids=["without", "hardly surer than here", "not in reach"],
+)
+def test_else_it_stays_where_it_is(play, finder, relocalize):
+    outcomes = play(finder, relocalize)
+    assert told(outcomes) == []
+    assert np.abs(last_place(outcomes) - BOX[:2]).max() < 1.0
+
+
+def test_without_growth_the_whole_frame_is_searched_at_once(play):
+    (event,) = told(play(Finder(), {"share": 0.1}))
+    assert event.within_px is None and "the whole frame" in event.describe()
+
+
+def test_all_places_are_looked_at_in_turn_and_only_while_it_is_lost(play):
+    finder = Finder(reach=0.0, clutter=0.05)
+    outcomes = play(finder, {"share": 0.1})
+    lost = [outcome.state.net.targets["1"].status == "lost" for outcome in outcomes]
+    assert [len(finder.asked[frame]) > 1 for frame in range(1, 15)] == lost[:-1]
+    elsewhere = {tuple(place) for places in finder.asked.values() for place in places[1 : 1 + PLACES]}
+    assert len(elsewhere) == 6 * 5  # of the frame of 120 x 100 px, about 20 px apart
+
+
+def test_an_agent_that_fails_elsewhere_goes_on_where_it_is(play):
+    outcomes = play(Finder(breaks=True), {"share": 0.1})
+    assert told(outcomes) == []
+    assert not [event for one in outcomes for event in one.events if isinstance(event, Quarantined)]
+    assert all("finder" in one.metrics[0].active for one in outcomes[1:])
