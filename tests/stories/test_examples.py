@@ -94,23 +94,3 @@ def test_an_occluded_target_is_lost_and_found_again() -> None:
     assert states == ["lost", "tracking"]
     assert results[int(np.flatnonzero(hidden)[-1])].targets[0].ud_px2 > 1000
     assert overlaps(results, scene)[-5:].mean() > 0.5
-
-
-@pytest.mark.slow
-def test_twelve_seeds_of_the_crossing() -> None:
-    """With 48 of 50 held, fewer than 9 of 12 has a probability below 0.1 %."""
-    held = 0
-    for seed in range(1, 13):
-        scene = make_scene("two_squares", seed)
-        held += overlaps(play("two_squares", scene, seed), scene)[-10:].mean() > 0.5
-    assert held >= 9
-
-
-@pytest.mark.slow
-def test_twelve_occlusions() -> None:
-    """With 45 of 48 found again, fewer than 8 of 12 has a probability below 0.1 %."""
-    found = 0
-    for seed in range(12):
-        scene = make_scene("occluder" if seed % 2 else "occluder_long", seed)
-        found += overlaps(play("two_squares", scene, seed), scene)[-5:].mean() > 0.3
-    assert found >= 8

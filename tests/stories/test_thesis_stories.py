@@ -89,7 +89,7 @@ def test_two_people_are_each_followed_by_what_is_reliable(stories: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["orange_and_gray", "person_color_stereo", "person_same_clothes_nearer"])
+@pytest.mark.parametrize("name", ["person_color_stereo", "person_same_clothes_nearer"])
 def test_twelve_times(stories: Any, name: str) -> None:
     """At least 19 of 20 seeds did it when this was written; with 19, fewer than 8 of 12 has below 0.1 %."""
     assert sum(stories.STORIES[name].is_told(stories.STORIES[name].played(seed)) for seed in range(12)) >= 8
