@@ -447,10 +447,21 @@ def test_the_rate_is_without_the_first_frame_and_the_seconds_of_compiling(cli, i
 
 @pytest.mark.slow
 def test_the_first_run_says_that_it_compiles_and_the_second_one_does_not(tmp_path):
+    """The ball's scene needs few kernels."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     for first in (True, False):
         out = tmp_path / f"run {first}"
-        line = [sys.executable, "-m", "bayesnet_track", "demo", "--end", "6", "--out", str(out)]
+        line = [
+            sys.executable,
+            "-m",
+            "bayesnet_track",
+            "demo",
+            "flying_ball",
+            "--end",
+            "6",
+            "--out",
+            str(out),
+        ]
         done = subprocess.run(line, capture_output=True, text=True, check=True, env=environment)
         assert done.stderr.count(commands.COMPILING) == first
         assert (" s of compiling" in done.stdout) == first
