@@ -244,10 +244,16 @@ def test_the_wheel_holds_everything_that_a_run_needs(wheel):
     assert all(f"{cue} = bayesnet_track.cues.{cue}:CUE" in points for cue in BUILT_IN)
 
 
+@pytest.fixture(scope="module")
+def site(wheel, tmp_path_factory):
+    """The wheel installed in a folder, where its kernels are compiled once."""
+    folder = tmp_path_factory.mktemp("installed") / "site"
+    python("-m", "pip", "install", "--no-deps", "--target", folder, wheel, check=True)
+    return folder
+
+
 @pytest.mark.slow
-def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel, tmp_path):
-    site = tmp_path / "site"
-    python("-m", "pip", "install", "--no-deps", "--target", site, wheel, check=True)
+def test_the_wheel_works_where_nothing_else_of_the_project_is(site, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(site)}
     where = "import json, bayesnet_track, bayesnet_track.cues as c, bayesnet_track.graphs as g;"
     where += "print(json.dumps([m.__file__ for m in (bayesnet_track, c, g)]))"
@@ -261,10 +267,9 @@ DECOY = "import os\nwith open({log!r}, 'a') as log: log.write(f'{{__file__}} ran
 
 
 @pytest.mark.slow
-def test_an_installation_imports_nothing_from_the_working_directory(wheel, tmp_path):
+def test_an_installation_imports_nothing_from_the_working_directory(site, tmp_path):
     """Neither the program, nor a process that it starts: of agents, of a batch, of a decoder."""
-    site, here, log = tmp_path / "site", tmp_path / "here", tmp_path / "log"
-    python("-m", "pip", "install", "--no-deps", "--target", site, wheel, check=True)
+    here, log = tmp_path / "here", tmp_path / "log"
     (here / "bayesnet_track").mkdir(parents=True)
     for name in ("cv2.py", "numpy.py", "numba.py", "av.py", "json.py", "bayesnet_track/__init__.py"):
         (here / name).write_text(DECOY.format(log=str(log)))
