@@ -168,9 +168,10 @@ def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(l
     own = OpenRun(general.replace("correlation_filter", "my_own_cue"), {"1": "target"}, lines)
     assert advise(own, gone)["try"] == advise(replace(own, graph_text=general), gone)["try"] is not None
     kalman = replace(own, graph_text=load_graph("kalman_detections").text)
-    assert advise(kalman, gone)["refused"] == "relocalize beside gaussian, which cannot jump"
+    reason = "relocalize beside gaussian, and no agent says how sure it is wherever it is asked"
+    assert advise(kalman, gone)["refused"] == reason
     said = "\n".join(command._lines("R", advise(kalman, gone)))
-    assert ".relocalize, but not in this graph: relocalize beside gaussian, which cannot jump" in said
+    assert f".relocalize, but not in this graph: {reason}" in said
 
 
 def test_names_of_a_graph():

@@ -5,6 +5,7 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graphs import find_graph
+from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.observation.planes import Frame, FramePair
@@ -142,3 +143,19 @@ def test_deep_loses_its_target_in_black_frames_and_finds_it_again(tracker, scene
     assert max(scores[7:17]) < 0.1  # from the first black frame on
     assert status[9:17] == ["lost"] * 8
     assert status[20:] == ["tracking"] * 10
+
+
+def test_deep_finds_a_lost_target_again_at_another_place(tracker, scene):
+    """It is away for ten frames, and returns where the crop around the last place does not reach."""
+    elsewhere = scene.start + np.array([120, 30])
+    events, status = [], []
+    for k in range(1, 41):
+        shown = scene.background if 8 <= k < 18 else scene.image(scene.start if k < 8 else elsewhere)
+        _, found = tracker.update(shown)
+        events += [event for event in tracker.events if isinstance(event, Reappeared)]
+        status.append(tracker.status)
+    centre = np.array(found[:2]) + np.array(found[2:]) / 2 - 0.5
+    assert np.abs(centre - elsewhere).max() < 5.0
+    assert status[16] == "lost" != status[-1]
+    (event,) = events
+    assert event.by == "network" and event.frame > 18

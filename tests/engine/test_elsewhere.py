@@ -56,9 +56,9 @@ class Finder:
 
 @pytest.fixture
 def play(fakes):
-    """(finder, relocalize, opaque) -> outcomes of fourteen frames."""
+    """(finder, relocalize) -> outcomes of thirty frames, or as many as said."""
 
-    def run(finder, relocalize, frames=14, **settings):
+    def run(finder, relocalize, frames=30):
         walk = {"sd_px": {"x": 2.0, "y": 2.0}, "relocalize": relocalize}
         root = {
             "belief": {"gaussian": {"filter": "kalman"}},
@@ -67,7 +67,7 @@ def play(fakes):
             "score": {"logistic": {"bias": 0.0, "memory_frames": 0, "confidence": {"finder": 1.0}}},
             "lost": {"score_below": 0.2, "uncertain_below": 0.5, "frames": 1},
         }
-        declared = {"finder": fakes.declare(finder, is_confident=lambda parameters: True, **settings)}
+        declared = {"finder": fakes.declare(finder, is_confident=lambda parameters: True)}
         engine = make_engine(fakes.graph({"root": root, "finder": "root"}, declared), 0, declared)
         return fakes.play(engine, frames, {"1": BOX})
 
@@ -133,7 +133,7 @@ def test_all_places_are_looked_at_in_turn_and_only_while_it_is_lost(play):
     finder = Finder(reach=0.0, clutter=0.05)
     outcomes = play(finder, {"share": 0.1})
     lost = [outcome.state.net.targets["1"].status == "lost" for outcome in outcomes]
-    assert [len(finder.asked[frame]) > 1 for frame in range(1, 15)] == lost[:-1]
+    assert [len(finder.asked[frame]) > 1 for frame in range(1, 31)] == lost[:-1]
     elsewhere = {tuple(place) for places in finder.asked.values() for place in places[1 : 1 + PLACES]}
     assert len(elsewhere) == 6 * 5  # of the frame of 120 x 100 px, about 20 px apart
 

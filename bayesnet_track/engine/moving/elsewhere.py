@@ -1,4 +1,4 @@
-"""A lost target of a Gaussian belief is looked for at a few other places in each frame.
+"""A lost target of a Gaussian belief is looked for at two other places in each frame.
 
 A Gaussian has no hypotheses to spare for a search. Agents that measure and say how sure they are look
 instead. The odds of their confidence stand for the likelihood of the target against none, and the belief
@@ -27,7 +27,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
 from bayesnet_track.numerics.records import changed
 
-PLACES = 4
+PLACES = 2
 """Other places that are looked at in a frame."""
 APART_BOX = 2.0
 """How far apart they are, in sqrt(w h): the crop of a Siamese network reaches so far to each side."""
