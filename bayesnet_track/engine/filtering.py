@@ -126,8 +126,9 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         if ride is None:
             again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
             moved, stepped = search_around(work, target, before, moves, (plan, stepped, again))
-            restart = partial(_step_from, work, belief, before.plan, (motion, dt, stream, compiled.modes))
-            moved, stepped = look_elsewhere(work, target, before, moved, (stepped, observer, restart))
+            restart = partial(_step_from, work, belief, plan, (motion, dt, stream, compiled.modes))
+            steps = plan, stepped, observer, restart
+            moved, stepped = look_elsewhere(work, target, before, moved, steps)
         # With the answers of one that later gave none the belief would be neither with it nor without it.
         if not observer.broke_off:
             break

@@ -22,6 +22,7 @@ from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
 from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
+from bayesnet_track.graph.checks.motion import gaussians_are_looked_for
 from bayesnet_track.graph.checks.trees import TREE_CHECKS
 from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
 from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS, MAX_NESTING, MAX_TERMS
@@ -189,6 +190,7 @@ def _checks() -> str:
         *RULE_CHECKS,
         *EXISTENCE_CHECKS,
         evidence_counts_once,
+        gaussians_are_looked_for,
         *FACTOR_CHECKS,
         *CONSTANT_CHECKS,
         *JOIN_CHECKS,

@@ -168,7 +168,7 @@ def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(l
     own = OpenRun(general.replace("correlation_filter", "my_own_cue"), {"1": "target"}, lines)
     assert advise(own, gone)["try"] == advise(replace(own, graph_text=general), gone)["try"] is not None
     kalman = replace(own, graph_text=load_graph("kalman_detections").text)
-    reason = "relocalize beside gaussian, and no agent says how sure it is wherever it is asked"
+    reason = "relocalize beside gaussian, and no agent of the whole says how sure it is anywhere"
     assert advise(kalman, gone)["refused"] == reason
     said = "\n".join(command._lines("R", advise(kalman, gone)))
     assert f".relocalize, but not in this graph: {reason}" in said

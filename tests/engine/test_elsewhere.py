@@ -32,6 +32,7 @@ class Finder:
     clutter: float = 0.05
     sure: float = 0.99
     breaks: bool = False
+    seen: tuple = ()
     asked: dict = field(default_factory=dict)
     needs: tuple = ()
 
@@ -50,6 +51,8 @@ class Finder:
         true = np.array(BOX[:2]) if frame < AWAY[0] else NEW if frame > AWAY[1] else np.full(2, 1e6)
         there = np.abs(true - place).max() < self.reach
         mean = np.array([*(true if there else place), *BOX[2:]])
+        if there and frame > AWAY[1] and self.seen:
+            mean = np.array(self.seen)
         confidence = self.sure if there else self.clutter
         return Measurement(("x", "y", "w", "h"), mean, np.eye(4), confidence=confidence)
 
@@ -138,8 +141,23 @@ def test_all_places_are_looked_at_in_turn_and_only_while_it_is_lost(play):
     assert len(elsewhere) == 6 * 5  # of the frame of 120 x 100 px, about 20 px apart
 
 
-def test_an_agent_that_fails_elsewhere_goes_on_where_it_is(play):
+def test_an_agent_that_fails_elsewhere_fails_in_that_frame(play):
     outcomes = play(Finder(breaks=True), {"share": 0.1})
     assert told(outcomes) == []
-    assert not [event for one in outcomes for event in one.events if isinstance(event, Quarantined)]
-    assert all("finder" in one.metrics[0].active for one in outcomes[1:])
+    (first, *_) = [event for one in outcomes for event in one.events if isinstance(event, Quarantined)]
+    assert "asked twice" in first.describe()
+    assert "finder" not in outcomes[first.frame].metrics[0].active
+
+
+def test_what_is_seen_beyond_the_frame_or_without_extent_begins_inside(play):
+    """The belief of a guest's odd measurement must not end the run."""
+    finder = Finder(seen=(-500.0, 22.0, 0.0, 0.0))
+    event, *_ = told(play(finder, {"share": 0.1}))
+    assert (event.x, event.y) == (0.0, 22.0)
+
+
+def test_it_goes_only_where_the_agent_is_surer_than_here_and_than_not(play):
+    """However probable a jump is, and however few places there are."""
+    for here, there in ((0.7, 0.7), (0.05, 0.45)):
+        assert told(play(Finder(clutter=here, sure=there), {"share": 0.99})) == []
+    assert told(play(Finder(clutter=0.05, sure=0.55), {"share": 0.99})) != []

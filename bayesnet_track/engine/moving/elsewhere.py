@@ -20,7 +20,8 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.scoring.confidences import log_odds
-from bayesnet_track.engine.state import TargetState, plan_for
+from bayesnet_track.engine.state import TargetState, inside_frame, plan_for
+from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.numerics.arrays import Floats
@@ -37,7 +38,7 @@ Restart = Callable[[Floats, Observer], Step[Posterior]]
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Find:
     """What agents say of a place.
 
     Attributes:
@@ -54,43 +55,48 @@ def look_elsewhere(
     target: str,
     before: TargetState,
     moves: PredictedMotion,
-    steps: tuple[Step[Posterior], Observer, Restart],
+    steps: tuple[Plan, Step[Posterior], Observer, Restart],
 ) -> tuple[PredictedMotion, Step[Posterior]]:
     """The motion and the step of the frame: those from the best of other places, if it is more probable.
 
     One of M places in reach is as probable as another: the odds of a jump are share / (1 - share) / M, times
-    the odds of the agents' confidence there, over those where the belief is. `steps` are the step of the
-    frame, its observer, and what makes a step from elsewhere.
+    the odds of the agents' confidence there, over those where the belief is. In any case they have to be
+    surer there than here, and more sure than not. `steps` are the agents that took part in the first step,
+    that step, its observer, and what makes a step from elsewhere.
     """
-    first, observer, restart = steps
+    plan, first, observer, restart = steps
     compiled, context = work.plate_of(target), moves.motion_context
-    agents = frozenset(compiled.searching & first.evidence.measured.keys())
+    able = {one.agent for one in plan.observations if one.agent in compiled.searching and one.at == plan.root}
+    agents = frozenset(able & first.evidence.measured.keys())
     if not agents or context is None or work.net.targets[target].status != "lost":
         return moves, first
     assert compiled.moving is not None and compiled.moving.relocalize is not None
     assert context.influences is not None
     rule, here = compiled.moving.relocalize, first.posterior.mean[:4]
-    share = 1.0 - (1.0 - rule.share) ** context.influences.dt
     box = before.belief.mean[:4] if context.held is None else context.held
-    side, half_px = math.sqrt(box[2] * box[3]), None
+    side, half_px = math.sqrt(box[2] * box[3]), math.inf
     if rule.grow_box is not None and context.held is not None:
         half_px = rule.grow_box * context.away * side
-    places = _lay_places(box, math.inf if half_px is None else half_px, work)
-    turn = PLACES * work.frame.index + np.arange(min(PLACES, len(places)))
-    asked = [np.array([*place, *box[2:]]) for place in places[turn % len(places)]]
+    within = Within.around(box, half_px, work.frame.width, work.frame.height)
+    places = _lay_places(within, APART_BOX * side)
+    turns = PLACES * work.frame.index + np.arange(min(PLACES, len(places)))
+    turns += turns // len(places)  # where it is not asked in each frame, not always of the same ones
+    asked = [np.array([*place, *box[2:]]) for place in places[turns % len(places)]]
     seen = [_ask(work, target, before, (observer, agents), one) for one in asked]
-    found = [one for one in seen if one is not None and overlap_of_two(one.box, here) == 0.0]
+    stays = _see(first.evidence, agents, here).log_odds
+    found = [
+        one
+        for one in seen
+        if one is not None and one.log_odds > max(stays, 0.0) and overlap_of_two(one.box, here) == 0.0
+    ]
     if not found:
         return moves, first
     best = max(found, key=lambda one: one.log_odds)
-    gain = best.log_odds - _see(first.evidence, agents, here).log_odds - math.log(len(places))
-    held = 1.0 / (1.0 + math.exp(-gain) * (1.0 - share) / share)
+    gain = best.log_odds - stays - math.log(len(places))
+    held = 1.0 / (1.0 + math.exp(-gain) * (1.0 - rule.share) / rule.share)
     if held <= TELL_ABOVE:
         return moves, first
-    afresh = _afresh(observer)
-    jumped = restart(best.box, afresh)
-    if afresh.faults.keys() != observer.faults.keys() or afresh.missed.keys() != observer.missed.keys():
-        return moves, first
+    jumped = restart(best.box, replace(observer, measured={}))
     x, y = best.box[:2].tolist()
     event = Reappeared(
         frame=0,
@@ -99,18 +105,17 @@ def look_elsewhere(
         hypotheses=len(seen),
         held=held,
         level=TELL_ABOVE,
-        share=share,
+        share=rule.share,
         turning=1.0 / (1.0 + math.exp(gain)),
         x=x,
         y=y,
         moved_px=math.dist((x, y), before.belief.mean[:2].tolist()),
         ud_px2=context.ud_px2,
         above_px2=0.0,
-        within_px=half_px,
+        within_px=None if math.isinf(half_px) else within.half_px,
     )
-    moves = replace(
-        moves, motion_context=changed(context, influences=changed(context.influences, jump_share=share))
-    )
+    influences = changed(context.influences, jump_share=rule.share)
+    moves = replace(moves, motion_context=changed(context, influences=influences))
     return moves, changed(jumped, reports=(*jumped.reports, _told(event)))
 
 
@@ -118,26 +123,13 @@ def _told(event: Reappeared) -> Callable[[int, str], Reappeared]:
     return lambda frame, target: replace(event, frame=frame, target=target)
 
 
-def _lay_places(box: Floats, half_px: float, work: FrameWork) -> Floats:
-    """(M, 2) places on a lattice, px, within so far of the centre box (4,)."""
-    within = Within.around(box, half_px, work.frame.width, work.frame.height)
-    apart, lines = APART_BOX * math.sqrt(box[2] * box[3]), []
+def _lay_places(within: Within, apart_px: float) -> Floats:
+    """(M, 2) places on a lattice over the part of the frame, about so far apart, px."""
+    lines = []
     for low, high in zip(within.low.tolist(), within.high.tolist(), strict=True):
-        count = max(round((high - low) / apart), 1)
+        count = max(round((high - low) / apart_px), 1)
         lines.append(low + (np.arange(count) + 0.5) * (high - low) / count)
     return np.stack(np.meshgrid(*lines), axis=2).reshape(-1, 2)
-
-
-def _afresh(observer: Observer) -> Observer:
-    """The same observer, of which no agent has been asked yet; what fails is kept apart."""
-    return replace(
-        observer,
-        measured={},
-        faults=dict(observer.faults),
-        missed=dict(observer.missed),
-        answered=set(),
-        broke_off=set(),
-    )
 
 
 def _ask(
@@ -146,16 +138,22 @@ def _ask(
     before: TargetState,
     asked: tuple[Observer, frozenset[str]],
     box: Floats,
-) -> Sight | None:
-    """What agents see around a centre box (4,); None where none of them measured anything."""
+) -> Find | None:
+    """What agents see around a centre box (4,); None where none of them measured anything.
+
+    One that fails there, or gives no answer, does so in this frame.
+    """
     observer, agents = asked
     plan = plan_for(work.plate_of(target), agents)
-    states = np.concatenate([box, before.belief.mean[4:]])[None]
-    evidence = evaluate(plan, _afresh(observer), hypotheses_of(states, before.belief.fields), np.zeros(1))
-    return _see(evidence, agents, box) if any(evidence.measured.values()) else None
+    states = hypotheses_of(np.concatenate([box, before.belief.mean[4:]])[None], before.belief.fields)
+    evidence = evaluate(plan, replace(observer, measured={}), states, np.zeros(1))
+    if not any(evidence.measured.values()):
+        return None
+    found = _see(evidence, agents, box)
+    return replace(found, box=inside_frame(found.box, work.frame))
 
 
-def _see(evidence: Evidence, agents: Collection[str], box: Floats) -> Sight:
+def _see(evidence: Evidence, agents: Collection[str], box: Floats) -> Find:
     """What the agents measured; one that measured nothing is as unsure as can be, and none leaves the box."""
     total, most, found = 0.0, -math.inf, box.copy()
     for agent in sorted(agents):
@@ -167,4 +165,4 @@ def _see(evidence: Evidence, agents: Collection[str], box: Floats) -> Sight:
             for field, value in zip(measured.fields, measured.mean.tolist(), strict=True):
                 if field in BOX_FIELDS:
                     found[BOX_FIELDS.index(field)] = value
-    return Sight(found, total)
+    return Find(found, total)

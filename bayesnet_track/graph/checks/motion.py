@@ -135,9 +135,24 @@ def gaussians_are_looked_for(plate: Plate) -> Iterator[GraphMessage]:
         for word in sorted(settings.relocalize.model_fields_set - {"share", "grow_box"}):
             found = f"{word} beside gaussian, which has no hypotheses that could look"
             yield plate.message(name, found, ["share", "grow_box"], key=(*here, word), on_key=True)
-        if not any(declares(plate, node, CueDeclaration.can_search) for node in plate.agents.values()):
-            found = "relocalize beside gaussian, and no agent says how sure it is wherever it is asked"
+        if plate.inference[name].lost is None:
+            found = "relocalize beside gaussian without lost: only a lost target is looked for"
+            yield plate.message(name, found, "both, or none", key=here, on_key=True)
+        whole = [node for agent, node in plate.agents.items() if not _is_of_a_part(plate, agent)]
+        if not any(declares(plate, node, CueDeclaration.can_search) for node in whole):
+            found = "relocalize beside gaussian, and no agent of the whole says how sure it is anywhere"
             yield plate.message(name, found, "an agent such as siamese_box", key=here, on_key=True)
+
+
+def _is_of_a_part(plate: Plate, agent: str) -> bool:
+    """Whether a latent node is above it (for a valid tree)."""
+    above: str | None = plate.agents[agent].parent
+    while above is not None:
+        node = plate.inference[above]
+        if node.fuse is not None and node.fuse.latent is not None:
+            return True
+        above = node.parent
+    return False
 
 
 def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
@@ -183,6 +198,5 @@ MOTION_CHECKS: tuple[Check, ...] = (
     borders_can_be_met,
     box_velocities_are_gaussian,
     angle_is_seen,
-    gaussians_are_looked_for,
     jumps_have_places,
 )

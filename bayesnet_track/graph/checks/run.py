@@ -19,6 +19,7 @@ from bayesnet_track.graph.checks.givens import GIVEN_CHECKS, read_givens
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
 from bayesnet_track.graph.checks.measures import MEASURE_CHECKS, read_measures
+from bayesnet_track.graph.checks.motion import gaussians_are_looked_for
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.trees import TREE_CHECKS
 from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
@@ -39,6 +40,7 @@ CHECKS_OF_A_SOUND_TREE = (
     *RULE_CHECKS,
     *EXISTENCE_CHECKS,
     evidence_counts_once,
+    gaussians_are_looked_for,
     *FACTOR_CHECKS,
     *GIVEN_CHECKS,
     *MEASURE_CHECKS,

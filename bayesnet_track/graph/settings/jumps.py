@@ -61,8 +61,8 @@ class Relocalize(Model):
     """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
 
     It is then found again after an occlusion, or after leaving the view. Needs particles of a fixed `size`
-    with `proposal: bootstrap`, or a Gaussian, which is looked for while lost by agents that say how sure they
-    are.
+    with `proposal: bootstrap`. Beside a Gaussian, agents that say how sure they are look for a lost target,
+    and `share` weighs what they say of other places against what they say of its own.
     """
 
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(

@@ -14,13 +14,13 @@ class Reappeared:
     Attributes:
         frame: the frame.
         target: target id.
-        by: what proposed the places: uniform, agents, or a detector's name.
-        hypotheses: how many jumped.
-        held: their share of the belief.
+        by: what proposed the places: uniform, agents, or a detector's name; or the agents that looked there.
+        hypotheses: how many jumped; beside a Gaussian belief, at how many places agents looked.
+        held: their share of the belief, or the probability of the best place against the belief's own.
         level: share above which this is reported.
         share: prior probability of reappearing in this frame.
         turning: largest prior probability with which these hypotheses would hold no more than `level`.
-        x: mean column of these hypotheses, px.
+        x: mean column of these hypotheses, or of what was seen there, px.
         y: the same, row.
         moved_px: how far that is from the last frame's mean.
         ud_px2: UD of the last frame.
