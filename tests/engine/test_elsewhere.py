@@ -11,7 +11,9 @@ import pytest
 from bayesnet_track.engine.compiled import make_engine
 from bayesnet_track.engine.moving.elsewhere import APART_BOX, PLACES
 from bayesnet_track.engine.scoring.confidences import log_odds
-from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.journal.events.faults import AgentMissed, Quarantined
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.observation.cue import Measurement
 
@@ -31,7 +33,7 @@ class Finder:
     reach: float = 15.0
     clutter: float = 0.05
     sure: float = 0.99
-    breaks: bool = False
+    breaks: Exception | None = None
     seen: tuple = ()
     asked: dict = field(default_factory=dict)
     needs: tuple = ()
@@ -46,8 +48,8 @@ class Finder:
         frame, place = planes.frame.index, (weights @ hypotheses.boxes)[:2]
         places = self.asked.setdefault(frame, [])
         places.append(place)
-        if self.breaks and len(places) > 1:
-            raise RuntimeError("asked twice")
+        if self.breaks is not None and len(places) > 1:
+            raise self.breaks
         true = np.array(BOX[:2]) if frame < AWAY[0] else NEW if frame > AWAY[1] else np.full(2, 1e6)
         there = np.abs(true - place).max() < self.reach
         mean = np.array([*(true if there else place), *BOX[2:]])
@@ -142,11 +144,33 @@ def test_all_places_are_looked_at_in_turn_and_only_while_it_is_lost(play):
 
 
 def test_an_agent_that_fails_elsewhere_fails_in_that_frame(play):
-    outcomes = play(Finder(breaks=True), {"share": 0.1})
+    outcomes = play(Finder(breaks=RuntimeError("asked twice")), {"share": 0.1})
     assert told(outcomes) == []
     (first, *_) = [event for one in outcomes for event in one.events if isinstance(event, Quarantined)]
     assert "asked twice" in first.describe()
     assert "finder" not in outcomes[first.frame].metrics[0].active
+
+
+def test_one_that_gives_no_answer_elsewhere_has_no_part_in_the_frame(play):
+    """Else a run could not be repeated from what is written of it."""
+    outcomes = play(Finder(breaks=AgentUnavailable("its process died")), {"share": 0.1})
+    missed = [outcome for outcome in outcomes if any(isinstance(one, AgentMissed) for one in outcome.events)]
+    assert missed and told(outcomes) == []
+    assert not any("finder" in outcome.metrics[0].active for outcome in missed)
+
+
+def test_an_agent_of_a_part_does_not_look_for_the_whole(fakes):
+    part = {"parent": "root", "fuse": {"latent": {"given": {"sd_px": {"x": 1.0, "y": 1.0}}}}}
+    root = {
+        "belief": {"gaussian": {}},
+        "motion": {"random_walk": {"sd_px": {"x": 2.0, "y": 2.0}, "relocalize": {"share": 0.1}}},
+        "fuse": "product",
+        "lost": {},
+    }
+    declared = {"finder": fakes.declare(Finder(), is_confident=lambda parameters: True)}
+    finder = {"parent": "part", "agent": "finder"}
+    with pytest.raises(GraphError, match="no agent of the whole says how sure it is"):
+        fakes.graph({"root": root, "part": part, "finder": finder}, declared)
 
 
 def test_what_is_seen_beyond_the_frame_or_without_extent_begins_inside(play):
