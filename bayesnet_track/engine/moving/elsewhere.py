@@ -18,9 +18,10 @@ from bayesnet_track.belief.motion.jumps import TELL_ABOVE
 from bayesnet_track.belief.motion.places import Within
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.moving.predicting import PredictedMotion
+from bayesnet_track.engine.moving.predicting import MotionContext, PredictedMotion
 from bayesnet_track.engine.scoring.confidences import log_odds
 from bayesnet_track.engine.state import TargetState, inside_frame, plan_for
+from bayesnet_track.graph.settings.jumps import Relocalize
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.jumps import Reappeared
@@ -74,24 +75,17 @@ def look_elsewhere(
     assert context.influences is not None
     rule, here = compiled.moving.relocalize, first.posterior.mean[:4]
     box = before.belief.mean[:4] if context.held is None else context.held
-    side, half_px = math.sqrt(box[2] * box[3]), math.inf
-    if rule.grow_box is not None and context.held is not None:
-        half_px = rule.grow_box * context.away * side
-    within = Within.around(box, half_px, work.frame.width, work.frame.height)
-    places = _lay_places(within, APART_BOX * side)
-    turns = PLACES * work.frame.index + np.arange(min(PLACES, len(places)))
-    turns += turns // len(places)  # where it is not asked in each frame, not always of the same ones
-    asked = [np.array([*place, *box[2:]]) for place in places[turns % len(places)]]
-    seen = [_ask(work, target, before, (observer, agents), one) for one in asked]
-    stays = _see(first.evidence, agents, here).log_odds
-    found = [
-        one
-        for one in seen
-        if one is not None and one.log_odds > max(stays, 0.0) and overlap_of_two(one.box, here) == 0.0
+    within = _reached(rule, context, box, work)
+    places = _lay_places(within, APART_BOX * math.sqrt(box[2] * box[3]))
+    seen = [
+        _ask(work, target, before, (observer, agents), np.array([*place, *box[2:]]))
+        for place in _in_turn(places, work.frame.index)
     ]
-    if not found:
+    stays = _see(first.evidence, agents, here).log_odds
+    found = [one for one in seen if one is not None and overlap_of_two(one.box, here) == 0.0]
+    best = max(found, key=lambda one: one.log_odds, default=None)
+    if best is None or best.log_odds <= max(stays, 0.0):
         return moves, first
-    best = max(found, key=lambda one: one.log_odds)
     gain = best.log_odds - stays - math.log(len(places))
     held = 1.0 / (1.0 + math.exp(-gain) * (1.0 - rule.share) / rule.share)
     if held <= TELL_ABOVE:
@@ -99,8 +93,8 @@ def look_elsewhere(
     jumped = restart(best.box, replace(observer, measured={}))
     x, y = best.box[:2].tolist()
     event = Reappeared(
-        frame=0,
-        target="",
+        frame=work.frame.index,
+        target=target,
         by=" and ".join(sorted(agents)),
         hypotheses=len(seen),
         held=held,
@@ -112,15 +106,19 @@ def look_elsewhere(
         moved_px=math.dist((x, y), before.belief.mean[:2].tolist()),
         ud_px2=context.ud_px2,
         above_px2=0.0,
-        within_px=None if math.isinf(half_px) else within.half_px,
+        within_px=None if math.isinf(within.half_px) else within.half_px,
     )
     influences = changed(context.influences, jump_share=rule.share)
     moves = replace(moves, motion_context=changed(context, influences=influences))
-    return moves, changed(jumped, reports=(*jumped.reports, _told(event)))
+    return moves, changed(jumped, reports=(*jumped.reports, lambda frame, target: event))
 
 
-def _told(event: Reappeared) -> Callable[[int, str], Reappeared]:
-    return lambda frame, target: replace(event, frame=frame, target=target)
+def _reached(rule: Relocalize, context: MotionContext, box: Floats, work: FrameWork) -> Within:
+    """Where the target may be by now that was last held in the centre box (4,)."""
+    half_px = math.inf
+    if rule.grow_box is not None and context.held is not None:
+        half_px = rule.grow_box * context.away * math.sqrt(box[2] * box[3])
+    return Within.around(box, half_px, work.frame.width, work.frame.height)
 
 
 def _lay_places(within: Within, apart_px: float) -> Floats:
@@ -130,6 +128,15 @@ def _lay_places(within: Within, apart_px: float) -> Floats:
         count = max(round((high - low) / apart_px), 1)
         lines.append(low + (np.arange(count) + 0.5) * (high - low) / count)
     return np.stack(np.meshgrid(*lines), axis=2).reshape(-1, 2)
+
+
+def _in_turn(places: Floats, frame: int) -> Floats:
+    """The places (M, 2) that are looked at in a frame; after each round the next begins one later.
+
+    So agents that are not asked in every frame do not always look at the same ones.
+    """
+    turns = PLACES * frame + np.arange(min(PLACES, len(places)))
+    return np.asarray(places[(turns + turns // len(places)) % len(places)])
 
 
 def _ask(
