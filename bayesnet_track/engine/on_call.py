@@ -6,7 +6,6 @@ The others' answers are remembered, so that only the belief is weighed a second 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from functools import partial
 
 import numpy as np
 
@@ -22,16 +21,8 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.executor import each_at_once
 from bayesnet_track.inference.measure import columns_of
-from bayesnet_track.inference.observe import (
-    Observer,
-    Question,
-    ask_ahead,
-    find_known_answer,
-    observe,
-    remember,
-)
+from bayesnet_track.inference.observe import Observer, Question, ask_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
 from bayesnet_track.observation.cue import Hypotheses
@@ -88,19 +79,8 @@ def _without_answer(observer: Observer) -> set[str]:
 
 def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses) -> None:
     """Ask the agents that measure, once a frame, where the others found the target: they search around it."""
-    question = Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes))
-    asked = [
-        one
-        for one in plan.observations
-        if one.agent in agents
-        and one.measures
-        and one.at == plan.root
-        and find_known_answer(one, observer) is None
-    ]
-    ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
-    answers = dict(each_at_once(observer.executor, ahead, here, asked))
-    for one in asked:
-        remember(one, answers[one], observer)
+    asked = [one for one in plan.observations if one.agent in agents and one.measures and one.at == plan.root]
+    ask_agents(Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes)), observer, asked)
 
 
 def _read(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 
@@ -14,19 +14,11 @@ from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.executor import each_at_once
 from bayesnet_track.inference.factors import weigh
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.given import draw_given, log_given
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message, sum_kernel
-from bayesnet_track.inference.observe import (
-    Observer,
-    Question,
-    ask_ahead,
-    find_known_answer,
-    observe,
-    remember,
-)
+from bayesnet_track.inference.observe import Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import note_undefined, read_as
 from bayesnet_track.numerics.arrays import Floats
@@ -60,10 +52,8 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     measured: dict[str, Measurement | None] = {}
     faults: dict[str, str] = {}
     question = Question(at, prior_log, _region(at))
-    answers = {step: known[0] for step in plan.observations if (known := find_known_answer(step, observer))}
-    unasked = [step for step in plan.observations if step not in answers]
-    ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
-    answers.update(each_at_once(observer.executor, ahead, here, unasked))
+    answers = known_answers(plan.observations, observer)
+    answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
     for step in plan.observations:
         answer = answers[step]
         remember(step, answer, observer)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
@@ -21,6 +21,7 @@ from bayesnet_track.inference.executor import (
     Serial,
     Wait,
     defer_faults,
+    each_at_once,
     is_elsewhere,
 )
 from bayesnet_track.inference.factors import Factors
@@ -99,6 +100,28 @@ class Question:
     at: Mapping[str, Hypotheses]
     prior_log: Floats
     region: Region
+
+
+def ask_agents(question: Question, observer: Observer, steps: Sequence[Observe]) -> dict[Observe, Answer]:
+    """What the agents of `steps` answer, in their order, remembered; none is asked whose answer is known."""
+    answers = known_answers(steps, observer)
+    answers.update(ask_each(question, observer, [step for step in steps if step not in answers]))
+    for step in steps:
+        remember(step, answers[step], observer)
+    return {step: answers[step] for step in steps}
+
+
+def known_answers(steps: Iterable[Observe], observer: Observer) -> dict[Observe, Answer]:
+    """The answers of the agents of `steps` that are not asked (again)."""
+    return {step: known[0] for step in steps if (known := find_known_answer(step, observer))}
+
+
+def ask_each(
+    question: Question, observer: Observer, steps: Sequence[Observe]
+) -> Iterator[tuple[Observe, Answer]]:
+    """Each of `steps` with its agent's answer, found as the pairs are collected (`each_at_once`)."""
+    ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
+    return each_at_once(observer.executor, ahead, here, steps)
 
 
 def find_known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:

@@ -8,26 +8,28 @@ moves to where it more probably is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
+from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
 from bayesnet_track.belief.motion.jumps import TELL_ABOVE
 from bayesnet_track.belief.motion.places import Within
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import MotionContext, PredictedMotion
 from bayesnet_track.engine.scoring.confidences import log_odds
-from bayesnet_track.engine.state import TargetState, inside_frame, plan_for
+from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.graph.settings.jumps import Relocalize
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.inference.observe import Observer, Question, ask_agents
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.planes import region_of_boxes
 
 PLACES = 2
 """Other places that are looked at in a frame."""
@@ -77,12 +79,14 @@ def look_elsewhere(
     box = before.belief.mean[:4] if context.held is None else context.held
     within = _reached(rule, context, box, work)
     places = _lay_places(within, APART_BOX * math.sqrt(box[2] * box[3]))
-    seen = [
-        _ask(work, target, before, (observer, agents), np.array([*place, *box[2:]]))
-        for place in _in_turn(places, work.frame.index)
-    ]
-    stays = _see(first.evidence, agents, here).log_odds
-    found = [one for one in seen if one is not None and overlap_of_two(one.box, here) == 0.0]
+    seen = []
+    for place in _in_turn(places, work.frame.index):
+        state = np.concatenate([place, box[2:], before.belief.mean[4:]])
+        measured = _ask(plan, observer, agents, hypotheses_of(state[None], before.belief.fields))
+        one = _see(measured, agents, state[:4])
+        seen.append(replace(one, box=inside_frame(one.box, work.frame)))
+    stays = _see(first.evidence.measured, agents, here).log_odds
+    found = [one for one in seen if overlap_of_two(one.box, here) == 0.0]
     best = max(found, key=lambda one: one.log_odds, default=None)
     if best is None or best.log_odds <= max(stays, 0.0):
         return moves, first
@@ -140,36 +144,28 @@ def _in_turn(places: Floats, frame: int) -> Floats:
 
 
 def _ask(
-    work: FrameWork,
-    target: str,
-    before: TargetState,
-    asked: tuple[Observer, frozenset[str]],
-    box: Floats,
-) -> Find | None:
-    """What agents see around a centre box (4,); None where none of them measured anything.
+    plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses
+) -> dict[str, Measurement | None]:
+    """What agents measure at one hypothesis.
 
     One that fails there, or gives no answer, does so in this frame.
     """
-    observer, agents = asked
-    plan = plan_for(work.plate_of(target), agents)
-    states = hypotheses_of(np.concatenate([box, before.belief.mean[4:]])[None], before.belief.fields)
-    evidence = evaluate(plan, replace(observer, measured={}), states, np.zeros(1))
-    if not any(evidence.measured.values()):
-        return None
-    found = _see(evidence, agents, box)
-    return replace(found, box=inside_frame(found.box, work.frame))
+    asked = [one for one in plan.observations if one.agent in agents and one.at == plan.root]
+    question = Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes))
+    answers = ask_agents(question, replace(observer, measured={}), asked)
+    return {one.agent: own if isinstance(own, Measurement) else None for one, own in answers.items()}
 
 
-def _see(evidence: Evidence, agents: Collection[str], box: Floats) -> Find:
+def _see(measured: Mapping[str, Measurement | None], agents: Collection[str], box: Floats) -> Find:
     """What the agents measured; one that measured nothing is as unsure as can be, and none leaves the box."""
     total, most, found = 0.0, -math.inf, box.copy()
     for agent in sorted(agents):
-        measured = evidence.measured.get(agent)
-        own = log_odds(0.0 if measured is None or measured.confidence is None else measured.confidence)
+        one = measured.get(agent)
+        own = log_odds(0.0 if one is None or one.confidence is None else one.confidence)
         total += own
-        if measured is not None and own > most:
+        if one is not None and own > most:
             most, found = own, box.copy()
-            for field, value in zip(measured.fields, measured.mean.tolist(), strict=True):
+            for field, value in zip(one.fields, one.mean.tolist(), strict=True):
                 if field in BOX_FIELDS:
                     found[BOX_FIELDS.index(field)] = value
     return Find(found, total)
