@@ -122,10 +122,9 @@ class SiameseBox:
         image, template = planes[WholeFrame()], reference["template"]
         found = self._look(image, expected, p.crop_px, template, p.window)
         if not _is_sure(found, p):
-            doubtful = min(p.window, DOUBTFUL_WINDOW)
-            again = (self._look(image, expected, side, template, doubtful) for side in (p.crop_px, SEARCH))
+            again = self._look(image, expected, SEARCH, template, min(p.window, DOUBTFUL_WINDOW))
             # What is far from the prediction counts only if it is sure.
-            found = next((one for one in again if _is_sure(one, p)), found)
+            found = again if _is_sure(again, p) else found
         if found is None or found.probability < p.min_probability:
             return None
         box, worth, sure = found.box, max(found.worth, 0.1), found.probability
