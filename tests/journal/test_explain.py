@@ -337,6 +337,13 @@ GOLDEN = [
         "away; would not have at share ≤ 0.0214",
     ),
     (
+        Reappeared(
+            *(81, "1", "network", 0, 0.9974, 0.5, 0.9, 0.02714, 457.6, 63.42, 282.0, 30.0, 0.0, 905.3),
+        ),
+        "frame 81: network searched up to 905 px around its last place and found the target with probability "
+        "0.997 > 0.5 → target 1 reappears at 457.6, 63.42, 282 px away; would not have at share ≤ 0.0271",
+    ),
+    (
         ParticlesResized(
             *(30, "1", 798, 256, "kld_revised", 797.2, "", True),
             *("x", 12.0, 15, 4.0, 7.47, None, "error", 0.1, 0.2491),

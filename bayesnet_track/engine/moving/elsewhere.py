@@ -100,7 +100,7 @@ def look_elsewhere(
         frame=work.frame.index,
         target=target,
         by=" and ".join(sorted(agents)),
-        hypotheses=len(seen),
+        hypotheses=0,
         held=held,
         level=TELL_ABOVE,
         share=rule.share,
@@ -135,10 +135,7 @@ def _lay_places(within: Within, apart_px: float) -> Floats:
 
 
 def _in_turn(places: Floats, frame: int) -> Floats:
-    """The places (M, 2) that are looked at in a frame; after each round the next begins one later.
-
-    So agents that are not asked in every frame do not always look at the same ones.
-    """
+    """The places (M, 2) that are looked at in a frame: all in turn, each round beginning one later."""
     turns = PLACES * frame + np.arange(min(PLACES, len(places)))
     return np.asarray(places[(turns + turns // len(places)) % len(places)])
 

@@ -9,18 +9,20 @@ from bayesnet_track.journal.text.wording import decimals, distinct_texts, round_
 
 @dataclass(frozen=True)
 class Reappeared:
-    """Hypotheses that jumped hold most of the belief: the target reappeared elsewhere.
+    """The target reappeared elsewhere.
+
+    Hypotheses that jumped hold most of the belief; beside a Gaussian, agents found it more probable there.
 
     Attributes:
         frame: the frame.
         target: target id.
         by: what proposed the places: uniform, agents, or a detector's name; or the agents that looked there.
-        hypotheses: how many jumped; beside a Gaussian belief, at how many places agents looked.
+        hypotheses: how many jumped; 0 beside a Gaussian belief, where agents looked elsewhere.
         held: their share of the belief, or the probability of the best place against the belief's own.
         level: share above which this is reported.
         share: prior probability of reappearing in this frame.
-        turning: largest prior probability with which these hypotheses would hold no more than `level`.
-        x: mean column of these hypotheses, or of what was seen there, px.
+        turning: largest prior probability with which they would hold no more than `level`.
+        x: mean column of those hypotheses, or of what was seen there, px.
         y: the same, row.
         moved_px: how far that is from the last frame's mean.
         ud_px2: UD of the last frame.
@@ -64,9 +66,12 @@ class Reappeared:
         where = "the whole frame"
         if self.within_px is not None:
             where = f"up to {self.within_px:.3g} px around its last place"
+        found = f"{self.by} searched {where} and found the target with probability {held} > {level}"
+        if self.hypotheses > 0:
+            who = f"{self.hypotheses} hypotheses searched {where}, {how}"
+            found = f"{who}, and hold {held} > {level} of the belief"
         return (
-            f"{unsure}{self.hypotheses} hypotheses searched {where}, "
-            f"{how}, and hold {held} > {level} of the belief → target {self.target} reappears at "
+            f"{unsure}{found} → target {self.target} reappears at "
             f"{self.x:.4g}, {self.y:.4g}, {self.moved_px:.3g} px away; would not have at share ≤ {turning}"
         )
 
