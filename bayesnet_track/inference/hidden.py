@@ -104,11 +104,11 @@ def evaluate_modes(
     hypothesis is of the background, too, the target missed: that stands in for the agent's own floor.
     """
     seen = evaluate(hypotheses, prior_log)
+    if not sight.modes.can_hide:
+        return seen
     number = hypotheses.fields[FIELD].astype(np.intp)
     log_detected = sight.log_detected(seen)[number]
     hidden = np.array(sight.modes.hidden)[number]
-    if not sight.modes.can_hide:
-        return seen
     said = {
         step.agent: sight.message(seen, step, hypotheses, number)
         for step in plan.observations

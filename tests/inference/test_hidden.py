@@ -109,3 +109,16 @@ def test_a_measurement_of_what_is_hidden_lies_anywhere_in_the_frame():
 def test_an_agent_that_sees_nothing_says_that_the_target_is_probably_hidden():
     found = evaluate_modes(plan_of_one(), SIGHT, measured(None), hypotheses(), LogWeights.uniform(4).log)
     assert np.exp(found.log_likelihood) == pytest.approx([0.3, 0.3, 0.8, 0.8])
+
+
+@pytest.mark.parametrize("place", [None, [52.0, 41.0]])
+def test_without_a_mode_that_hides_the_evidence_stays_as_it_is(place):
+    """No agent misses a target that can always be seen: log 0 must not be asked for."""
+    sight = Sight(
+        make_modes({"slow": spec.Mode(mean_frames=30), "fast": spec.Mode(mean_frames=10)}), 320, 240
+    )
+    prior = LogWeights.uniform(4).log
+    found = evaluate_modes(plan_of_one(), sight, measured(place), hypotheses(), prior)
+    expected = measured(place)(hypotheses(), prior)
+    assert found.messages.keys() == expected.messages.keys()
+    np.testing.assert_array_equal(found.log_likelihood, expected.log_likelihood)
