@@ -163,7 +163,8 @@ class Resizing:
                 return replace(event, x=self._x(event.x), y=self._y(event.y))
             case Reappeared():
                 x, y, moved = self._x(event.x), self._y(event.y), self._distance(event.moved_px)
-                return replace(event, x=x, y=y, moved_px=moved)
+                within = None if event.within_px is None else self._distance(event.within_px)
+                return replace(event, x=x, y=y, moved_px=moved, within_px=within)
             case FoundAgain():
                 return replace(event, moved_px=self._distance(event.moved_px))
             case _:

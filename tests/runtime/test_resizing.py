@@ -281,13 +281,14 @@ def test_values_of_a_field_are_converted_along_its_axis() -> None:
 def test_every_place_that_an_event_has_is_converted() -> None:
     """A new event with a place or a distance in the image has to be named in `Resizing.event`."""
     resizing = Resizing((200, 100), (100, 50))
-    places = {"box", "x", "y", "moved_px", "recognition", "nearest"}
+    places = {"box", "x", "y", "moved_px", "within_px", "recognition", "nearest"}
     near = Recognition("1", 0.9, 0.5, 1.0, 7.0, 0.0, 0.0, 0.0, (), "new", 0.1)
     values = {
         "box": (9.5, 9.5, 4.0, 4.0),
         "x": 9.5,
         "y": 9.5,
         "moved_px": 5.0,
+        "within_px": 7.0,
         "recognition": near,
         "nearest": near,
     }
