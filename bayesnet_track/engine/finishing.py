@@ -28,7 +28,7 @@ from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance
 from bayesnet_track.engine.scoring.confidences import confidences
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
-from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
+from bayesnet_track.engine.scoring.score import Scored, extent_beyond, most, probability, with_distractor
 from bayesnet_track.engine.scoring.verifying import HELD, Verification
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
@@ -141,8 +141,9 @@ def measure_target(
     verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit)
     ud_px2 = measures.ud_px2[compiled.plate.root]
-    said = {**verified.values, **confidences(rule, filtered.step.evidence)}
-    scored = scored.after(rule, measures, filtered.step, ud_px2, said)
+    further = {**verified.values, **confidences(rule, filtered.step.evidence)}
+    further["border"] = extent_beyond(box, work.frame)
+    scored = scored.after(rule, measures, filtered.step, ud_px2, further)
     if root.distractors is not None:
         able = compiled.cues.keys() - live.quarantined
         distractor = find_distractor(

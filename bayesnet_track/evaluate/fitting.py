@@ -30,6 +30,7 @@ SIGNS: Mapping[str, int] = {
     "log_fit": 1,
     "agreement": 1,
     "log_size": -1,
+    "border": -1,
 }
 """What a larger value of each feature can only speak for: 1 on target, -1 off it; of a verifier it is 1."""
 

@@ -114,7 +114,7 @@ def test_coefficients_of_confidence_are_fitted(data, capsys):
     assert further_features(load_graph("two_squares")) == ()
     assert root.score.settings.confidence["net"] >= 0.0
     assert main([*arguments, "--features", "confidence.nett"]) == 2
-    assert "agreement, log_size, confidence.net\n" in capsys.readouterr().err
+    assert "agreement, log_size, border, confidence.net\n" in capsys.readouterr().err
 
 
 POOLED = GRAPH.replace("# moves\n", "# moves\n        fuse: {pool: learned}  # dependent\n").replace(
@@ -290,7 +290,7 @@ CASES = [
     (("--what", "sds"), "no video: give --source with --truth, or --folder"),
     (
         ("--folder", "DATA", "--features", "luck"),
-        "--features: no 'luck'; there are log_ud_box, evidence, log_fit, agreement, log_size",
+        "--features: no 'luck'; there are log_ud_box, evidence, log_fit, agreement, log_size, border",
     ),
     (
         ("--folder", "DATA", "--out", "DATA/one/groundtruth.txt"),

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.particles.belief import ParticleSet
-from bayesnet_track.engine.scoring.score import blur_regions, probability
+from bayesnet_track.engine.scoring.score import blur_regions, extent_beyond, probability
 from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.spec import HeavyTail, Localization, Logistic
 from bayesnet_track.journal.codec import from_json, to_json
@@ -76,6 +76,50 @@ def test_features_of_a_flat_frame_have_their_exact_values(fakes):
     assert after["log_ud_box"] == pytest.approx(
         np.log(outcomes[GONE + 1].metrics[0].ud_px2 / np.prod(outcomes[GONE + 1].metrics[0].centre_box[2:]))
     )
+
+
+@pytest.mark.parametrize(
+    ("box", "extent"),
+    [
+        ((50.0, 50.0, 20.0, 10.0), 0.0),
+        ((9.5, 50.0, 20.0, 10.0), 0.0),  # its left side is that of the image
+        ((9.3, 50.0, 20.0, 10.0), 0.1),
+        ((8.5, 50.0, 20.0, 10.0), 0.5),
+        ((0.0, 50.0, 20.0, 10.0), 1.0),
+        ((110.5, 50.0, 20.0, 10.0), 0.5),
+        ((50.0, 4.0, 20.0, 10.0), 0.5),
+        ((50.0, 95.0, 20.0, 10.0), 0.5),
+        ((110.5, 95.2, 20.0, 10.0), 0.7),  # the larger one counts
+    ],
+)
+def test_a_box_extends_beyond_the_image_by_a_share_of_its_side(fakes, box, extent):
+    assert extent_beyond(np.array(box), fakes.frame(0)) == pytest.approx(extent, abs=1e-9)
+
+
+def leaving(fakes, frames, **logistic):
+    """The lines of a target that moves right, out of the image, by 3 px a frame."""
+
+    def see(planes, h, reference):
+        return fakes.gaussian(50.0 + 3.0 * planes.frame.index, 40.0, 3.0, floor=1e-3)(planes, h, None)
+
+    engine, _ = fakes.engine(nodes(score={"logistic": logistic}), {"a": see, "b": fakes.flat()})
+    return [one.metrics[0] for one in fakes.play(engine, frames)[1:]]
+
+
+def test_the_score_of_a_target_that_leaves_the_image_falls_at_its_border(fakes):
+    lines = leaving(fakes, 22, bias=3.0, border=-4.0, memory_frames=0)
+    x, w = (np.array([line.centre_box[k] for line in lines]) for k in (0, 2))
+    border = np.clip((x + w / 2 - 119.5) / w / 0.1, 0.0, 1.0)
+    assert border[0] == 0.0 and border[-1] == 1.0
+    assert [line.score for line in lines] == pytest.approx(1.0 / (1.0 + np.exp(4.0 * border - 3.0)))
+
+
+def test_the_border_is_remembered_where_nothing_fits(fakes):
+    """Only what verifiers and agents said in such a frame is forgotten."""
+    plain = leaving(fakes, 22, bias=3.0, border=-4.0, memory_frames=4)
+    unfit = leaving(fakes, 22, bias=3.0, border=-4.0, memory_frames=4, full_fit=1.0)
+    assert 0.0 < plain[-1].features["border"] < 1.0
+    assert [line.features["border"] for line in unfit] == [line.features["border"] for line in plain]
 
 
 def test_while_uncertain_nothing_is_learnt_and_lost_is_said(fakes):

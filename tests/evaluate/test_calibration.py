@@ -22,7 +22,7 @@ from bayesnet_track.evaluate.calibration import (
     reliability,
 )
 from bayesnet_track.evaluate.calibration_data import CalibrationData
-from bayesnet_track.evaluate.fitting import fit, leave_one_out
+from bayesnet_track.evaluate.fitting import SIGNS, fit, leave_one_out
 from bayesnet_track.graph.settings.scores import FEATURES
 
 
@@ -123,6 +123,17 @@ def test_regions_are_fitted_to_the_score_that_stays():
     (sd, _), kept = fit(data).localization_error, fit(data, keep_score=True).localization_error
     # A score that is always 1 leaves the frames off target to the first sd.
     assert kept[0] > 1.5 * sd
+
+
+@pytest.mark.parametrize("name", sorted(SIGNS))
+def test_a_feature_only_speaks_for_what_it_can(name):
+    """Log UD, size and border against being on target, the others for it."""
+    one = calibration_data("a", 0)
+    against = {"log_ud_box", "log_size", "border"}
+    for slope in (1.0, -1.0):
+        features = {**one.features, name: slope * one.features["log_ud_box"]}  # which is low on target
+        coefficient = fit([replace(one, features=features)], (name,)).logistic[name]
+        assert (coefficient == 0.0) == ((name in against) == (slope < 0.0))
 
 
 def test_left_out_videos_are_calibrated_where_videos_are_alike():

@@ -12,12 +12,14 @@ import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
+from bayesnet_track.observation.planes import Frame
 
 Region = tuple[float, float, float, float]
 
@@ -26,6 +28,9 @@ USUAL_FRAMES = 20
 
 LEAST_LOG = -20.0
 """Logarithms below it say nothing more: a feature is at least this."""
+
+BEYOND = 0.1
+"""Share of a side of the box: farther beyond the image says no more."""
 
 MARGINAL_POINTS = 32
 """Quantiles that stand for the posterior of each coordinate where it is widened; even."""
@@ -79,9 +84,9 @@ class Scored:
         ud_px2: float,
         further: Mapping[str, float] = MappingProxyType({}),
     ) -> Scored:
-        """With one frame more; `ud_px2` is the root's UD, `further` what verifiers and agents say of it.
+        """With one frame more; `ud_px2` is the root's UD, `further` the features that the caller computes.
 
-        The feature of one that says nothing stays as it was.
+        Those of verifiers and agents that say nothing keep their values.
         """
         seeing = [agent for agent in measures.kl if agent not in measures.silent]
         own = {agent: _log_evidence(step, agent) for agent in seeing}
@@ -102,7 +107,8 @@ class Scored:
         }
         unfit = measures.fit < rule.full_fit
         # What they said while nothing fitted, as in a black frame, is forgotten when something does.
-        forgotten = {name: found[name] for name in further} if unfit or self.unfit else {}
+        forgets = unfit or self.unfit
+        forgotten = {name: found[name] for name in further if forgets and name not in FEATURES}
         before = {**found, **self.smooth, **forgotten}
         gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if self.smooth and rule.memory_frames else 1.0
         smooth = {
@@ -112,6 +118,17 @@ class Scored:
         smooth = {name: smooth.get(name, self.smooth.get(name, 0.0)) for name in rule.coefficients}
         doubt = max(self.doubt - 1, 0)
         return changed(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
+
+
+def extent_beyond(box: Floats, frame: Frame) -> float:
+    """How far a centre box (4,) extends beyond the image: 0 inside, 1 from `BEYOND` of its side on.
+
+    A target at the edge of the image is not one that leaves, and its box is not exact.
+    """
+    x, y, w, h = box.tolist()
+    across: float = max(w / 2 - x - 0.5, x + w / 2 + 0.5 - frame.width) / w
+    down: float = max(h / 2 - y - 0.5, y + h / 2 + 0.5 - frame.height) / h
+    return min(max(across / BEYOND, down / BEYOND, 0.0), 1.0)
 
 
 def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:

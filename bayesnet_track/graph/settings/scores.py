@@ -66,6 +66,11 @@ class Logistic(Model):
         "over these agents, nats",
     )
     log_size: Number = Field(default=0.0, description="|log| of the estimate's sqrt(w h) over the first one")
+    border: Number = Field(
+        default=0.0,
+        description="how far the estimate extends beyond the image, as when the target leaves it: 0 inside, "
+        "1 from a tenth of its side on",
+    )
     confidence: dict[Name, Number] = Field(
         default_factory=dict,
         description="agent that measures -> coefficient of the log odds of its own confidence that what it "
@@ -100,7 +105,7 @@ def confidence_feature(agent: str) -> str:
     return CONFIDENCE + agent
 
 
-FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size")
+FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size", "border")
 """What every score can go by; the coefficients of `Logistic` have these names."""
 
 
