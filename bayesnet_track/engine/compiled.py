@@ -65,7 +65,7 @@ class CompiledPlate:
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
         moving: what a frame's motion depends on besides its states; None when on nothing.
-        searching: agents that a lost target of a Gaussian belief is looked for by, elsewhere.
+        searching: agents by which a missing target of a Gaussian belief is looked for elsewhere.
         finder: the detector that looks for a target which may reappear.
         association_rules: agent that measures by the detection that the target is given -> which one that is.
         opaque: agents that keep something which cannot be stored.

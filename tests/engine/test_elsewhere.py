@@ -1,4 +1,4 @@
-"""A lost target of a Gaussian belief is looked for at other places by an agent that says how sure it is."""
+"""A missing target of a Gaussian belief is looked for elsewhere by an agent that says how sure it is."""
 
 from __future__ import annotations
 
@@ -140,6 +140,17 @@ def test_all_places_are_looked_at_in_turn_and_only_while_it_is_lost(play):
     assert [len(finder.asked[frame]) > 1 for frame in range(1, 31)] == lost[:-1]
     elsewhere = {tuple(place) for places in finder.asked.values() for place in places[1 : 1 + PLACES]}
     assert len(elsewhere) == 6 * 5  # of the frame of 120 x 100 px, about 20 px apart
+
+
+def test_a_target_is_looked_for_once_it_is_uncertain_for_as_long_as_it_takes_to_be_lost(play):
+    finder = Finder(clutter=0.3)  # a score between the levels of the two statuses
+    outcomes = play(finder, {"share": 0.2})
+    status = [outcome.state.net.targets["1"].status for outcome in outcomes]
+    away = range(AWAY[0], AWAY[1] + 1)
+    assert {status[frame] for frame in away} == {"uncertain"}
+    assert [len(finder.asked[frame]) > 1 for frame in away] == [frame > AWAY[0] for frame in away]
+    (event,) = told(outcomes)
+    assert event.frame > AWAY[1] and np.abs(last_place(outcomes) - NEW).max() < 0.5
 
 
 def test_an_agent_that_fails_elsewhere_fails_in_that_frame(play):

@@ -1,4 +1,4 @@
-"""A lost target of a Gaussian belief is looked for at two other places in each frame.
+"""A missing target of a Gaussian belief is looked for at two other places in each frame.
 
 A Gaussian has no hypotheses to spare for a search. Agents that measure and say how sure they are look
 instead. The odds of their confidence stand for the likelihood of the target against none, and the belief
@@ -71,7 +71,7 @@ def look_elsewhere(
     compiled, context = work.plate_of(target), moves.motion_context
     able = {one.agent for one in plan.observations if one.agent in compiled.searching and one.at == plan.root}
     agents = frozenset(able & first.evidence.measured.keys())
-    if not agents or context is None or work.net.targets[target].status != "lost":
+    if not agents or context is None or not _is_missing(work, target, context):
         return moves, first
     assert compiled.moving is not None and compiled.moving.relocalize is not None
     assert context.influences is not None
@@ -115,6 +115,13 @@ def look_elsewhere(
     influences = changed(context.influences, jump_share=rule.share)
     moves = replace(moves, motion_context=changed(context, influences=influences))
     return moves, changed(jumped, reports=(*jumped.reports, lambda frame, target: event))
+
+
+def _is_missing(work: FrameWork, target: str, context: MotionContext) -> bool:
+    """Whether the target is lost, or uncertain for as long as it takes to be called lost."""
+    status, plate = work.net.targets[target].status, work.plate_of(target).plate
+    lost = plate.inference(plate.root).lost
+    return status == "lost" or (status == "uncertain" and lost is not None and context.away > lost.frames)
 
 
 def _reached(rule: Relocalize, context: MotionContext, box: Floats, work: FrameWork) -> Within:

@@ -136,7 +136,7 @@ def gaussians_are_looked_for(plate: Plate) -> Iterator[GraphMessage]:
             found = f"{word} beside gaussian, which has no hypotheses that could look"
             yield plate.message(name, found, ["share", "grow_box"], key=(*here, word), on_key=True)
         if plate.inference[name].lost is None:
-            found = "relocalize beside gaussian without lost: only a lost target is looked for"
+            found = "relocalize beside gaussian without lost: only a target that can be lost is looked for"
             yield plate.message(name, found, "both, or none", key=here, on_key=True)
         whole = [node for agent, node in plate.agents.items() if not _is_of_a_part(plate, agent)]
         if not any(declares(plate, node, CueDeclaration.can_search) for node in whole):

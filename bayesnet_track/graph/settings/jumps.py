@@ -61,8 +61,9 @@ class Relocalize(Model):
     """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
 
     It is then found again after an occlusion, or after leaving the view. Needs particles of a fixed `size`
-    with `proposal: bootstrap`. Beside a Gaussian, agents that say how sure they are look for a lost target,
-    and `share` weighs what they say of other places against what they say of its own.
+    with `proposal: bootstrap`. Beside a Gaussian, agents that say how sure they are look for a target
+    that is lost, or uncertain for as long as it takes to be called lost, and `share` weighs what they say of
+    other places against what they say of its own.
     """
 
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
@@ -81,9 +82,9 @@ class Relocalize(Model):
     by: LookedFor = Field(default=LookedFor(agents=Probes()), description="where they look")
     grow_box: Positive | None = Field(
         default=None,
-        description="only while lost, and at first near the place where it was last held: in a square around "
-        "it, half of whose side grows by so many sqrt(w h) per frame interval until it covers the frame; "
-        "default: in the whole frame at once",
+        description="only while lost (beside a Gaussian, or as long uncertain), and at first near the place "
+        "where it was last held: in a square around it, half of whose side grows by so many sqrt(w h) per "
+        "frame interval until it covers the frame; default: in the whole frame at once",
     )
     sudden: Sudden | None = Field(
         default=None, description="how a fast move is found before the target is lost; default: not at all"

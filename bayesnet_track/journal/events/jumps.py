@@ -27,7 +27,7 @@ class Reappeared:
         moved_px: how far that is from the last frame's mean.
         ud_px2: UD of the last frame.
         above_px2: threshold of UD above which reappearing is likely, in px^2; 0 when it is not known yet, or
-            only a lost target is searched for.
+            only a target that is lost, or long uncertain, is searched for.
         within_px: how far from the box that held it last they searched; None for the whole frame.
         fit: likelihood of the best hypothesis before they searched, as a share of the usual one; None unless
             that called for the search.
