@@ -133,7 +133,7 @@ def test_without_growth_the_whole_frame_is_searched_at_once(play):
     assert event.within_px is None and "the whole frame" in event.describe()
 
 
-def test_all_places_are_looked_at_in_turn_and_only_while_it_is_lost(play):
+def test_all_places_are_looked_at_in_turn_and_only_while_it_is_missing(play):
     finder = Finder(reach=0.0, clutter=0.05)
     outcomes = play(finder, {"share": 0.1})
     lost = [outcome.state.net.targets["1"].status == "lost" for outcome in outcomes]

@@ -28,7 +28,7 @@ from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
 from bayesnet_track.numerics.records import changed
-from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.observation.planes import region_of_boxes
 
 PLACES = 2
@@ -69,8 +69,7 @@ def look_elsewhere(
     """
     plan, first, observer, restart = steps
     compiled, context = work.plate_of(target), moves.motion_context
-    able = {one.agent for one in plan.observations if one.agent in compiled.searching and one.at == plan.root}
-    agents = frozenset(able & first.evidence.measured.keys())
+    agents = _that_look(compiled.searching, plan, first)
     if not agents or context is None or not _is_missing(work, target, context):
         return moves, first
     assert compiled.moving is not None and compiled.moving.relocalize is not None
@@ -79,12 +78,10 @@ def look_elsewhere(
     box = before.belief.mean[:4] if context.held is None else context.held
     within = _reached(rule, context, box, work)
     places = _lay_places(within, APART_BOX * math.sqrt(box[2] * box[3]))
-    seen = []
-    for place in _in_turn(places, work.frame.index):
-        state = np.concatenate([place, box[2:], before.belief.mean[4:]])
-        measured = _ask(plan, observer, agents, hypotheses_of(state[None], before.belief.fields))
-        one = _see(measured, agents, state[:4])
-        seen.append(replace(one, box=inside_frame(one.box, work.frame)))
+    seen = [
+        _look_at(work, before, (plan, observer, agents), np.concatenate([place, box[2:]]))
+        for place in _in_turn(places, work.frame.index)
+    ]
     stays = _see(first.evidence.measured, agents, here).log_odds
     found = [one for one in seen if overlap_of_two(one.box, here) == 0.0]
     best = max(found, key=lambda one: one.log_odds, default=None)
@@ -112,9 +109,16 @@ def look_elsewhere(
         above_px2=0.0,
         within_px=None if math.isinf(within.half_px) else within.half_px,
     )
-    influences = changed(context.influences, jump_share=rule.share)
-    moves = replace(moves, motion_context=changed(context, influences=influences))
-    return moves, changed(jumped, reports=(*jumped.reports, lambda frame, target: event))
+    context = changed(context, influences=changed(context.influences, jump_share=rule.share))
+    return replace(moves, motion_context=context), changed(
+        jumped, reports=(*jumped.reports, lambda frame, target: event)
+    )
+
+
+def _that_look(searching: frozenset[str], plan: Plan, step: Step[Posterior]) -> frozenset[str]:
+    """The agents of the whole that can look elsewhere and were asked in the frame's step."""
+    able = {one.agent for one in plan.observations if one.agent in searching and one.at == plan.root}
+    return frozenset(able & step.evidence.measured.keys())
 
 
 def _is_missing(work: FrameWork, target: str, context: MotionContext) -> bool:
@@ -147,17 +151,21 @@ def _in_turn(places: Floats, frame: int) -> Floats:
     return np.asarray(places[(turns + turns // len(places)) % len(places)])
 
 
-def _ask(
-    plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses
-) -> dict[str, Measurement | None]:
-    """What agents measure at one hypothesis.
+def _look_at(
+    work: FrameWork, before: TargetState, asked: tuple[Plan, Observer, frozenset[str]], box: Floats
+) -> Find:
+    """What agents see around a centre box (4,).
 
     One that fails there, or gives no answer, does so in this frame.
     """
-    asked = [one for one in plan.observations if one.agent in agents and one.at == plan.root]
+    plan, observer, agents = asked
+    at = hypotheses_of(np.concatenate([box, before.belief.mean[4:]])[None], before.belief.fields)
+    steps = [one for one in plan.observations if one.agent in agents and one.at == plan.root]
     question = Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes))
-    answers = ask_agents(question, replace(observer, measured={}), asked)
-    return {one.agent: own if isinstance(own, Measurement) else None for one, own in answers.items()}
+    answers = ask_agents(question, replace(observer, measured={}), steps)
+    measured = {one.agent: own if isinstance(own, Measurement) else None for one, own in answers.items()}
+    found = _see(measured, agents, box)
+    return replace(found, box=inside_frame(found.box, work.frame))
 
 
 def _see(measured: Mapping[str, Measurement | None], agents: Collection[str], box: Floats) -> Find:
