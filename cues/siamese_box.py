@@ -6,6 +6,7 @@ It chooses among the network's proposals as the tracker that the network comes f
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -30,7 +31,8 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
-from bayesnet_track.vision.siamese.networks import SEARCH
+from bayesnet_track.vision.siamese.crops import context_side, search_crop, wide_crop
+from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.siamese.memory import Memory
@@ -39,6 +41,8 @@ WINDOW_PX = 120.0
 """How far from the middle the window reaches, px of the network: to the last cells of its map."""
 DOUBTFUL_WINDOW = 0.1
 """Weight of the window, at most, in a second look: the prediction has shown nothing sure."""
+LIKELY = 0.5
+"""Probability of a place in a wide crop from which it is looked at."""
 
 
 class SiameseBoxParameters(NetworkParameters):
@@ -120,11 +124,10 @@ class SiameseBox:
         """
         p, expected = self.parameters, weights @ hypotheses.boxes
         image, template = planes[WholeFrame()], reference["template"]
-        found = self._look(image, expected, p.crop_px, template, p.window)
-        if not _is_sure(found, p):
-            again = self._look(image, expected, SEARCH, template, min(p.window, DOUBTFUL_WINDOW))
-            # What is far from the prediction counts only if it is sure.
-            found = again if _is_sure(again, p) else found
+        if _reach_farther(hypotheses.boxes, SEARCH / TEMPLATE * context_side(expected[2:])):
+            found = self._look_widely(image, expected, template)
+        else:
+            found = self._look_near(image, expected, template)
         if found is None or found.probability < p.min_probability:
             return None
         box, worth, sure = found.box, max(found.worth, 0.1), found.probability
@@ -132,13 +135,33 @@ class SiameseBox:
         covariance = np.diag([sd * sd for sd in sds])
         return Measurement(("x", "y", "w", "h"), box, covariance, p.floor, confidence=sure)
 
+    def _look_near(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
+        """The proposal near a centre box (4,), or a sure one in the usual crop around it."""
+        p = self.parameters
+        found = self._look(image, expected, p.crop_px, template, p.window)
+        if _is_sure(found, p):
+            return found
+        again = self._look(image, expected, SEARCH, template, min(p.window, DOUBTFUL_WINDOW))
+        # What is far from the prediction counts only if it is sure.
+        return again if _is_sure(again, p) else found
+
+    def _look_widely(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
+        """The proposal where a wide crop around a centre box (4,) shows the target best, if at all.
+
+        The wide crop is coarse: it says where to look, and the crop around that place what is there.
+        """
+        p, crop = self.parameters, wide_crop(float(expected[0]), float(expected[1]), expected[2:])
+        proposals, logs = self.memory.proposals(image, crop, template, expected[2:])
+        if not len(logs) or logs[0] < math.log(LIKELY):
+            return None
+        there = np.concatenate([proposals[0, :2], expected[2:]])
+        return self._look(image, there, p.crop_px, template, p.window)
+
     def _look(
         self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float
     ) -> Found | None:
         """The proposal that is chosen in a crop around a centre box (4,)."""
         from bayesnet_track.vision.kernels.proposal_kernels import choose
-        from bayesnet_track.vision.siamese.crops import context_side, search_crop
-        from bayesnet_track.vision.siamese.networks import TEMPLATE
 
         p = self.parameters
         crop = search_crop(float(expected[0]), float(expected[1]), expected[2:], shown)
@@ -148,6 +171,13 @@ class SiameseBox:
         reach = WINDOW_PX / TEMPLATE * context_side(expected[2:])
         best, worth = choose(proposals, logs, expected, window, reach, p.size_penalty)
         return Found(proposals[best], float(np.exp(logs[best])), worth)
+
+
+def _reach_farther(boxes: Floats, side: float) -> bool:
+    """Whether centre boxes (N, 4) do not fit into a square of that side."""
+    halves = 0.5 * boxes[:, 2:]
+    extent = (boxes[:, :2] + halves).max(axis=0) - (boxes[:, :2] - halves).min(axis=0)
+    return float(extent.max()) > side
 
 
 def _is_sure(found: Found | None, parameters: SiameseBoxParameters) -> bool:

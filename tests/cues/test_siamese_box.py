@@ -9,6 +9,7 @@ from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.vision.siamese.crops import WIDE
 from bayesnet_track.vision.siamese.memory import Memory
 from bayesnet_track.vision.siamese.networks import STRIDE, Networks, Response
 
@@ -39,11 +40,11 @@ def network(probable, size=1.0, shown=None):
 def measured(ask):
     """(what the network proposes, size, parameters) -> the measurement around BOX."""
 
-    def measure(probable, size=1.0, shown=None, **parameters):
+    def measure(probable, size=1.0, shown=None, boxes=BOX[None], **parameters):
         asked = ask("siamese_box", **parameters)
         object.__setattr__(asked.cue, "memory", network(probable, size, shown))
         pair = FramePair(Frame(1, 1.0, NOISE), None)
-        return asked.measure(pair, BOX[None], asked.learn(pair, BOX))
+        return asked.measure(pair, boxes, asked.learn(pair, BOX))
 
     return measure
 
@@ -89,6 +90,38 @@ def test_where_nothing_near_is_sure_the_prediction_counts_less(measured):
     assert measured([(0, 0.8), (5, 0.99)], sure_probability=0.95).mean[0] > 190
     assert measured([(0, 0.96), (5, 0.99)], sure_probability=0.95).mean[0] < 165
     assert measured([(0, 0.8), (5, 0.94)], sure_probability=0.95).mean[0] < 165  # neither is sure
+
+
+@pytest.mark.parametrize(
+    ("probable", "looks", "right"),
+    [
+        ([(6, 0.99), (0, 0.97)], [255, 159], 6),
+        ([(6, 0.6), (0, 0.5)], [255, 159], 6),
+        ([(6, 0.4)], [255], None),
+        ([(6, 0.99)], [255, 159], None),
+    ],
+    ids=["sure", "coarsely less", "hardly", "not from near"],
+)
+def test_where_the_hypotheses_are_far_apart_a_wide_crop_shows_where_to_look(measured, probable, looks, right):
+    shown = []
+    corners = BOX + SIDE * np.array([[-2, -2, 0, 0], [2, 2, 0, 0]])
+    found = measured(probable, shown=shown, boxes=corners, crop_px=159)
+    assert shown == looks
+    if right is None:
+        assert found is None
+    else:
+        cell = STRIDE * 80.0 / 127.0  # the template shows a square of twice the side
+        np.testing.assert_allclose(found.mean, BOX + [WIDE * right * cell, 0, 0, 0], atol=1.0)
+        assert found.confidence == pytest.approx(probable[1][1])
+
+
+def test_hypotheses_that_the_usual_crop_holds_are_near(measured):
+    """It has a side of 255 / 127 of the square that the template shows."""
+    for apart, looks in ((120.0, [159]), (122.0, [255, 159])):
+        shown = []
+        boxes = BOX + np.array([[0, 0, 0, 0], [0, apart, 0, 0]])
+        measured([(0, 0.99)], shown=shown, boxes=boxes, crop_px=159, sure_probability=0.95)
+        assert shown == looks
 
 
 def test_nothing_probable_is_not_seen(measured):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.vision.kernels.proposal_kernels import choose, explained
-from bayesnet_track.vision.siamese.crops import Crop, crops_for, search_crop, template_crop
+from bayesnet_track.vision.siamese.crops import Crop, crops_for, search_crop, template_crop, wide_crop
 from bayesnet_track.vision.siamese.halves import RUNTIMES
 from bayesnet_track.vision.siamese.memory import Memory
 from bayesnet_track.vision.siamese.networks import (
@@ -209,6 +209,21 @@ def test_the_middle_cell_of_a_search_crop_is_its_place(size):
     found = crop.boxes(Response(np.ones((16, 16), np.float32), sides, STRIDE)).reshape(16, 16, 4)[8, 8]
     assert np.abs(found[:2] - [150.3, 99.8]).max() <= 0.5 + 1e-9  # whole pixels are cut out
     np.testing.assert_allclose(found[2:], size, rtol=0.03)
+
+
+def test_a_wide_crop_shows_what_is_beyond_the_usual_one_at_its_size():
+    """The network is told how large the target is in it, and its boxes are in the frame."""
+    pattern = np.repeat(np.repeat(np.random.default_rng(3).integers(0, 256, (5, 5, 3)), 8, 0), 8, 1)
+    image, size = np.full((240, 320, 3), 90, np.uint8), np.array([40.0, 40.0])
+    image[90:130, 210:250] = pattern
+    there = np.array([229.5, 109.5, 40.0, 40.0])
+    template, memory = template_crop(there).cut(image), Memory(plain())
+    x, y = there[:2] - [90.0, 0.0]
+    boxes, logs = memory.proposals(image, wide_crop(x, y, size), template, size)
+    assert logs[0] > np.log(0.7)
+    np.testing.assert_allclose(boxes[0], there, atol=3.0)
+    usual, _ = memory.proposals(image, search_crop(x, y, size), template, size)
+    assert not len(usual) or np.abs(usual[0] - there).max() > 20.0
 
 
 def test_beyond_the_frame_a_crop_has_its_mean_colour():

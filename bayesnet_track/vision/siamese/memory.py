@@ -56,7 +56,8 @@ class Memory:
         seen = crop.cut(image)
         if int(seen.max()) - int(seen.min()) < FLAT:
             return np.empty((0, 4)), np.empty(0)
-        response = self._networks.compare(features, seen, size * TEMPLATE / context_side(size))
+        expected = size * TEMPLATE / context_side(size) / crop.coarse
+        response = self._networks.compare(features, seen, expected)
         probabilities = response.probabilities.reshape(-1).astype(np.float64)
         order = np.argsort(-probabilities, kind="stable")
         order = order[probabilities[order] >= LEAST]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
+from bayesnet_track.vision.siamese.crops import context_side
 from bayesnet_track.vision.siamese.networks import TEMPLATE, Networks, Response
 
 CELL = 4
@@ -26,6 +27,9 @@ def plain() -> Networks:
         return np.ascontiguousarray(cells(crop)[quarter:-quarter, quarter:-quarter])
 
     def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
+        wanted = max(round(len(template) * context_side(size) / TEMPLATE), 2)
+        if abs(wanted - len(template)) > 1:  # the crop is not at the template's scale
+            template = np.asarray(cv2.resize(template, (wanted, wanted), interpolation=cv2.INTER_AREA))
         likeness = cv2.matchTemplate(cells(crop), template, cv2.TM_CCOEFF_NORMED)
         likeness = np.nan_to_num(np.asarray(likeness, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         if np.ptp(template, axis=(0, 1)).max() < 1.0:  # OpenCV says 1 where both are flat
