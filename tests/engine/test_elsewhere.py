@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.engine.compiled import make_engine
-from bayesnet_track.engine.moving.elsewhere import APART_BOX, PLACES
+from bayesnet_track.engine.moving.elsewhere import APART_BOX, pick_place
 from bayesnet_track.engine.scoring.confidences import log_odds
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.inference.executor import AgentUnavailable
@@ -27,15 +27,17 @@ NEW = np.array([95.0, 22.0])
 class Finder:
     """It sees the target up to `reach` px from where it is asked, and else clutter right there.
 
-    The target is at BOX, then away, then at NEW. Places of which it is asked are written down by frame.
+    The target is at BOX, then away, then at NEW. Places of which it is asked, and how far
+    apart the hypotheses are there, are written down by frame.
     """
 
-    reach: float = 15.0
+    reach: float = 30.0
     clutter: float = 0.05
     sure: float = 0.99
     breaks: Exception | None = None
     seen: tuple = ()
     asked: dict = field(default_factory=dict)
+    extents: dict = field(default_factory=dict)
     needs: tuple = ()
 
     def learn(self, planes, box):
@@ -48,6 +50,7 @@ class Finder:
         frame, place = planes.frame.index, (weights @ hypotheses.boxes)[:2]
         places = self.asked.setdefault(frame, [])
         places.append(place)
+        self.extents.setdefault(frame, []).append(tuple(np.ptp(hypotheses.boxes[:, :2], axis=0)))
         if self.breaks is not None and len(places) > 1:
             raise self.breaks
         true = np.array(BOX[:2]) if frame < AWAY[0] else NEW if frame > AWAY[1] else np.full(2, 1e6)
@@ -98,7 +101,7 @@ def test_it_is_found_where_it_reappears_and_that_is_told_with_its_numbers(play):
     count = odds / held  # of the places in reach
     assert count == pytest.approx(round(count))
     assert event.within_px == pytest.approx(10.0 * (event.frame - AWAY[0] + 1))
-    across, down = min(2 * event.within_px, 40.0 + event.within_px, 119.0), 99.0
+    across, down = min(2 * event.within_px, 40.0 + event.within_px, 119.0), min(50.0 + event.within_px, 99.0)
     assert round(count) == round(across / (10 * APART_BOX)) * round(down / (10 * APART_BOX))
 
 
@@ -138,8 +141,22 @@ def test_all_places_are_looked_at_in_turn_and_only_while_it_is_missing(play):
     outcomes = play(finder, {"share": 0.1})
     lost = [outcome.state.net.targets["1"].status == "lost" for outcome in outcomes]
     assert [len(finder.asked[frame]) > 1 for frame in range(1, 31)] == lost[:-1]
-    elsewhere = {tuple(place) for places in finder.asked.values() for place in places[1 : 1 + PLACES]}
-    assert len(elsewhere) == 6 * 5  # of the frame of 120 x 100 px, about 20 px apart
+    elsewhere = {tuple(place) for places in finder.asked.values() for place in places[1:2]}
+    assert len(elsewhere) == 3 * 2  # of the frame of 120 x 100 px, about 40 px apart
+
+
+def test_an_agent_is_asked_with_hypotheses_as_far_apart_as_the_places(play):
+    finder = Finder(reach=0.0)
+    play(finder, {"share": 0.1})
+    (extents,) = {extent for places in finder.extents.values() for extent in places[1:2]}
+    assert extents == (10.0 * APART_BOX, 10.0 * APART_BOX)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 4])
+def test_all_places_have_their_turn_however_seldom_an_agent_runs(every):
+    for count in range(1, 50):
+        frames = range(3, 3 + 4 * every * count, every)
+        assert {pick_place(frame, count) for frame in frames} == set(range(count))
 
 
 def test_a_target_is_looked_for_once_it_is_uncertain_for_as_long_as_it_takes_to_be_lost(play):

@@ -1,4 +1,4 @@
-"""A missing target of a Gaussian belief is looked for at two other places in each frame.
+"""A missing target of a Gaussian belief is looked for at another place in each frame.
 
 A Gaussian has no hypotheses to spare for a search. Agents that measure and say how sure they are look
 instead. The odds of their confidence stand for the likelihood of the target against none, and the belief
@@ -31,10 +31,11 @@ from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.observation.planes import region_of_boxes
 
-PLACES = 2
-"""Other places that are looked at in a frame."""
-APART_BOX = 2.0
-"""How far apart they are, in sqrt(w h): the crop of a Siamese network reaches so far to each side."""
+APART_BOX = 4.0
+"""How far apart other places are, and so far they reach, in sqrt(w h): as a Siamese network's wide crop."""
+CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+"""Of a place, in halves of its side."""
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 Restart = Callable[[Floats, Observer], Step[Posterior]]
 """(centre box (4,), observer) -> the step of the frame by a belief that starts in the box."""
@@ -78,21 +79,17 @@ def look_elsewhere(
     box = before.belief.mean[:4] if context.held is None else context.held
     within = _reached(rule, context, box, work)
     places = _lay_places(within, APART_BOX * math.sqrt(box[2] * box[3]))
-    seen = [
-        _look_at(work, before, (plan, observer, agents), np.concatenate([place, box[2:]]))
-        for place in _in_turn(places, work.frame.index)
-    ]
+    place = np.concatenate([places[pick_place(work.frame.index, len(places))], box[2:]])
+    found = _look_at(work, before, (plan, observer, agents), place)
     stays = _see(first.evidence.measured, agents, here).log_odds
-    found = [one for one in seen if overlap_of_two(one.box, here) == 0.0]
-    best = max(found, key=lambda one: one.log_odds, default=None)
-    if best is None or best.log_odds <= max(stays, 0.0):
+    if found.log_odds <= max(stays, 0.0) or overlap_of_two(found.box, here) > 0.0:
         return moves, first
-    gain = best.log_odds - stays - math.log(len(places))
+    gain = found.log_odds - stays - math.log(len(places))
     held = 1.0 / (1.0 + math.exp(-gain) * (1.0 - rule.share) / rule.share)
     if held <= TELL_ABOVE:
         return moves, first
-    jumped = restart(best.box, replace(observer, measured={}))
-    x, y = best.box[:2].tolist()
+    jumped = restart(found.box, replace(observer, measured={}))
+    x, y = found.box[:2].tolist()
     event = Reappeared(
         frame=work.frame.index,
         target=target,
@@ -145,23 +142,28 @@ def _lay_places(within: Within, apart_px: float) -> Floats:
     return np.stack(np.meshgrid(*lines), axis=2).reshape(-1, 2)
 
 
-def _in_turn(places: Floats, frame: int) -> Floats:
-    """The places (M, 2) that are looked at in a frame: all in turn, each round beginning one later."""
-    turns = PLACES * frame + np.arange(min(PLACES, len(places)))
-    return np.asarray(places[(turns + turns // len(places)) % len(places)])
+def pick_place(frame: int, count: int) -> int:
+    """Which of `count` places is looked at in a frame; all have their turn, however seldom agents run.
+
+    Multiples of the golden ratio leave no gap in 0..1, nor do those of every second or third frame.
+    """
+    return int(count * (frame * GOLDEN % 1.0))
 
 
 def _look_at(
     work: FrameWork, before: TargetState, asked: tuple[Plan, Observer, frozenset[str]], box: Floats
 ) -> Find:
-    """What agents see around a centre box (4,).
+    """What agents see around a centre box (4,): they are asked with a hypothesis in each corner.
 
     One that fails there, or gives no answer, does so in this frame.
     """
     plan, observer, agents = asked
-    at = hypotheses_of(np.concatenate([box, before.belief.mean[4:]])[None], before.belief.fields)
+    states = np.tile(np.concatenate([box, before.belief.mean[4:]]), (len(CORNERS), 1))
+    states[:, :2] += 0.5 * APART_BOX * math.sqrt(box[2] * box[3]) * CORNERS
+    at = hypotheses_of(states, before.belief.fields)
     steps = [one for one in plan.observations if one.agent in agents and one.at == plan.root]
-    question = Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes))
+    alike = np.full(len(CORNERS), -math.log(len(CORNERS)))
+    question = Question({plan.root: at}, alike, region_of_boxes(at.boxes))
     answers = ask_agents(question, replace(observer, measured={}), steps)
     measured = {one.agent: own if isinstance(own, Measurement) else None for one, own in answers.items()}
     found = _see(measured, agents, box)
