@@ -146,7 +146,7 @@ class SiameseBox:
         return again if _is_sure(again, p) else found
 
     def _look_widely(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
-        """The proposal where a wide crop around a centre box (4,) shows the target best, if at all.
+        """A sure proposal where a wide crop around a centre box (4,) shows the target best, if at all.
 
         The wide crop is coarse: it says where to look, and the crop around that place what is there.
         """
@@ -155,7 +155,8 @@ class SiameseBox:
         if not len(logs) or logs[0] < math.log(LIKELY):
             return None
         there = np.concatenate([proposals[0, :2], expected[2:]])
-        return self._look(image, there, p.crop_px, template, p.window)
+        found = self._look(image, there, p.crop_px, template, p.window)
+        return found if _is_sure(found, p) else None
 
     def _look(
         self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float

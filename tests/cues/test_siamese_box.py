@@ -115,6 +115,13 @@ def test_where_the_hypotheses_are_far_apart_a_wide_crop_shows_where_to_look(meas
         assert found.confidence == pytest.approx(probable[1][1])
 
 
+def test_what_a_wide_crop_led_to_counts_only_if_it_is_sure(measured):
+    corners = BOX + SIDE * np.array([[-2, -2, 0, 0], [2, 2, 0, 0]])
+    for near, counts in ((0.94, False), (0.96, True)):
+        found = measured([(6, 0.99), (0, near)], boxes=corners, crop_px=159, sure_probability=0.95)
+        assert (found is not None) == counts
+
+
 def test_hypotheses_that_the_usual_crop_holds_are_near(measured):
     """It has a side of 255 / 127 of the square that the template shows."""
     for apart, looks in ((120.0, [159]), (122.0, [255, 159])):
@@ -132,9 +139,10 @@ def test_nothing_probable_is_not_seen(measured):
 
 @pytest.fixture
 def tracker(tmp_path, scene):
-    """The graph `deep` with plain pixels in the network's place, in the first frame of the scene."""
+    """`deep` in the first frame of the scene, with plain pixels, which are less sure than a network."""
     graph = tmp_path / "deep.yaml"
-    graph.write_text(find_graph("deep").read_text("utf-8").replace("refuse", "plain"), encoding="utf-8")
+    text = find_graph("deep").read_text("utf-8").replace("without_files: refuse", "without_files: plain")
+    graph.write_text(text.replace("sure_probability: 0.95", "sure_probability: 0.6"), encoding="utf-8")
     tracker = Tracker(graph, seed=0)
     x, y, w, h = scene.box()
     tracker.init(scene.image(scene.start), (x - w / 2 + 0.5, y - h / 2 + 0.5, w, h))
