@@ -124,7 +124,7 @@ class SiameseBox:
         """
         p, expected = self.parameters, weights @ hypotheses.boxes
         image, template = planes[WholeFrame()], reference["template"]
-        if _reach_farther(hypotheses.boxes, SEARCH / TEMPLATE * context_side(expected[2:])):
+        if _reach(hypotheses.boxes, weights) > SEARCH / TEMPLATE * context_side(expected[2:]):
             found = self._look_widely(image, expected, template)
         else:
             found = self._look_near(image, expected, template)
@@ -174,11 +174,11 @@ class SiameseBox:
         return Found(proposals[best], float(np.exp(logs[best])), worth)
 
 
-def _reach_farther(boxes: Floats, side: float) -> bool:
-    """Whether centre boxes (N, 4) do not fit into a square of that side."""
-    halves = 0.5 * boxes[:, 2:]
-    extent = (boxes[:, :2] + halves).max(axis=0) - (boxes[:, :2] - halves).min(axis=0)
-    return float(extent.max()) > side
+def _reach(boxes: Floats, weights: Floats) -> float:
+    """Side of the square that holds weighted centre boxes (N, 4), one sd to each side of their mean."""
+    mean = weights @ boxes
+    sds = np.sqrt(weights @ (boxes[:, :2] - mean[:2]) ** 2)
+    return float((2.0 * sds + mean[2:]).max())
 
 
 def _is_sure(found: Found | None, parameters: SiameseBoxParameters) -> bool:

@@ -40,11 +40,11 @@ def network(probable, size=1.0, shown=None):
 def measured(ask):
     """(what the network proposes, size, parameters) -> the measurement around BOX."""
 
-    def measure(probable, size=1.0, shown=None, boxes=BOX[None], **parameters):
+    def measure(probable, size=1.0, shown=None, boxes=BOX[None], weights=None, **parameters):
         asked = ask("siamese_box", **parameters)
         object.__setattr__(asked.cue, "memory", network(probable, size, shown))
         pair = FramePair(Frame(1, 1.0, NOISE), None)
-        return asked.measure(pair, boxes, asked.learn(pair, BOX))
+        return asked.measure(pair, boxes, asked.learn(pair, BOX), weights=weights)
 
     return measure
 
@@ -122,13 +122,20 @@ def test_what_a_wide_crop_led_to_counts_only_if_it_is_sure(measured):
         assert (found is not None) == counts
 
 
-def test_hypotheses_that_the_usual_crop_holds_are_near(measured):
-    """It has a side of 255 / 127 of the square that the template shows."""
-    for apart, looks in ((120.0, [159]), (122.0, [255, 159])):
-        shown = []
-        boxes = BOX + np.array([[0, 0, 0, 0], [0, apart, 0, 0]])
-        measured([(0, 0.99)], shown=shown, boxes=boxes, crop_px=159, sure_probability=0.95)
-        assert shown == looks
+@pytest.mark.parametrize(
+    ("apart", "weights", "looks"),
+    [
+        (120.0, [0.5, 0.5], [159]),
+        (122.0, [0.5, 0.5], [255, 159]),  # the usual crop's side is 255 / 127 of 80 px, the box's 40 px
+        (300.0, [0.99, 0.01], [159]),
+    ],
+    ids=["held", "not held", "one far away that hardly counts"],
+)
+def test_hypotheses_that_the_usual_crop_holds_are_near(measured, apart, weights, looks):
+    shown, boxes = [], BOX + np.array([[0, 0, 0, 0], [0, apart, 0, 0]])
+    given = {"boxes": boxes, "weights": np.array(weights)}
+    measured([(0, 0.99)], shown=shown, **given, crop_px=159, sure_probability=0.95)
+    assert shown == looks
 
 
 def test_nothing_probable_is_not_seen(measured):
