@@ -42,7 +42,7 @@ WINDOW_PX = 120.0
 DOUBTFUL_WINDOW = 0.1
 """Weight of the window, at most, in a second look: the prediction has shown nothing sure."""
 LIKELY = 0.5
-"""Probability of a place in a wide crop from which it is looked at."""
+"""Smallest probability in a wide crop for a closer look."""
 
 
 class SiameseBoxParameters(NetworkParameters):
@@ -63,7 +63,8 @@ class SiameseBoxParameters(NetworkParameters):
         ge=0,
         le=1,
         description="Probability of the box below which the frame is looked at again, in the usual crop and "
-        "hardly bound to the prediction; what is found then counts from this probability on (no unit).",
+        "hardly bound to the prediction; what is found then counts from this probability on, as does what is "
+        "found by way of a wide crop (no unit).",
     )
     min_probability: float = Field(
         default=0.1, ge=0, lt=1, description="Smallest probability of the chosen box; below, it is not seen."
@@ -119,6 +120,8 @@ class SiameseBox:
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
         """The best proposal in a crop around the prediction; None when it is not probable enough.
+
+        If the hypotheses are too far apart for the usual crop, a wide one shows where the crop should be.
 
         Its sds are divided by its probability times what its change of size leaves.
         """

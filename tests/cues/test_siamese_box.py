@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
+from bayesnet_track.engine.moving.elsewhere import APART_BOX, CORNERS
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled
@@ -120,6 +121,16 @@ def test_what_a_wide_crop_led_to_counts_only_if_it_is_sure(measured):
     for near, counts in ((0.94, False), (0.96, True)):
         found = measured([(6, 0.99), (0, near)], boxes=corners, crop_px=159, sure_probability=0.95)
         assert (found is not None) == counts
+
+
+@pytest.mark.parametrize("aspect", [0.125, 0.25, 1.0, 4.0, 8.0])
+def test_a_target_is_looked_for_elsewhere_in_a_wide_crop(measured, aspect):
+    """As the engine asks, with hypotheses in the corners of a place."""
+    w, h = SIDE * np.array([aspect, 1.0 / aspect]) ** 0.5
+    corners = np.array([*BOX[:2], w, h]) + np.pad(0.5 * APART_BOX * SIDE * CORNERS, ((0, 0), (0, 2)))
+    shown = []
+    measured([(0, 0.99)], shown=shown, boxes=corners, crop_px=159, sure_probability=0.95)
+    assert shown == [255, 159]
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ class Finder:
     """
 
     reach: float = 30.0
+    beside: float | None = None
     clutter: float = 0.05
     sure: float = 0.99
     breaks: Exception | None = None
@@ -50,6 +51,7 @@ class Finder:
         frame, place = planes.frame.index, (weights @ hypotheses.boxes)[:2]
         places = self.asked.setdefault(frame, [])
         places.append(place)
+        np.testing.assert_allclose(weights, 1.0 / len(weights))
         self.extents.setdefault(frame, []).append(tuple(np.ptp(hypotheses.boxes[:, :2], axis=0)))
         if self.breaks is not None and len(places) > 1:
             raise self.breaks
@@ -58,6 +60,8 @@ class Finder:
         mean = np.array([*(true if there else place), *BOX[2:]])
         if there and frame > AWAY[1] and self.seen:
             mean = np.array(self.seen)
+        if self.beside is not None and len(places) > 1:  # surer of what is near the belief's own place
+            there, mean = True, np.array([BOX[0] + self.beside, *BOX[1:]])
         confidence = self.sure if there else self.clutter
         return Measurement(("x", "y", "w", "h"), mean, np.eye(4), confidence=confidence)
 
@@ -205,6 +209,17 @@ def test_what_is_seen_beyond_the_frame_or_without_extent_begins_inside(play):
     finder = Finder(seen=(-500.0, 22.0, 0.0, 0.0))
     event, *_ = told(play(finder, {"share": 0.1}))
     assert (event.x, event.y) == (0.0, 22.0)
+
+
+@pytest.mark.parametrize(("beside", "jumps"), [(9.0, False), (11.0, True)])
+def test_what_overlaps_the_box_is_not_elsewhere(play, beside, jumps):
+    """An agent that is asked of another place may see again what it sees here."""
+    assert bool(told(play(Finder(beside=beside), {"share": 0.9}))) == jumps
+
+
+def test_a_find_beyond_the_square_is_told_with_how_far_it_is(play):
+    (event, *_) = told(play(Finder(beside=60.0), {"share": 0.9, "grow_box": 0.1}))
+    assert event.within_px == pytest.approx(60.0, abs=1.0)
 
 
 def test_it_goes_only_where_the_agent_is_surer_than_here_and_than_not(play):

@@ -338,10 +338,11 @@ GOLDEN = [
     ),
     (
         Reappeared(
-            *(81, "1", "network", 0, 0.9974, 0.5, 0.9, 0.02714, 457.6, 63.42, 282.0, 30.0, 0.0, 905.3),
+            *(81, "1", "network", 0, 0.9974, 0.5, 0.9, 0.02714, 457.6, 63.42, 282.0, 30.0, 0.0, 1082.3),
         ),
-        "frame 81: network searched up to 905 px around its last place and found the target with probability "
-        "0.997 > 0.5 → target 1 reappears at 457.6, 63.42, 282 px away; would not have at share ≤ 0.0271",
+        "frame 81: network searched up to 1082 px around its last place and found the target with "
+        "probability 0.997 > 0.5 → target 1 reappears at 457.6, 63.42, 282 px away; would not have at "
+        "share ≤ 0.0271",
     ),
     (
         ParticlesResized(

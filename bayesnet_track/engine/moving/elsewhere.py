@@ -32,10 +32,11 @@ from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.observation.planes import region_of_boxes
 
 APART_BOX = 4.0
-"""How far apart other places are, and so far they reach, in sqrt(w h): as a Siamese network's wide crop."""
+"""Side of the squares that other places are, in sqrt(w h); a Siamese network's wide crop shows 6 of them."""
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
-"""Of a place, in halves of its side."""
+"""Corners of such a square from its middle, in halves of its side."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+"""The golden ratio, less one."""
 
 Restart = Callable[[Floats, Observer], Step[Posterior]]
 """(centre box (4,), observer) -> the step of the frame by a belief that starts in the box."""
@@ -61,7 +62,7 @@ def look_elsewhere(
     moves: PredictedMotion,
     steps: tuple[Plan, Step[Posterior], Observer, Restart],
 ) -> tuple[PredictedMotion, Step[Posterior]]:
-    """The motion and the step of the frame: those from the best of other places, if it is more probable.
+    """The motion and the step of the frame: those from another place, if it is more probable.
 
     One of M places in reach is as probable as another: the odds of a jump are share / (1 - share) / M, times
     the odds of the agents' confidence there, over those where the belief is. In any case they have to be
@@ -104,7 +105,7 @@ def look_elsewhere(
         moved_px=math.dist((x, y), before.belief.mean[:2].tolist()),
         ud_px2=context.ud_px2,
         above_px2=0.0,
-        within_px=None if math.isinf(within.half_px) else within.half_px,
+        within_px=_searched(within.half_px, box, found.box),
     )
     context = changed(context, influences=changed(context.influences, jump_share=rule.share))
     return replace(moves, motion_context=context), changed(
@@ -133,6 +134,13 @@ def _reached(rule: Relocalize, context: MotionContext, box: Floats, work: FrameW
     return Within.around(box, half_px, work.frame.width, work.frame.height)
 
 
+def _searched(half_px: float, box: Floats, found: Floats) -> float | None:
+    """How far from a box it was searched, px; None for the whole frame. Finds farther away count, too."""
+    if math.isinf(half_px):
+        return None
+    return max(half_px, float(np.abs(found[:2] - box[:2]).max()))
+
+
 def _lay_places(within: Within, apart_px: float) -> Floats:
     """(M, 2) places on a lattice over the part of the frame, about so far apart, px."""
     lines = []
@@ -143,9 +151,10 @@ def _lay_places(within: Within, apart_px: float) -> Floats:
 
 
 def pick_place(frame: int, count: int) -> int:
-    """Which of `count` places is looked at in a frame; all have their turn, however seldom agents run.
+    """Which of `count` places is looked at in a frame.
 
-    Multiples of the golden ratio leave no gap in 0..1, nor do those of every second or third frame.
+    Multiples of the golden ratio leave no gap in 0..1, so that all places have their turn, also if agents run
+    in every second, third or fourth frame only.
     """
     return int(count * (frame * GOLDEN % 1.0))
 

@@ -18,7 +18,7 @@ class Reappeared:
         target: target id.
         by: what proposed the places: uniform, agents, or a detector's name; or the agents that looked there.
         hypotheses: how many jumped; 0 beside a Gaussian belief, where agents looked elsewhere.
-        held: their share of the belief, or the probability of the best place against the belief's own.
+        held: their share of the belief, or the probability of the other place against the belief's own.
         level: share above which this is reported.
         share: prior probability of reappearing in this frame.
         turning: largest prior probability with which they would hold no more than `level`.
@@ -65,7 +65,7 @@ class Reappeared:
         how = "evenly" if self.by == "uniform" else f"by {self.by}"
         where = "the whole frame"
         if self.within_px is not None:
-            where = f"up to {self.within_px:.3g} px around its last place"
+            where = f"up to {self.within_px:.0f} px around its last place"
         found = f"{self.by} searched {where} and found the target with probability {held} > {level}"
         if self.hypotheses > 0:
             who = f"{self.hypotheses} hypotheses searched {where}, {how}"

@@ -16,7 +16,7 @@ from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Response
 TILE = 0.8
 """Distance of the crops' centres on the lattice, in sides of the square that the template shows."""
 WIDE = 1.5
-"""Pixels of the template in one of a wide crop; on half of 25 videos, twice as many show the target badly."""
+"""How much coarser a wide crop is than the template."""
 NEAR = 1.1
 """How far from the middle of a crop off the lattice boxes are read in it, in the same distances."""
 
@@ -25,7 +25,7 @@ NEAR = 1.1
 class Crop:
     """A square of a frame, `side` px from column `left` and row `top`; the network sees `shown` px.
 
-    One of these is `coarse` px of the template.
+    Each of these covers as much as `coarse` px of the template.
     """
 
     left: int
@@ -86,7 +86,7 @@ def search_crop(x: float, y: float, size: Floats, shown: int = SEARCH) -> Crop:
 
 
 def wide_crop(x: float, y: float, size: Floats) -> Crop:
-    """What is searched where a target of this size may be far from the place, coarsely, in SEARCH px."""
+    """What is searched if a target of this size may be far from the place: SEARCH px of a coarser scale."""
     return _around(x, y, context_side(size), SEARCH, WIDE)
 
 
