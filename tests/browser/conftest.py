@@ -104,6 +104,20 @@ class Browser:
         else:
             chain.key_down(held).send_keys(key).key_up(held).perform()
 
+    def click(self, selector):
+        """The middle of an element, found again if the page makes it anew meanwhile."""
+        from selenium.common.exceptions import StaleElementReferenceException
+        from selenium.webdriver.common.action_chains import ActionChains
+        from selenium.webdriver.support.ui import WebDriverWait
+
+        def click_now(driver):
+            element = driver.find_element("css selector", selector)
+            self.run("arguments[0].scrollIntoView({block: 'center'})", element)
+            ActionChains(driver).move_to_element(element).click().perform()
+            return True
+
+        WebDriverWait(self.driver, 20.0, ignored_exceptions=[StaleElementReferenceException]).until(click_now)
+
     def complaints(self):
         """What the browser's console says."""
         return [line["message"] for line in self.driver.get_log("browser")]

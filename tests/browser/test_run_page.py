@@ -126,12 +126,8 @@ def test_clicking_an_event_shows_its_frame_and_its_sentence(browser, demo):
 
 
 def test_clicking_a_timeline_goes_to_its_frame(browser, demo):
-    from selenium.webdriver.common.action_chains import ActionChains
-
     browser.open(demo("two_squares"))
-    over = browser.driver.find_element("css selector", ".plot-score .u-over")
-    browser.run("arguments[0].scrollIntoView({block: 'center'})", over)
-    ActionChains(browser.driver).move_to_element(over).click().perform()
+    browser.click(".plot-score .u-over")
     # The middle of 200 frames, drawn from -0.5 to 199.5.
     assert abs(browser.frame - 100) <= 1
 
