@@ -32,7 +32,7 @@ from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.observation.planes import region_of_boxes
 
 APART_BOX = 4.0
-"""Side of the squares that other places are, in sqrt(w h); a Siamese network's wide crop shows 6 of them."""
+"""Side of the square of a place, in sqrt(w h); the side of a Siamese network's wide crop is 6."""
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
 """Corners of such a square from its middle, in halves of its side."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
