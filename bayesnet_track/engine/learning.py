@@ -28,6 +28,7 @@ from bayesnet_track.inference.learn import (
     Lesson,
     adapt_reference,
     check_references,
+    frames_between,
     learn_references,
     learning_rate,
     over_frames,
@@ -194,8 +195,7 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     held = net.status == "tracking" or (net.status == "uncertain" and (likely or measured.scored.doubt > 0))
     held = held and measured.scored.missing is None
     live = work.net.targets[filtered.target]
-    every = min(live.sampled.values(), default=1)
-    # Between samples the others are less sure alone: what is learnt then would be their errors.
+    every = frames_between(rule, live.sampled)
     rests = work.frame.index % every > 0
     if filtered.call is not None and live.turn is not None:  # without a call none of them rests
         every, rests = live.turn.since(work.frame.index), not filtered.call.ran

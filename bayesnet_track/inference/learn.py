@@ -104,6 +104,19 @@ def over_frames(rate: float, frames: int) -> float:
     return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames
 
 
+def frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
+    """Learning takes place in frames whose number this divides.
+
+    `sampled`: agent that is evaluated now and then -> in frames whose number this divides. Between samples
+    the others are less sure alone, and what is learnt then would be their errors.
+
+    >>> from bayesnet_track.graph.spec import Learn, Level
+    >>> frames_between(Learn(below=Level(ud_px2=100.0), every=2), {"filter": 3})
+    6
+    """
+    return math.lcm(1 if rule is None else rule.every, min(sampled.values(), default=1))
+
+
 def learn_first(lesson: Lesson, agents: Iterable[str]) -> tuple[dict[str, Reference], dict[str, str]]:
     """The first references of some agents, and what was wrong with those that failed.
 

@@ -112,6 +112,12 @@ CASES = [
         "allowed: agents: [...] with some of them",
     ),
     (
+        "  adapt: {agents: [a], on_call: {every: 4, above: {ud_box: 1}}},\n"
+        "  learn: {below: {ud_box: 0.1}, every: 2}",
+        "6:33: s: learn.every has no effect beside on_call: references learn where the agents on call run; "
+        "allowed: no learn.every",
+    ),
+    (
         "  adapt: {agents: [a], keep: 2, on_call: {every: 4, above: {ud_box: 1}}}",
         "5:24: s: keep has no effect: agents on call stay on; allowed: no keep",
     ),

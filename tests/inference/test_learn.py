@@ -46,3 +46,19 @@ def test_every_frame_of_a_run_learns_by_that_rate_times_the_largest(fakes) -> No
     assert [m.learn_rate for m in metrics] == pytest.approx(expected)
     assert seen.blended == pytest.approx([rate_max * share for share in expected if share])
     assert min(expected) == 0.0 and max(expected) - min(e for e in expected if e) > 0.1  # UD varies enough
+
+
+def test_it_learns_in_every_third_frame_as_much_as_in_three(fakes) -> None:
+    root = {"fuse": "product", "ud_fields": ["x", "y"]}
+    learn = {"below": {"ud_px2": 95.0}, "rate_max": 0.2}
+
+    def shares(**every: int) -> tuple[list[float], list[float]]:
+        seen = fakes.Oracle(fakes.gaussian(50.0, 40.0, 9.0))
+        engine, _ = fakes.engine({"root": {**root, "learn": learn | every}, "a": "root"}, {"a": seen})
+        return [outcome.metrics[0].learn_rate for outcome in fakes.play(engine, 30)], seen.blended
+
+    (all_frames, _), (some, blended) = shares(), shares(every=3)
+    due = [frame % 3 == 0 for frame in range(len(some))]
+    assert some[1:] == [share if now else 0.0 for share, now in zip(all_frames, due, strict=True)][1:]
+    expected = [1.0 - (1.0 - 0.2 * share) ** 3 for share in some[1:] if share > 0.0]
+    assert blended == pytest.approx(expected) and len(blended) > 5

@@ -28,7 +28,7 @@ from bayesnet_track.engine.state import inside_frame_all
 from bayesnet_track.engine.summaries import Summary
 from bayesnet_track.inference.executor import Serial
 from bayesnet_track.inference.guard import judge_nothing
-from bayesnet_track.inference.learn import learning_rate
+from bayesnet_track.inference.learn import frames_between, learning_rate
 from bayesnet_track.inference.measure_rows import RowMeasures, is_flat, measure_rows
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
@@ -217,13 +217,17 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
     memories, stays = table.columns().then(plate, seen)
     started = work.charge("measure", started)
     rule = plate.inference(plate.root).learn
+    every = frames_between(rule, {})
+    rests = work.frame.index % every > 0
     rates = [
-        learning_rate(rule, ud, area, memories.median(row)) * max(1.0 - 2.0 * share, 0.0) if stay else 0.0
+        learning_rate(rule, ud, area, memories.median(row)) * max(1.0 - 2.0 * share, 0.0)
+        if stay and not rests
+        else 0.0
         for row, (ud, area, share, stay) in enumerate(
             zip(measures.uds, areas, hidden, stays.tolist(), strict=True)
         )
     ]
-    references = follow_rows(work, table, boxes, np.array(rates))
+    references = follow_rows(work, table, boxes, rates, every)
     work.charge("learn", started)
     if references is None or not stays.any():
         return None

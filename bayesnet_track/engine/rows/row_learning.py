@@ -10,30 +10,31 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import follow_some
 from bayesnet_track.engine.rows.particle_table import ParticleTable
+from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.reference_rows import ReferenceRows
 
 
 def follow_rows(
-    work: FrameWork, table: ParticleTable, boxes: Floats, rates: Floats
+    work: FrameWork, table: ParticleTable, boxes: Floats, rates: Sequence[float], every: int
 ) -> Mapping[str, Sequence[Reference]] | None:
     """Agent -> what it remembers of each target after learning in the boxes (T, 4); None where one fails.
 
-    `rates` (T,) are shares of each agent's largest rate.
+    `rates` are T shares of each agent's largest rate; it learns as much as in `every` frames.
     """
     after = dict(table.references)
     for agent, largest in table.compiled.rate_max.items():
-        own = rates * largest
+        own = np.array([over_frames(rate * largest, every) for rate in rates])
         rows = np.flatnonzero(own > 0.0)
         if not len(rows):
             continue
-        every = len(rows) == len(rates)
-        known = table.shown(agent, None if every else rows)
+        whole = len(rows) == len(rates)
+        known = table.shown(agent, None if whole else rows)
         found = follow_some(work, table.compiled.cues[agent], known, boxes[rows], own[rows])
         if found is None:
             return None
-        after[agent] = found if every else _replaced(table.references[agent], rows, found)
+        after[agent] = found if whole else _replaced(table.references[agent], rows, found)
     return after
 
 

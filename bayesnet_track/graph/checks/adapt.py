@@ -119,6 +119,15 @@ def calls_have_a_caller(plate: Plate) -> Iterator[GraphMessage]:
             )
 
 
+def calls_say_when_to_learn(plate: Plate) -> Iterator[GraphMessage]:
+    """Beside `on_call` references learn in the frames in which the agents run."""
+    for name, node in plate.inference.items():
+        if node.adapt is None or node.adapt.on_call is None or node.learn is None or node.learn.every == 1:
+            continue
+        found = "learn.every has no effect beside on_call: references learn where the agents on call run"
+        yield plate.message(name, found, "no learn.every", key=("learn", "every"), on_key=True)
+
+
 def called_agents_begin_on(plate: Plate) -> Iterator[GraphMessage]:
     """An agent on call is active at the start: nothing switches it on later."""
     for name, node in plate.inference.items():
@@ -132,6 +141,7 @@ def called_agents_begin_on(plate: Plate) -> Iterator[GraphMessage]:
 
 ADAPT_CHECKS: tuple[Check, ...] = (
     calls_have_a_caller,
+    calls_say_when_to_learn,
     called_agents_begin_on,
     named_agents_are_governed,
     tests_in_order,

@@ -188,6 +188,11 @@ class Learn(Model):
         description="largest learning rate per frame, of cues that have none of their own; an agent's "
         "learn_rate_max overrides both",
     )
+    every: FrameCount = Field(
+        default=1,
+        description="references learn in frames whose number this divides, each time as much as in so many "
+        "frames",
+    )
     guard: Guard | None = Field(default=None, description="keeps references from drifting away")
     score_above: Annotated[Number, Field(ge=0, lt=1)] | None = Field(
         default=None,
