@@ -241,6 +241,7 @@ def describe_target(
         measured.scored,
         frozenset({*filtered.flaws, *filtered.undefined}),
         before.existence,
+        before.started,
     )
     changed = None if filtered.modes is None else filtered.modes.change(frame.index, target)
     events: list[Event] = [

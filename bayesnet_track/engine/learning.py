@@ -29,6 +29,7 @@ from bayesnet_track.inference.learn import (
     adapt_reference,
     check_references,
     frames_between,
+    largest_rate,
     learn_references,
     learning_rate,
     over_frames,
@@ -201,9 +202,12 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
         every, rests = live.turn.since(work.frame.index), not filtered.call.ran
     if not held or not net.active or filtered.step.degenerate is not None or rests:
         rate, at_parts = 0.0, {}
+    age = work.frame.index - filtered.before.started
     return rate, {
-        agent: over_frames(at_parts.get(compiled.part_of.get(agent, ""), rate) * largest, every)
-        for agent, largest in compiled.rate_max.items()
+        agent: over_frames(
+            at_parts.get(compiled.part_of.get(agent, ""), rate) * largest_rate(rule, own, age), every
+        )
+        for agent, own in compiled.rate_max.items()
         if agent not in net.quarantined and agent not in filtered.missed
     }
 

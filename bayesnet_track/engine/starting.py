@@ -89,6 +89,7 @@ def start(
         motion_context=start_motion_context(compiled, box, work.cache.frames),
         scored=Scored(references=first_references(compiled.verifiers, lesson.cache, box)),
         existence=compiled.first_existence,
+        started=frame.index,
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     if compiled.modes is not None:

@@ -37,6 +37,7 @@ class TargetState:
         scored: what its score remembers.
         flawed: expressions that had no value for some hypotheses in the last frame.
         existence: probability that it exists; None where the plate has no `existence`.
+        started: number of the frame in which it started.
     """
 
     belief: Posterior
@@ -49,6 +50,7 @@ class TargetState:
     scored: Scored = field(default_factory=Scored)
     flawed: frozenset[str] = frozenset()
     existence: float | None = None
+    started: int = 0
 
 
 def recompile(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:

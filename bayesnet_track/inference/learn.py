@@ -104,6 +104,21 @@ def over_frames(rate: float, frames: int) -> float:
     return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames
 
 
+def largest_rate(rule: Learn | None, own: float, frames: int) -> float:
+    """The largest rate of an agent whose own is `own`, so many frames after its target started.
+
+    The reference of the first frame is one sample. At a rate of 1 / n in the n-th frame it becomes the mean
+    of n samples; a small constant rate would keep most of the first one for long.
+
+    >>> from bayesnet_track.graph.spec import Learn, Level
+    >>> rule = Learn(below=Level(ud_px2=100.0), early_rate=1.0)
+    >>> largest_rate(rule, 0.02, 1), largest_rate(rule, 0.02, 99), largest_rate(rule, 0.0, 1)
+    (0.5, 0.02, 0.0)
+    """
+    early = 0.0 if rule is None else rule.early_rate
+    return max(own, early / (frames + 1)) if own > 0.0 else 0.0
+
+
 def frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
     """Learning takes place in frames whose number this divides.
 

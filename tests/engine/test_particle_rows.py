@@ -49,9 +49,9 @@ def started(graph=GRAPH, plate="thing"):
     return engine, state
 
 
-def lines(frames=5, graph=GRAPH):
+def lines(frames=5):
     """All that is written down."""
-    engine, state = started(graph)
+    engine, state = started()
     written = []
     for index in range(1, frames):
         outcome = steps.step(engine, state, frame(index))
@@ -142,26 +142,29 @@ def test_finished_together_and_one_by_one_are_the_same_bytes(monkeypatch):
     assert lines(8) == together and memories() == remembered
 
 
-def test_what_learns_in_every_second_frame_learns_the_same_together(monkeypatch):
-    root = NODES["thing"] | {"learn": {"below": {"ud_px2": 100}, "every": 2}}
+def test_what_learns_early_in_every_second_frame_learns_the_same_together(monkeypatch):
+    root = NODES["thing"] | {"learn": {"below": {"ud_px2": 100}, "every": 2, "early_rate": 0.5}}
     graph = load_graph({"name": "things", "targets": {"thing": {"nodes": NODES | {"thing": root}}}})
 
     def references():
         engine, state = started(graph)
-        for index in range(1, 6):
+        for index in range(1, 7):
             state = steps.step(engine, state, frame(index)).state
+            if index == 3:
+                box = np.array([100.0, 20.0, 16.0, 16.0])
+                state = steps.start_target(engine, state, frame(3), "late", "thing", box).state
         return {target: known(one) for target, one in state.targets.items()}
 
     asked, own = [], ColorHistogram.follow_each
     monkeypatch.setattr(
-        ColorHistogram, "follow_each", lambda self, *args: asked.append(len(args[1])) or own(self, *args)
+        ColorHistogram, "follow_each", lambda self, *args: asked.append(args[3].tolist()) or own(self, *args)
     )
-    together, written = references(), lines(6, graph)
-    assert asked == [len(PLACES)] * 8  # two agents in frames 2 and 4, twice
-    assert written != lines(6)
+    together = references()
+    assert [len(rates) for rates in asked] == [4, 4, 5, 5, 5, 5]  # two agents in frames 2, 4 and 6
+    assert max(asked[2][:4]) < asked[2][4]  # the late one's second frame
     monkeypatch.setattr(finishing, "finish_rows", lambda *_: None)
     monkeypatch.setattr(learning, "plate_learns", lambda compiled: False)
-    assert references() == together and lines(6, graph) == written
+    assert references() == together
 
 
 def test_only_targets_that_fit_go_together():
@@ -258,7 +261,7 @@ def test_agents_learn_only_of_targets_with_a_rate():
     table = ParticleTable.of(engine.plates["thing"], state.targets)
     boxes = np.array([[*at, 16.0, 16.0] for at in PLACES])
     every, some, none = (
-        follow_rows(work, table, boxes, rates, 1)
+        follow_rows(work, table, boxes, rates)
         for rates in ([0.5, 0.5, 0.5, 0.5], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0])
     )
     for agent in ("color", "coarse"):
@@ -267,7 +270,7 @@ def test_agents_learn_only_of_targets_with_a_rate():
             same = every if row % 2 == 0 else none
             assert some[agent][row]["shares"].tobytes() == same[agent][row]["shares"].tobytes()
     listed = replace(table, references={agent: list(own) for agent, own in table.references.items()})
-    again = follow_rows(work, listed, boxes, [0.5, 0.0, 0.5, 0.0], 1)
+    again = follow_rows(work, listed, boxes, [0.5, 0.0, 0.5, 0.0])
     assert [one["shares"].tolist() for one in again["color"]] == [
         one["shares"].tolist() for one in some["color"]
     ]

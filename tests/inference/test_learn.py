@@ -7,7 +7,7 @@ import math
 import pytest
 
 from bayesnet_track.graph.spec import Learn, Level
-from bayesnet_track.inference.learn import learning_rate
+from bayesnet_track.inference.learn import largest_rate, learning_rate
 
 SHARES = {0.0: 0.982014, 0.25: 0.952574, 0.5: 0.880797, 0.75: 0.731059, 0.9: 0.598688}
 """UD as a share of theta -> (1 - tanh(2 (UD - theta) / theta)) / 2, from a table of tanh."""
@@ -62,3 +62,24 @@ def test_it_learns_in_every_third_frame_as_much_as_in_three(fakes) -> None:
     assert some[1:] == [share if now else 0.0 for share, now in zip(all_frames, due, strict=True)][1:]
     expected = [1.0 - (1.0 - 0.2 * share) ** 3 for share in some[1:] if share > 0.0]
     assert blended == pytest.approx(expected) and len(blended) > 5
+
+
+@pytest.mark.parametrize("early_rate", [0.0, 0.5, 1.0])
+def test_early_references_are_means(fakes, early_rate: float) -> None:
+    learn = {"below": {"ud_px2": 1e9}, "rate_max": 0.1, "early_rate": early_rate}
+    seen = fakes.Oracle(fakes.gaussian(50.0, 40.0, 9.0))
+    root = {"fuse": "product", "ud_fields": ["x", "y"], "learn": learn}
+    engine, _ = fakes.engine({"root": root, "a": "root"}, {"a": seen})
+    share = fakes.play(engine, 20)[-1].metrics[0].learn_rate
+    assert share == pytest.approx(0.982, abs=1e-3)  # UD is far below its level
+    rates = [max(0.1, early_rate / frame) for frame in range(2, 2 + len(seen.blended))]
+    assert len(rates) >= 19 and seen.blended == pytest.approx([share * rate for rate in rates])
+
+
+def test_at_an_early_rate_of_one_a_reference_is_the_mean_of_all_that_was_seen() -> None:
+    rule, samples = Learn(below=Level(ud_px2=1.0), early_rate=1.0), [3.0, 1.0, 4.0, 1.0, 5.0]
+    known = samples[0]
+    for age, sample in enumerate(samples[1:], 1):
+        known += largest_rate(rule, 1e-6, age) * (sample - known)
+    assert known == pytest.approx(sum(samples) / len(samples))
+    assert largest_rate(rule, 0.0, 1) == 0.0 and largest_rate(None, 0.3, 1) == 0.3

@@ -217,8 +217,7 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
     memories, stays = table.columns().then(plate, seen)
     started = work.charge("measure", started)
     rule = plate.inference(plate.root).learn
-    every = frames_between(rule, {})
-    rests = work.frame.index % every > 0
+    rests = work.frame.index % frames_between(rule, {}) > 0
     rates = [
         learning_rate(rule, ud, area, memories.median(row)) * max(1.0 - 2.0 * share, 0.0)
         if stay and not rests
@@ -227,7 +226,7 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
             zip(measures.uds, areas, hidden, stays.tolist(), strict=True)
         )
     ]
-    references = follow_rows(work, table, boxes, rates, every)
+    references = follow_rows(work, table, boxes, rates)
     work.charge("learn", started)
     if references is None or not stays.any():
         return None

@@ -10,22 +10,29 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import follow_some
 from bayesnet_track.engine.rows.particle_table import ParticleTable
-from bayesnet_track.inference.learn import over_frames
+from bayesnet_track.inference.learn import frames_between, largest_rate, over_frames
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.reference_rows import ReferenceRows
 
 
 def follow_rows(
-    work: FrameWork, table: ParticleTable, boxes: Floats, rates: Sequence[float], every: int
+    work: FrameWork, table: ParticleTable, boxes: Floats, rates: Sequence[float]
 ) -> Mapping[str, Sequence[Reference]] | None:
     """Agent -> what it remembers of each target after learning in the boxes (T, 4); None where one fails.
 
-    `rates` are T shares of each agent's largest rate; it learns as much as in `every` frames.
+    `rates` are T shares of each agent's largest rate.
     """
-    after = dict(table.references)
+    after, plate = dict(table.references), table.compiled.plate
+    rule = plate.inference(plate.root).learn
+    every, ages = frames_between(rule, {}), [work.frame.index - one.started for one in table.base]
     for agent, largest in table.compiled.rate_max.items():
-        own = np.array([over_frames(rate * largest, every) for rate in rates])
+        own = np.array(
+            [
+                over_frames(rate * largest_rate(rule, largest, age), every)
+                for rate, age in zip(rates, ages, strict=True)
+            ]
+        )
         rows = np.flatnonzero(own > 0.0)
         if not len(rows):
             continue

@@ -193,6 +193,11 @@ class Learn(Model):
         description="references learn in frames whose number this divides, each time as much as in so many "
         "frames",
     )
+    early_rate: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.0,
+        description="in the n-th frame of a target the largest rate is at least this over n: with 1 its "
+        "references begin as means of all that was seen",
+    )
     guard: Guard | None = Field(default=None, description="keeps references from drifting away")
     score_above: Annotated[Number, Field(ge=0, lt=1)] | None = Field(
         default=None,
