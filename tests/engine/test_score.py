@@ -115,7 +115,7 @@ def test_the_score_of_a_target_that_leaves_the_image_falls_at_its_border(fakes):
 
 
 def test_the_border_is_remembered_where_nothing_fits(fakes):
-    """Only what verifiers and agents said in such a frame is forgotten."""
+    """Only what the evidence was in such a frame is forgotten."""
     plain = leaving(fakes, 22, bias=3.0, border=-4.0, memory_frames=4)
     unfit = leaving(fakes, 22, bias=3.0, border=-4.0, memory_frames=4, full_fit=1.0)
     assert 0.0 < plain[-1].features["border"] < 1.0

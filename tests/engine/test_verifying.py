@@ -94,8 +94,12 @@ def test_what_it_says_while_nothing_fits_is_forgotten(fakes):
     rule = {"memory_frames": 4, "full_fit": 0.05, "bias": 9.0}
     described = nodes({"v": {"agent": "c", "every": 5, "coefficient": 1.0}}, **rule)
     engine, _ = fakes.engine(described, {"a": fits, "b": fakes.flat(), "c": see})
-    found = said(fakes.play(engine, 9))
-    assert found[2:] == [0.0, -20.0, -20.0, -20.0, -0.5, -0.5, -0.5]  # -20: the least that counts
+    outcomes = fakes.play(engine, 9)
+    assert said(outcomes)[2:] == [0.0, -20.0, -20.0, -20.0, -0.5, -0.5, -0.5]  # -20: the least that counts
+    for at in (6, 7):  # the last dark frame, and the first in which something fits
+        (line,) = outcomes[at].metrics
+        own = np.log(line.ud_px2 / (line.centre_box[2] * line.centre_box[3]))
+        assert line.features["log_ud_box"] == pytest.approx(own)
 
 
 @pytest.mark.parametrize("wrong", ["raises", "positive", "nan"])

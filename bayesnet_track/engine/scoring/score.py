@@ -12,7 +12,6 @@ import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.arrays import Floats
@@ -28,6 +27,9 @@ USUAL_FRAMES = 20
 
 LEAST_LOG = -20.0
 """Logarithms below it say nothing more: a feature is at least this."""
+
+OF_THE_BOX = ("log_size", "border")
+"""Features of the estimate alone, not of what fits it."""
 
 BEYOND = 0.1
 """Share of a side of the box: farther beyond the image says no more."""
@@ -106,11 +108,11 @@ class Scored:
             **{name: max(value, LEAST_LOG) for name, value in further.items()},
         }
         unfit = measures.fit < rule.full_fit
-        # What they said while nothing fitted, as in a black frame, is forgotten when something does.
+        # What the evidence was while nothing fitted, as in a black frame, is forgotten when something does.
         forgets = unfit or self.unfit
-        forgotten = {name: found[name] for name in further if forgets and name not in FEATURES}
-        before = {**found, **self.smooth, **forgotten}
-        gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if self.smooth and rule.memory_frames else 1.0
+        before = {name: self.smooth.get(name, value) for name, value in found.items()}
+        before |= {name: value for name, value in found.items() if forgets and name not in OF_THE_BOX}
+        gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if rule.memory_frames else 1.0
         smooth = {
             name: value if gain == 1.0 else before[name] + gain * (value - before[name])
             for name, value in found.items()
