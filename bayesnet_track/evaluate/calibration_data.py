@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
@@ -32,24 +33,24 @@ ELSEWHERE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class CalibrationData:
-    """One run over one video: the frames after the first in which the truth has a box.
+    """One run over one video: the frames after the first in which there is a target.
 
     Attributes:
         video: its name.
-        iou: (n,) overlap of estimate and truth.
+        iou: (n,) overlap of estimate and truth; 0 where the truth has no box, since the target is away.
         features: name -> (n,) filtered features of the score, and the `most` that it may be.
         ud_box: (n,) UD at the root as a share of the estimate's area.
         offsets: (n, 32, 2) true centre less quantiles of the belief's (`marginal_points`), in sqrt(w h) of
-            the estimate.
+            the estimate; NaN where the truth has no box.
         scores: (n,) the graph's own scores.
         status: status of each frame.
         surprise: agent -> (25,) mean over the frames on target of -log of the density that the agent, at each
             of `TEMPERATURES` times its own temperature, gives to the true centre; empty unless asked for.
         most: (n,) what the score can be at most, whatever its coefficients; None for 1.
         cost_ms: declared cost of the agents that looked, milliseconds, mean over frames.
-        all_scores: (m,) the graph's own scores of every frame after the first, also of those in which the
-            truth has no box; 0 when there was no target any more.
-        all_iou: (m,) overlap in the same frames, 0 where the truth has no box.
+        all_scores: (m,) the graph's own scores of every frame after the first; 0 when there was no target
+            any more.
+        all_iou: (m,) overlap in the same frames.
     """
 
     video: str
@@ -69,6 +70,11 @@ class CalibrationData:
     def frames(self) -> int:
         """Number of frames."""
         return len(self.iou)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(n,) whether the truth has a box."""
+        return np.isfinite(self.offsets[:, 0, 0])
 
 
 def by_video(data: Iterable[CalibrationData]) -> Mapping[str, list[CalibrationData]]:
@@ -104,7 +110,7 @@ def calibration_data(
     engine = make_engine(graph, seed)
     state: State | None = None
     lines: list[FrameMetrics] = []
-    boxes, offsets, curves = [], [], _Curves()
+    overlaps, offsets, curves = [], [], _Curves()
     every: list[tuple[float, float]] = []
     for frame in frames:
         number = frame.index
@@ -123,24 +129,26 @@ def calibration_data(
         before, state = state, (outcome := step(engine, state, frame)).state
         line = next((one for one in outcome.metrics if one.target == "1"), None)
         every.append((0.0 if line is None else line.score, 0.0))
-        if line is None or not np.isfinite(truth[number]).all() or "1" not in state.targets:
+        if line is None or "1" not in state.targets:
             continue
         true = centre_from_corner(truth[number])
+        is_there = bool(np.isfinite(true).all())
         side = float(np.sqrt(line.centre_box[2] * line.centre_box[3]))
-        lines.append(line)
-        boxes.append(true)
-        found = float(overlap(np.array(line.centre_box)[None], true[None])[0])
+        found = float(overlap(np.array(line.centre_box)[None], true[None])[0]) if is_there else 0.0
         every[-1] = (line.score, found)
-        offsets.append((true[:2] - marginal_points(state.targets["1"].belief).T) / side)
+        lines.append(line)
+        overlaps.append(found)
+        away = true[:2] - marginal_points(state.targets["1"].belief).T
+        offsets.append(away / side if is_there else np.full_like(away, np.nan))
         if temperatures and found > 0.5:
             curves.add(engine, before, frame, true, side)
-    if not lines:
+    if not any(np.isfinite(one).all() for one in offsets):
         raise ValueError(f"{video}: no frame after the first has a true box")
     at = np.array([line.centre_box for line in lines])
     costs = next(iter(engine.plates.values())).costs_ms
     return CalibrationData(
         video,
-        overlap(at, np.array(boxes)),
+        np.array(overlaps),
         {name: np.array([line.features[name] for line in lines]) for name in lines[0].features},
         np.array([line.ud_px2 for line in lines]) / (at[:, 2] * at[:, 3]),
         np.array(offsets),

@@ -66,6 +66,8 @@ def fit(
 ) -> Fitted:
     """Estimate from runs over videos; each video counts the same, however long it is.
 
+    Frames in which the truth has no box are off target, and say nothing of where the centre is.
+
     Regions and statuses are fitted to the score that is, or with `keep_score` to the graph's own.
 
     Raises:
@@ -81,7 +83,10 @@ def fit(
     table = {name: np.concatenate([one.features[name] for one in data]) for name in features}
     logistic = fit_logistic(table, hits, weights, {name: SIGNS.get(name, 1) for name in features})
     scores = [one.scores if keep_score else score_of(logistic, one) for one in data]
-    localization_error = fit_localization_error([one.offsets for one in data], scores)
+    localization_error = fit_localization_error(
+        [one.offsets[one.seen] for one in data],
+        [said[one.seen] for one, said in zip(data, scores, strict=True)],
+    )
     iou = np.concatenate([one.iou for one in data])
     ud = np.concatenate([one.ud_box for one in data])
     levels = fit_levels(np.concatenate(scores), iou)
@@ -151,7 +156,7 @@ def leave_one_out(
         except ValueError as error:
             raise ValueError(f"without {video}: {error}") from None
         said = np.concatenate([score_of(fitted.logistic, one) for one in own])
-        under = np.concatenate([mass_below(fitted, one) for one in own])
+        under = np.concatenate([mass_below(fitted, one)[one.seen] for one in own])
         rows.append(_check(video, own, said, under))
         scores.append(said)
         below.append(under)

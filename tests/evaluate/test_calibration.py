@@ -136,6 +136,30 @@ def test_a_feature_only_speaks_for_what_it_can(name):
         assert (coefficient == 0.0) == ((name in against) == (slope < 0.0))
 
 
+def test_frames_without_a_box_are_off_target_and_say_nothing_of_the_centre():
+    one = replace(calibration_data("a", 0), scores=np.full(400, 0.5))
+    away = np.arange(400) < 100
+    gone = replace(
+        one, iou=np.where(away, 0.0, one.iou), offsets=np.where(away[:, None, None], np.nan, one.offsets)
+    )
+    present = ("iou", "ud_box", "offsets", "scores")
+    rest = replace(
+        one,
+        features={name: of[~away] for name, of in one.features.items()},
+        status=one.status[100:],
+        **{name: getattr(one, name)[~away] for name in present},
+    )
+    assert gone.seen.sum() == 300 and rest.seen.all()
+    found, without = fit([gone], keep_score=True), fit([rest], keep_score=True)
+    assert found.localization_error == without.localization_error
+    # A quarter of the frames is off target, whatever their features: the score is less sure at every UD.
+    for ud in (-5.0, -3.0):
+        odds = [one.logistic["bias"] + one.logistic["log_ud_box"] * ud for one in (found, without)]
+        assert odds[0] < odds[1]
+    rows, everyone = leave_one_out([gone, replace(gone, video="b")])
+    assert everyone.frames == 800 and all(np.isfinite(row.coverage50) for row in rows)
+
+
 def test_left_out_videos_are_calibrated_where_videos_are_alike():
     videos = [calibration_data(name, k) for k, name in enumerate("abcd")]
     rows, everyone = leave_one_out(videos)

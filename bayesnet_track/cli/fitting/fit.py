@@ -124,7 +124,9 @@ def _calibration_data(
         for seed in range(options.seeds):
             with frames_of(video, options.end) as frames, users_mistake():
                 one = calibration_data(measuring, video.name, frames, video.truth, seed, temperatures)
-            complain(f"{video.name}, seed {seed}: {one.frames} frames, mean IoU {one.iou.mean():.3f}")
+            complain(
+                f"{video.name}, seed {seed}: {one.frames} frames, mean IoU {one.iou[one.seen].mean():.3f}"
+            )
             found.append(one)
     return found
 

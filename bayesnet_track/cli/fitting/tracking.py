@@ -89,7 +89,7 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
         for seed in range(seeds):
             with frames_of(video, end) as frames, users_mistake():
                 one = calibration_data(measuring, video.name, frames, video.truth, seed)
-            trials.append((success_auc(one.iou), one.cost_ms))
+            trials.append((success_auc(one.iou[one.seen]), one.cost_ms))
         auc, cost = np.mean(trials, axis=0)
         complain(f"{video.name}, {_describe(policy)}: AUC {auc:.3f}, {cost:.2f} ms")
         return Trial(float(auc), float(cost))
