@@ -1,21 +1,28 @@
 """Videos in which something happens to the target, made from real sequences: always the same for one seed.
 
+    python benchmarks/event_videos.py DATA_FOLDER OUT_FOLDER --half both --kind "patch in front" --seed 21
+
 Every video begins with `BEFORE` frames as they are. Then the target leaves the view (a window on the frames
 moves away from it), a patch of another colour slides in front of it and moves with it, the frames are black,
-or a copy of the target crosses behind it, as large and as bright in every frame.
+or a copy of the target crosses behind it, as large and as bright in every frame. The command writes one of
+each sequence as NAME/img/*.png and NAME/groundtruth.txt, which has no box where the target is hidden.
 """
 
 from __future__ import annotations
 
+import argparse
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 
+import cv2
 import numpy as np
 from measuring import Image
 from numpy.typing import NDArray
-from sequences import Sequence
+from real_video_coin import HALVES
+from sequences import Sequence, find_sequences
 
 Boxes = NDArray[np.float64]
 
@@ -200,3 +207,32 @@ def _paste(image: Image, source: Image, box: Boxes, place: tuple[float, float]) 
     under = image[y0:y1, x0:x1].astype(np.float64)
     mixed = cover[inner] * part[inner] + (1.0 - cover[inner]) * under
     image[y0:y1, x0:x1] = np.round(mixed).astype(np.uint8)
+
+
+def write_video(video: EventVideo, folder: Path) -> None:
+    """Write it as a sequence of pictures with ground truth."""
+    (folder / "img").mkdir(parents=True)
+    for index, image in enumerate(video.images, start=1):
+        cv2.imwrite(str(folder / "img" / f"{index:04}.png"), image)
+    seen = np.where(video.hidden[:, None], np.nan, video.truth)
+    np.savetxt(folder / "groundtruth.txt", seen, delimiter=",", fmt="%.3f")
+
+
+def main() -> None:
+    """Write the videos of one kind."""
+    parser = argparse.ArgumentParser(description="Write videos in which something happens to the target.")
+    parser.add_argument("data_folder", type=Path)
+    parser.add_argument("out_folder", type=Path)
+    parser.add_argument("--half", choices=(*HALVES, "both"), default="both")
+    parser.add_argument("--kind", choices=(*MAKERS,), required=True)
+    parser.add_argument("--seed", type=int, default=21)
+    options = parser.parse_args()
+    halves = HALVES if options.half == "both" else [options.half]
+    for half in halves:
+        sequences = find_sequences(options.data_folder, HALVES[half], 150)
+        for video in make_videos(options.kind, sequences, len(sequences), options.seed):
+            write_video(video, options.out_folder / f"{video.sequence}_{options.kind.replace(' ', '_')}")
+
+
+if __name__ == "__main__":
+    main()
