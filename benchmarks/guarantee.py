@@ -1,7 +1,7 @@
 """The guarantee and the alarm on real video, each sequence judged by what the others calibrate.
 
     python benchmarks/guarantee.py DATA_FOLDER [--graph general] [--seeds 2] [--share 0.05] [--max-frames N]
-                                   [--fit] [--features log_fit] [--frames 10] [--data FILE]
+                                   [--fit] [--features log_fit] [--frames 3] [--data FILE]
 
 The graph runs over every sequence; then, in turn, one is left out, and the others calibrate the levels of
 `guarantee` and the total of `alarm` (docs/calibration.md). Printed are the observed mean share of frames
@@ -142,7 +142,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--share", type=float, default=0.05)
-    parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--frames", type=int, default=3)
     parser.add_argument("--max-frames", type=int)
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--features", default="log_fit")

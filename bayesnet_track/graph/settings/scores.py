@@ -159,7 +159,7 @@ class Guarantee(Model):
     """
 
     above: Annotated[Number, Field(ge=0, le=1)] = Field(description="level of the mean score")
-    frames: FrameCount = Field(default=10, description="frames of the mean, fewer at the start")
+    frames: FrameCount = Field(default=3, description="frames of the mean, fewer at the start")
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
         default=0.05, description="expected share of such frames that it was calibrated for; only reported"
     )
