@@ -26,17 +26,19 @@ from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.plain_rows import Described, Results, finish_rows
 from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
 from bayesnet_track.engine.scoring.confidences import confidences
-from bayesnet_track.engine.scoring.distractors import find_distractor
+from bayesnet_track.engine.scoring.distractors import find_distractor, follow_distractor
+from bayesnet_track.engine.scoring.encounters import Place
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
-from bayesnet_track.engine.scoring.score import Scored, extent_beyond, most, probability, with_distractor
+from bayesnet_track.engine.scoring.score import Scored, extent_beyond, most, probability
 from bayesnet_track.engine.scoring.verifying import HELD, Verification
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
-from bayesnet_track.graph.spec import InferenceNode
+from bayesnet_track.graph.spec import Distractors, InferenceNode
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import Looks, is_flat, is_plain, measure_rows
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
+from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import FoundAgain
@@ -127,7 +129,7 @@ def measure_target(
     work: FrameWork, filtered: Filtered, state: Floats, box: Floats, measures: Measures
 ) -> Measured:
     """How sure it is to hold the target with the estimate `state` (D,), whose `box` is inside the frame."""
-    compiled, live = work.plate_of(filtered.target), work.net.targets[filtered.target]
+    compiled = work.plate_of(filtered.target)
     root = compiled.plate.inference(compiled.plate.root)
     by_hand = work.by_hand.get(filtered.target, ())
     net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
@@ -136,7 +138,7 @@ def measure_target(
     scored = filtered.before.scored
     if root.score is None:
         return Measured(state, box, net, measures, scored)
-    rule, distractor = root.score.settings, None
+    rule, distractor, ended = root.score.settings, None, None
     unfit = measures.fit < rule.full_fit
     verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit)
@@ -145,11 +147,9 @@ def measure_target(
     further["border"] = extent_beyond(box, work.frame)
     scored = scored.after(rule, measures, filtered.step, ud_px2, further)
     if root.distractors is not None:
-        able = compiled.cues.keys() - live.quarantined
-        distractor = find_distractor(
-            root.distractors, work.frame.index, filtered.target, able, filtered.step, measures
+        scored, distractor, ended = _follow_distractors(
+            work, filtered, root.distractors, box, measures, scored
         )
-        scored = with_distractor(scored, distractor, root.distractors.frames)
     bound = most(rule, measures.fit, scored.doubt)
     if filtered.modes is not None and filtered.modes.hidden is not None:
         bound = min(bound, 1.0 - filtered.modes.hidden)
@@ -161,12 +161,28 @@ def measure_target(
         bound = min(bound, most_now)
         score = min(score, bound)
     scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
-    if found is not None:
-        notices = (*notices, found)
+    notices = (*notices, *(one for one in (found, ended) if one is not None))
     if score >= HELD and not unfit:
         verified = verification.follow(verified)
     scored, notices = changed(scored, references=verified.references), (*notices, *verified.failed)
     return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
+
+
+def _follow_distractors(
+    work: FrameWork,
+    filtered: Filtered,
+    rule: Distractors,
+    box: Floats,
+    measures: Measures,
+    scored: Scored,
+) -> tuple[Scored, DistractorSeen | None, DoubtEnded | None]:
+    """With what looks like the target beside it, or the end of the doubt that this raised."""
+    frame, target = work.frame.index, filtered.target
+    able = work.plate_of(target).cues.keys() - work.net.targets[target].quarantined
+    seen = find_distractor(rule, frame, target, able, filtered.step, measures)
+    place, side = Place(frame, float(box[0]), float(box[1])), float(np.sqrt(max(measures.area_px2, 1.0)))
+    scored, ended = follow_distractor(scored, seen, rule.frames, target, place, side)
+    return scored, seen, ended
 
 
 def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:

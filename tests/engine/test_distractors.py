@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bayesnet_track import Tracker
-from bayesnet_track.engine.scoring.score import Scored, most, with_distractor
+from bayesnet_track.engine.scoring.distractors import follow_distractor, with_distractor
+from bayesnet_track.engine.scoring.encounters import Encounter, Place, distances_since, motion_before
+from bayesnet_track.engine.scoring.score import Scored, most
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
@@ -22,6 +28,77 @@ def test_only_distractors_in_a_row_put_it_in_doubt_and_the_doubt_ends():
     twice = with_distractor(once, SEEN, 2)
     assert twice.doubt == SEEN.hold and with_distractor(twice, None, 2).doubt == SEEN.hold
     assert Distractors().frames == 2
+
+
+def meet(own, other, followed, frames=30, near=range(10, 15)):
+    """What is remembered after each frame, and the ends of the doubt, where a look-alike is near for a while.
+
+    `own`, `other` and `followed` give the place of each in a frame; the box has sides of 10 px.
+    """
+    scored, every, ended = Scored(), [], []
+    for frame in range(frames):
+        seen = None
+        if frame in near:
+            x, y = other(frame)
+            seen = DistractorSeen(frame, "1", x, y, 0.9, 1.5, 4.0, 0.3, 100)
+        scored = replace(scored, doubt=max(scored.doubt - 1, 0))  # as `Scored.after` counts
+        x, y = own(frame) if frame < near.stop else followed(frame)
+        scored, end = follow_distractor(scored, seen, 4, "1", Place(frame, x, y), 10.0)
+        every.append(scored)
+        ended += [] if end is None else [end]
+    return every, ended
+
+
+SPEEDS = st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
+
+
+@given(SPEEDS, SPEEDS)
+def test_motion_ends_the_doubt_where_the_target_is_followed_and_not_where_the_other_is(v, w):
+    def own(frame):
+        return 100.0 + v[0] * (frame - 12), 100.0 + v[1] * (frame - 12)
+
+    def other(frame):
+        return 100.0 + w[0] * (frame - 12), 100.0 + w[1] * (frame - 12)
+
+    speed = float(np.hypot(v[0] - w[0], v[1] - w[1]))
+    right, ended = meet(own, other, own)
+    assert [one.doubt for one in right[:13]] == [0] * 13 and right[14].doubt == 100
+    if speed * 17 > 10.01:  # the last frame is 17 after they met
+        # At the first frame that is two after the last sight, and in which they are a side apart.
+        frame = next(k for k in range(16, 30) if speed * (k - 12) > 10.0 + 1e-9)
+        assert [(one.frame, one.nearer) for one in ended] == [(frame, 0.5)]
+        assert ended[0].own_box == pytest.approx(0.0, abs=1e-9)
+        assert ended[0].other_box == pytest.approx(speed * (frame - 12) / 10.0)
+        assert ended[0].left == 100 - (frame - 14)
+        assert right[-1].doubt == 0
+    elif speed * 17 < 9.99:
+        assert not ended
+    wrong, ended = meet(own, other, other)
+    assert not ended and wrong[-1].doubt == 100 - (29 - 14)
+
+
+def test_a_target_halfway_between_both_stays_in_doubt():
+    own, other = (lambda k: (100.0 + 2 * k, 50.0)), (lambda k: (160.0 - 3 * k, 50.0))
+    halfway = lambda k: ((own(k)[0] + other(k)[0]) / 2, 50.0)  # noqa: E731
+    assert meet(own, other, halfway)[1] == []
+
+
+def test_what_was_followed_just_before_a_look_alike_is_noticed_does_not_count():
+    """The tracker may have changed to the other one already."""
+    places = [Place(k, 2.0 * k, 0.0) for k in range(8)] + [Place(8 + k, 14.0 - k, 0.0) for k in range(5)]
+    assert motion_before(places) == (places[3], places[7])
+    assert motion_before(places[:3]) == (places[0], places[1])  # at the start there is nothing better
+    assert motion_before(places[:1]) is None and motion_before([]) is None
+
+
+def test_motion_says_nothing_of_what_was_seen_once_or_only_now():
+    own, first, last = (Place(0, 0.0, 0.0), Place(4, 4.0, 0.0)), Place(8, 50.0, 0.0), Place(10, 60.0, 0.0)
+    met, place = Encounter(own, first, last), Place(12, 12.0, 0.0)
+    assert distances_since(met, place, 10.0) == pytest.approx((0.0, 5.8))
+    assert distances_since(met, Place(11, 11.0, 0.0), 10.0) is None  # a frame too early
+    assert distances_since(met, place, 60.0) is None  # 58 px are not a side
+    assert distances_since(replace(met, first=last), place, 10.0) is None
+    assert distances_since(replace(met, own=None), place, 10.0) is None
 
 
 @pytest.mark.parametrize(

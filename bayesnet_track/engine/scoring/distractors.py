@@ -8,8 +8,19 @@ import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.engine.scoring.encounters import (
+    BEFORE,
+    NEARER,
+    SPAN,
+    Encounter,
+    Place,
+    distances_since,
+    motion_before,
+)
+from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.graph.settings.scores import Distractors
-from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
+from bayesnet_track.numerics.records import changed
 
 
 def find_distractor(
@@ -42,3 +53,35 @@ def find_distractor(
     return DistractorSeen(
         frame, target, x, y, float(away[other]), behind, rule.within_nats, measures.fit, rule.hold
     )
+
+
+def follow_distractor(
+    scored: Scored, distractor: DistractorSeen | None, frames: int, target: str, place: Place, side_px: float
+) -> tuple[Scored, DoubtEnded | None]:
+    """With the distractor of this frame, or the end of the doubt, where motion tells the two apart.
+
+    `place` is the estimate's, `side_px` the root of its area.
+    """
+    scored, ended = with_distractor(scored, distractor, frames), None
+    if scored.doubt and distractor is None and scored.encounter is not None:
+        away = distances_since(scored.encounter, place, side_px)
+        if away is not None and away[0] < NEARER * away[1]:
+            ended = DoubtEnded(place.frame, target, *away, NEARER, scored.doubt)
+            scored = changed(scored, doubt=0)
+    return changed(scored, places=(*scored.places, place)[-BEFORE - SPAN :]), ended
+
+
+def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
+    """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
+    if distractor is None:
+        return changed(scored, distractors=0)
+    count, seen = scored.distractors + 1, Place(distractor.frame, distractor.x, distractor.y)
+    begun = Encounter(motion_before(scored.places), seen, seen) if count == 1 else scored.meeting
+    assert begun is not None
+    meeting = changed(begun, last=seen)
+    scored = changed(scored, distractors=count, meeting=meeting)
+    if count < frames:
+        return scored
+    # In doubt already: how the target moved is known from before.
+    own = scored.encounter.own if scored.doubt and scored.encounter is not None else meeting.own
+    return changed(scored, doubt=distractor.hold, encounter=changed(meeting, own=own))

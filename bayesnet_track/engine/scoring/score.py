@@ -12,8 +12,8 @@ import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.engine.scoring.encounters import Encounter, Place
 from bayesnet_track.graph.spec import Localization, Logistic
-from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 from bayesnet_track.numerics.records import changed
@@ -48,6 +48,9 @@ class Scored:
         side_px: sqrt(w h) of the first estimate.
         distractors: consecutive frames with a distractor, up to the last one.
         doubt: frames for which the score is at most one half, since a distractor was seen.
+        places: the last estimates; empty without a rule for distractors.
+        meeting: how the target and the distractor of the last frames moved; None before any.
+        encounter: the same of the distractor that put the target in doubt.
         recent: the last scores, as many as the guarantee asks for; none without one.
         rise: what the alarm's evidence has risen to, nats; 0 without an alarm.
         since: first frame of this rise; None while there is none.
@@ -66,6 +69,9 @@ class Scored:
     side_px: float | None = None
     distractors: int = 0
     doubt: int = 0
+    places: tuple[Place, ...] = ()
+    meeting: Encounter | None = None
+    encounter: Encounter | None = None
     recent: tuple[float, ...] = ()
     rise: float = 0.0
     since: int | None = None
@@ -131,13 +137,6 @@ def extent_beyond(box: Floats, frame: Frame) -> float:
     across: float = max(w / 2 - x - 0.5, x + w / 2 + 0.5 - frame.width) / w
     down: float = max(h / 2 - y - 0.5, y + h / 2 + 0.5 - frame.height) / h
     return min(max(across / BEYOND, down / BEYOND, 0.0), 1.0)
-
-
-def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
-    """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
-    count = 0 if distractor is None else scored.distractors + 1
-    doubt = distractor.hold if distractor is not None and count >= frames else scored.doubt
-    return changed(scored, distractors=count, doubt=doubt)
 
 
 def probability(rule: Logistic, features: Mapping[str, float]) -> float:
