@@ -510,13 +510,13 @@ GOLDEN = [
     (
         DistractorSeen(50, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250),
         "frame 50: look-alike at 80, 60, 0.9 box sides away, only 1.5 < 4 nats less likely than the target → "
-        "score at most 0.5 for 250 frames, or until motion tells which is followed; ignored with within_nats ≤ "
-        "1.5",
+        "score at most 0.5 for 250 frames, or until motion tells which is followed; ignored with "
+        "within_nats ≤ 1.5",
     ),
     (
         DoubtEnded(60, "1", 0.25, 1.5, 0.5, 241),
-        "frame 60: target followed 0.25 box sides from where it was moving to, 1.5 from where the look-alike was "
-        "→ score no longer limited; at 0.75 it would have stayed so for 241 frames",
+        "frame 60: target followed 0.25 box sides from where it was moving to, 1.5 from where the look-alike "
+        "was → score no longer limited; at 0.75 it would have stayed so for 241 frames",
     ),
     (
         AssuranceChanged(50, "1", False, 0.9125, 0.92, 10, 0.05),
