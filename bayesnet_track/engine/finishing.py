@@ -41,6 +41,7 @@ from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
+from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import apply_decisions
@@ -142,7 +143,7 @@ def measure_target(
     unfit = measures.fit < rule.full_fit
     verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit)
-    ud_px2 = measures.ud_px2[compiled.plate.root]
+    ud_px2 = None if _is_found(work, filtered) else measures.ud_px2[compiled.plate.root]
     further = {**verified.values, **confidences(rule, filtered.step.evidence)}
     further["border"] = extent_beyond(box, work.frame)
     scored = scored.after(rule, measures, filtered.step, ud_px2, further)
@@ -166,6 +167,12 @@ def measure_target(
         verified = verification.follow(verified)
     scored, notices = changed(scored, references=verified.references), (*notices, *verified.failed)
     return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
+
+
+def _is_found(work: FrameWork, filtered: Filtered) -> bool:
+    """Whether a search found the target in this frame."""
+    events = (report(work.frame.index, filtered.target) for report in filtered.step.reports)
+    return any(isinstance(event, Reappeared) for event in events)
 
 
 def _follow_distractors(

@@ -53,6 +53,7 @@ def leap(fakes):
             outcomes.append(step(engine, outcomes[-1].state, scene(index, pan)))
         after = outcomes[start:]
         told = [event for one in after for event in one.events if isinstance(event, Reappeared)]
+        run.lines = [one.metrics[0] for one in outcomes[start - 1 :]]
         return [one.metrics[0].centre_box[0] for one in after], told
 
     return run
@@ -64,6 +65,18 @@ def test_it_is_found_at_once_and_that_is_told_with_its_reason(leap):
     assert told.fit < told.below_fit == 0.2
     assert told.within_px == pytest.approx(30.0, rel=0.1)
     assert "of the usual one; " in told.describe()
+
+
+def test_the_score_does_not_go_by_a_belief_that_is_as_wide_as_the_search(leap):
+    leap(SUDDEN, 22.0)
+    before, found, after = leap.lines
+    own = [np.log(one.ud_px2 / (one.centre_box[2] * one.centre_box[3])) for one in leap.lines]
+    assert own[1] > own[0] + 1.0
+    assert found.features["log_ud_box"] == before.features["log_ud_box"]
+    assert after.features["log_ud_box"] != found.features["log_ud_box"]
+    leap(None, 22.0)
+    before, found, _ = leap.lines
+    assert found.features["log_ud_box"] != before.features["log_ud_box"]
 
 
 @pytest.mark.parametrize(

@@ -89,12 +89,13 @@ class Scored:
         rule: Logistic,
         measures: Measures,
         step: Step[Posterior],
-        ud_px2: float,
+        ud_px2: float | None,
         further: Mapping[str, float] = MappingProxyType({}),
     ) -> Scored:
         """With one frame more; `ud_px2` is the root's UD, `further` the features that the caller computes.
 
-        Those of verifiers and agents that say nothing keep their values.
+        Those of verifiers and agents that say nothing keep their values, and so does `log_ud_box` without a
+        UD: a belief that a search made is as wide as the search.
         """
         seeing = [agent for agent in measures.kl if agent not in measures.silent]
         own = {agent: _log_evidence(step, agent) for agent in seeing}
@@ -105,7 +106,7 @@ class Scored:
         side = math.sqrt(max(measures.area_px2, 1.0))
         first = side if self.side_px is None else self.side_px
         found = {
-            "log_ud_box": _log(ud_px2 / side**2),
+            **({} if ud_px2 is None else {"log_ud_box": _log(ud_px2 / side**2)}),
             "evidence": _mean([own[agent] - median(usual[agent]) for agent in seeing]),
             # Below `full_fit` the bound says at once what the frame is worth: its memory needs no more.
             "log_fit": _log(max(measures.fit, rule.full_fit)),
