@@ -40,7 +40,9 @@ FAR = 3.0
 """How far away it begins and ends, roots of the box's area."""
 AFTER = 10
 """Frames after the event."""
-LEAST_FRAMES = BEFORE + max(SLIDE + AWAY + SLIDE, BLACK + AFTER, CROSSING) + AFTER
+BEYOND = 30
+"""Frames after a crossing, so that it is seen how long the doubt lasts."""
+LEAST_FRAMES = BEFORE + max(SLIDE + AWAY + SLIDE + AFTER, BLACK + 2 * AFTER, CROSSING + BEYOND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +134,10 @@ def darken(sequence: Sequence, coin: random.Random) -> EventVideo:
 
 def cross(sequence: Sequence, coin: random.Random) -> EventVideo:
     """A copy of the target as it looks in that very frame passes behind it."""
-    images, truth = _cut(sequence, BEFORE + CROSSING + AFTER)
+    images, truth = _cut(sequence, BEFORE + CROSSING + BEYOND)
     other = np.full(truth.shape, np.nan)
     side, above = coin.choice((-1, 1)), coin.choice((-1, 1))
-    away = [*np.linspace(FAR, -FAR, CROSSING), *[-FAR] * AFTER]
+    away = [*np.linspace(FAR, -FAR, CROSSING), *[-FAR] * BEYOND]
     for index, distance in enumerate(away, start=BEFORE):
         x, y, w, h = truth[index]
         place = x + side * distance * np.sqrt(w * h), y + 0.3 * above * h

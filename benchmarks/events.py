@@ -9,7 +9,8 @@ Each kind of event is made from ten sequences of a half (`event_videos`), drawn 
 - patch in front: the share of entirely hidden frames that are called tracking, and in how many videos the
   target is held again, and called tracking, 10 frames after it is uncovered.
 - black frames: in how many videos the box is back (IoU above 0.5), and the status tracking within 3 frames.
-- look-alike: in how many videos the box is on the target and not on the other one at the end.
+- look-alike: in how many videos the box is on the target and not on the other one 10 frames after it, and the
+  share of the frames on target, from when it appears to 30 frames after it, that are not called tracking.
 
 CSRT is lost where its update fails. NanoTrack has a score and no level: here it is lost below the level that
 2 % of its frames with IoU above 0.5 before the events do not reach, which is in its favour. Every call adds a
@@ -27,7 +28,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from event_videos import BEFORE, BLACK, MAKERS, SLIDE, EventVideo, make_videos
+from event_videos import AFTER, BEFORE, BLACK, CROSSING, MAKERS, SLIDE, EventVideo, make_videos
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 from real_video import Elsewhere, digest
@@ -151,10 +152,17 @@ def judge_black(run: Run) -> tuple[bool, str]:
     return after is not None and after <= BACK_WITHIN, f"box at {back[0] - first}, tracking {shown}"
 
 
+def doubt_of(run: Run) -> float:
+    """Share of the frames on target, from when the look-alike appears, that are not called tracking."""
+    good = run.iou[BEFORE - 1 :] > 0.5
+    return float((np.array(run.status[BEFORE - 1 :])[good] != "tracking").mean()) if good.any() else 0.0
+
+
 def judge_crossing(run: Run) -> tuple[bool, str]:
-    """Whether the box is on the target rather than on the other at the end."""
-    own, other = float(run.iou[-5:].mean()), float(run.other[-5:].mean())
-    called = "".join(status[0] for status in run.status[-5:])
+    """Whether the box is on the target rather than on the other in the end."""
+    end = BEFORE + CROSSING + AFTER - 1
+    own, other = float(run.iou[end - 5 : end].mean()), float(run.other[end - 5 : end].mean())
+    called = "".join(status[0] for status in run.status[end - 5 :])
     return own >= other and not (own == other == 0.0), f"{own:.2f} against {other:.2f} {called}"
 
 
@@ -179,6 +187,8 @@ def rows_of(kind: str, runs: dict[str, list[Run]], count: int) -> tuple[list[str
                 for run in own
             ]
             cell = f"{np.mean(called):.2f} (back {cell})"
+        if kind == "look-alike":
+            cell += f" (doubt {np.mean([doubt_of(run) for run in own]):.2f})"
         summary.append(cell)
     lines = []
     for index in range(len(next(iter(runs.values())))):
