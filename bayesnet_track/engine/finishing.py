@@ -170,9 +170,11 @@ def measure_target(
 
 
 def _is_found(work: FrameWork, filtered: Filtered) -> bool:
-    """Whether a search found the target in this frame."""
-    events = (report(work.frame.index, filtered.target) for report in filtered.step.reports)
-    return any(isinstance(event, Reappeared) for event in events)
+    """Whether a search found a target that was being tracked: the belief is then as wide as the search."""
+    frame, target = work.frame.index, filtered.target
+    if work.net.targets[target].status != "tracking":
+        return False
+    return any(isinstance(report(frame, target), Reappeared) for report in filtered.step.reports)
 
 
 def _follow_distractors(
