@@ -515,8 +515,8 @@ GOLDEN = [
     ),
     (
         DoubtEnded(60, "1", 0.25, 1.5, 0.5, 241),
-        "frame 60: target followed 0.25 box sides from where it was moving to, 1.5 from where the look-alike "
-        "was → score no longer limited; at 0.75 it would have stayed so for 241 frames",
+        "frame 60: target is 0.25 box sides from where it was heading, and 1.5 from where the look-alike was "
+        "→ score no longer limited; at 0.75 it would have stayed so for 241 frames",
     ),
     (
         AssuranceChanged(50, "1", False, 0.9125, 0.92, 10, 0.05),

@@ -72,8 +72,8 @@ class DoubtEnded:
         own, least = distinct_texts(self.own_box, self.nearer * self.other_box)
         left = plural(self.left, "frame")
         return (
-            f"target followed {own} box sides from where it was moving to, {self.other_box:.3g} from where "
-            f"the look-alike was → score no longer limited; at {least} it would have stayed so for {left}"
+            f"target is {own} box sides from where it was heading, and {self.other_box:.3g} from where the "
+            f"look-alike was → score no longer limited; at {least} it would have stayed so for {left}"
         )
 
 
