@@ -76,9 +76,9 @@ def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: i
     if distractor is None:
         return changed(scored, distractors=0)
     count, seen = scored.distractors + 1, Place(distractor.frame, distractor.x, distractor.y)
-    begun = Encounter(motion_before(scored.places), seen, seen) if count == 1 else scored.meeting
-    assert begun is not None
-    meeting = changed(begun, last=seen)
+    meeting = Encounter(motion_before(scored.places), seen, seen)
+    if scored.distractors and scored.meeting is not None:
+        meeting = changed(scored.meeting, last=seen)
     scored = changed(scored, distractors=count, meeting=meeting)
     if count < frames:
         return scored
