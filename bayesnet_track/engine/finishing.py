@@ -143,7 +143,7 @@ def measure_target(
     unfit = measures.fit < rule.full_fit
     verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit)
-    ud_px2 = None if _is_found(work, filtered) else measures.ud_px2[compiled.plate.root]
+    ud_px2 = None if unfit or _is_sought(work, filtered) else measures.ud_px2[compiled.plate.root]
     further = {**verified.values, **confidences(rule, filtered.step.evidence)}
     further["border"] = extent_beyond(box, work.frame)
     scored = scored.after(rule, measures, filtered.step, ud_px2, further)
@@ -169,12 +169,11 @@ def measure_target(
     return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
 
 
-def _is_found(work: FrameWork, filtered: Filtered) -> bool:
-    """Whether a search found a target that was being tracked: the belief is then as wide as the search."""
+def _is_sought(work: FrameWork, filtered: Filtered) -> bool:
+    """Whether the target is lost, or found by a search in this frame: the belief is as wide as the search."""
     frame, target = work.frame.index, filtered.target
-    if work.net.targets[target].status != "tracking":
-        return False
-    return any(isinstance(report(frame, target), Reappeared) for report in filtered.step.reports)
+    events = (report(frame, target) for report in filtered.step.reports)
+    return work.net.targets[target].status == "lost" or any(isinstance(one, Reappeared) for one in events)
 
 
 def _follow_distractors(

@@ -96,10 +96,11 @@ def test_what_it_says_while_nothing_fits_is_forgotten(fakes):
     engine, _ = fakes.engine(described, {"a": fits, "b": fakes.flat(), "c": see})
     outcomes = fakes.play(engine, 9)
     assert said(outcomes)[2:] == [0.0, -20.0, -20.0, -20.0, -0.5, -0.5, -0.5]  # -20: the least that counts
-    for at in (6, 7):  # the last dark frame, and the first in which something fits
-        (line,) = outcomes[at].metrics
-        own = np.log(line.ud_px2 / (line.centre_box[2] * line.centre_box[3]))
-        assert line.features["log_ud_box"] == pytest.approx(own)
+    widths = [one.metrics[0].features["log_ud_box"] for one in outcomes[1:]]
+    assert len(set(widths[2:6])) == 1  # a belief that nothing fits is as wide as its motion makes it
+    (line,) = outcomes[7].metrics
+    own = np.log(line.ud_px2 / (line.centre_box[2] * line.centre_box[3]))
+    assert widths[6] == pytest.approx(own)  # what was before is forgotten when something fits
 
 
 @pytest.mark.parametrize("wrong", ["raises", "positive", "nan"])

@@ -95,7 +95,7 @@ class Scored:
         """With one frame more; `ud_px2` is the root's UD, `further` the features that the caller computes.
 
         Those of verifiers and agents that say nothing keep their values, and so does `log_ud_box` without a
-        UD: a belief that a search made is as wide as the search.
+        UD: a belief is as wide as the search that made it, or has nothing to go by where nothing fits.
         """
         seeing = [agent for agent in measures.kl if agent not in measures.silent]
         own = {agent: _log_evidence(step, agent) for agent in seeing}
