@@ -44,8 +44,11 @@ SCORE = {"logistic": {"bias": 6.0, "log_fit": 2.0, "memory_frames": 0}}
 
 
 def test_the_score_is_the_logistic_of_the_features(fakes):
+    never = {"score_below": 1e-9, "uncertain_below": 1e-8}  # the UD of a lost target is left out
     outcomes, _ = run(
-        fakes, score={"logistic": {"bias": 0.5, "evidence": 0.3, "log_ud_box": -0.2, "memory_frames": 4}}
+        fakes,
+        score={"logistic": {"bias": 0.5, "evidence": 0.3, "log_ud_box": -0.2, "memory_frames": 4}},
+        lost=never,
     )
     rule = Logistic(bias=0.5, evidence=0.3, log_ud_box=-0.2, memory_frames=4)
     lines = [one.metrics[0] for one in outcomes[1:]]
@@ -56,12 +59,22 @@ def test_the_score_is_the_logistic_of_the_features(fakes):
     # The filter: the raw features are those of a run without memory.
     raw = [
         one.metrics[0].features
-        for one in run(fakes, score={"logistic": {"bias": 0, "memory_frames": 0}})[0][1:]
+        for one in run(fakes, score={"logistic": {"bias": 0, "memory_frames": 0}}, lost=never)[0][1:]
     ]
     smooth, gain = dict(raw[0]), 1 - np.exp(-1 / 4)
     for line, found in zip(lines, raw, strict=True):
         smooth = {name: value + gain * (found[name] - value) for name, value in smooth.items()}
         assert dict(line.features) == pytest.approx(smooth, abs=1e-9)
+
+
+def test_the_ud_of_a_lost_target_is_left_out(fakes):
+    lost = {"score_below": 0.3, "uncertain_below": 0.9, "frames": 2}
+    lines = [one.metrics[0] for one in run(fakes, score=SCORE, lost=lost)[0][GONE:]]
+    status, widths = [line.status for line in lines], [line.features["log_ud_box"] for line in lines]
+    first = status.index("lost")
+    assert set(status[first:]) == {"lost"} and len(set(widths[first:])) == 1
+    assert len(set(widths[: first + 1])) == first + 1
+    assert lines[-1].ud_px2 > 2.0 * lines[first].ud_px2  # the belief goes on to grow
 
 
 def test_features_of_a_flat_frame_have_their_exact_values(fakes):

@@ -93,6 +93,7 @@ def test_what_it_says_while_nothing_fits_is_forgotten(fakes):
 
     rule = {"memory_frames": 4, "full_fit": 0.05, "bias": 9.0}
     described = nodes({"v": {"agent": "c", "every": 5, "coefficient": 1.0}}, **rule)
+    described["root"]["lost"] = {"score_below": 1e-9, "uncertain_below": 1e-8}
     engine, _ = fakes.engine(described, {"a": fits, "b": fakes.flat(), "c": see})
     outcomes = fakes.play(engine, 9)
     assert said(outcomes)[2:] == [0.0, -20.0, -20.0, -20.0, -0.5, -0.5, -0.5]  # -20: the least that counts
