@@ -73,7 +73,7 @@ def test_the_ud_of_a_lost_target_is_left_out(fakes):
     status, widths = [line.status for line in lines], [line.features["log_ud_box"] for line in lines]
     first = status.index("lost")
     assert set(status[first:]) == {"lost"} and len(set(widths[first:])) == 1
-    assert len(set(widths[: first + 1])) == first + 1
+    assert len(set(widths[:first])) == first
     assert lines[-1].ud_px2 > 2.0 * lines[first].ud_px2  # the belief goes on to grow
 
 
