@@ -203,7 +203,7 @@ def test_promises_are_written_into_the_graph_and_said(data, capsys):
     assert main([*arguments, *promises]) == 0
     text, said = out.read_text(), capsys.readouterr().err
     root = load_graph(out).targets["target"].inference("target")
-    assert root.guarantee is not None and (root.guarantee.share, root.guarantee.frames) == (0.4, 10)
+    assert root.guarantee is not None and (root.guarantee.share, root.guarantee.frames) == (0.4, 3)
     levels = root.guarantee.afterwards
     assert len(levels) == 20 and levels[0] <= levels[19] == root.guarantee.above
     assert "are called tracking, 100 % where a run is judged when it is over" in said
