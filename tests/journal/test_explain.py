@@ -510,7 +510,7 @@ GOLDEN = [
     (
         DistractorSeen(50, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250),
         "frame 50: look-alike at 80, 60, 0.9 box sides away, only 1.5 < 4 nats less likely than the target → "
-        "score at most 0.5 for 250 frames, or until motion tells which is followed; ignored with "
+        "score at most 0.5 for 250 frames, or until motion shows which is followed; ignored with "
         "within_nats ≤ 1.5",
     ),
     (

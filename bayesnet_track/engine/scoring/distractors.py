@@ -58,7 +58,7 @@ def find_distractor(
 def follow_distractor(
     scored: Scored, distractor: DistractorSeen | None, frames: int, target: str, place: Place, side_px: float
 ) -> tuple[Scored, DoubtEnded | None]:
-    """With the distractor of this frame, or the end of the doubt, where motion tells the two apart.
+    """With the distractor of this frame, or the end of the doubt, where motion shows which is followed.
 
     `place` is the estimate's, `side_px` the root of its area.
     """

@@ -1,4 +1,4 @@
-"""Which of two that look alike is followed since they met, told by how both were moving before."""
+"""Which of two that look alike is followed since they met, by how both were moving before."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BEFORE = 5
 """Estimates before a look-alike is noticed that do not count: the wrong one may be followed already."""
 
 WAIT = 2
-"""Frames without a look-alike after which motion may tell."""
+"""Frames without a look-alike after which motion may show it."""
 
 APART_BOX = 1.0
 """Box sides that the two have to be apart by then."""
@@ -60,7 +60,7 @@ def place_in(frame: int, first: Place, last: Place) -> Place:
 
 
 def motion_before(places: Sequence[Place]) -> tuple[Place, Place] | None:
-    """Two places that tell how the target moved before a look-alike was noticed; None with fewer places."""
+    """Two places that show how the target moved before a look-alike was noticed; None with fewer places."""
     told = places[:-BEFORE][-SPAN:]
     told = told if len(told) > 1 else places[:2]
     return (told[0], told[-1]) if len(told) > 1 else None
@@ -69,7 +69,7 @@ def motion_before(places: Sequence[Place]) -> tuple[Place, Place] | None:
 def distances_since(met: Encounter, place: Place, side_px: float) -> tuple[float, float] | None:
     """How far an estimate is from where the target and the other one should be by now, in box sides.
 
-    None where motion does not tell: the other was seen in one frame only or just now, or both should be at
+    None where motion does not show it: the other was seen in one frame only or just now, or both should be at
     nearly the same place.
     """
     if met.own is None or met.first.frame == met.last.frame or place.frame - met.last.frame < WAIT:

@@ -138,7 +138,7 @@ class Distractors(Model):
     In frames in which all agents are evaluated, a distractor is a hypothesis at least `beyond_box` from the
     most probable one whose log-likelihood is less than `within_nats` below that one's. After `frames` of them
     the score is at most one half, because the net cannot know which of the two it follows: until motion
-    tells, or for `hold` frames.
+    shows it, or for `hold` frames.
     """
 
     within_nats: Positive = Field(default=4.0, description="difference of log-likelihoods, nats")
@@ -148,7 +148,7 @@ class Distractors(Model):
     )
     frames: FrameCount = Field(default=2, description="consecutive frames with a distractor")
     hold: FrameCount = Field(
-        default=250, description="frames for which the score stays limited where motion does not tell"
+        default=250, description="frames for which the score stays limited where motion does not show it"
     )
 
 

@@ -22,7 +22,7 @@ class DistractorSeen:
         behind_nats: how much less likely it is, nats.
         within_nats: difference below which it counts as a distractor.
         fit: how well the best hypothesis of all fits.
-        hold: frames for which the score is at most one half, unless motion tells the two apart.
+        hold: frames for which the score is at most one half, unless motion shows which is followed.
     """
 
     frame: int
@@ -43,13 +43,13 @@ class DistractorSeen:
         return (
             f"look-alike at {self.x:.4g}, {self.y:.4g}, {self.away_box:.2g} box sides away, only {behind} < "
             f"{within} nats less likely than the target → score at most 0.5 for {hold}, or until motion "
-            f"tells which is followed; ignored with within_nats ≤ {turning}"
+            f"shows which is followed; ignored with within_nats ≤ {turning}"
         )
 
 
 @dataclass(frozen=True)
 class DoubtEnded:
-    """Motion tells that it is the target that is followed, not the distractor: the score is not limited.
+    """Motion shows that it is the target that is followed, not the distractor: the score is not limited.
 
     Attributes:
         frame: the frame.
