@@ -26,7 +26,7 @@ from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.plain_rows import Described, Results, finish_rows
 from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
 from bayesnet_track.engine.scoring.confidences import confidences
-from bayesnet_track.engine.scoring.distractors import find_distractor, follow_distractor
+from bayesnet_track.engine.scoring.distractors import find_distractor, follow_distractor, with_distractor
 from bayesnet_track.engine.scoring.encounters import Place
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, extent_beyond, most, probability
@@ -187,10 +187,19 @@ def _follow_distractors(
     """With what looks like the target beside it, or the end of the doubt that this raised."""
     frame, target = work.frame.index, filtered.target
     able = work.plate_of(target).cues.keys() - work.net.targets[target].quarantined
-    seen = find_distractor(rule, frame, target, able, filtered.step, measures)
+    if not able <= measures.kl.keys():  # it takes all of them to tell things apart
+        return scored, None, None
+    seen = find_distractor(rule, frame, target, filtered.step, measures)
+    if measures.fit < rule.fit or _is_sought(work, filtered):  # its estimate shows no motion
+        return with_distractor(scored, seen, rule.frames), seen, None
     place, side = Place(frame, float(box[0]), float(box[1])), float(np.sqrt(max(measures.area_px2, 1.0)))
     scored, ended = follow_distractor(scored, seen, rule.frames, target, place, side)
     return scored, seen, ended
+
+
+def _with_turn(seen: DistractorSeen, scored: Scored) -> DistractorSeen:
+    """With the largest level that would not have raised this doubt: all of its frames count."""
+    return seen if scored.encounter is None else changed(seen, turning_nats=scored.encounter.behind_nats)
 
 
 def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:
@@ -277,7 +286,7 @@ def describe_target(
     if stepped.degenerate is not None:
         events.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     if measured.distractor is not None and measured.scored.doubt > 0 and not before.scored.doubt:
-        events.append(measured.distractor)
+        events.append(_with_turn(measured.distractor, measured.scored))
     events += measured.notices
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)

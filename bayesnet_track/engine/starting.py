@@ -16,6 +16,7 @@ from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
+from bayesnet_track.engine.scoring.distractors import without_motion
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.engine.scoring.verifying import first_references
 from bayesnet_track.engine.state import TargetState, inside_frame
@@ -146,7 +147,7 @@ def restart(work: FrameWork, target: str, template: str, box: Floats, before: Ta
             seen=Streak(),
             unsure=Streak(),
         ),
-        scored=replace(before.scored, smooth={}),
+        scored=replace(without_motion(before.scored), smooth={}),
         time=work.frame.time,
     )
 

@@ -516,7 +516,23 @@ GOLDEN = [
     (
         DoubtEnded(60, "1", 0.25, 1.5, 0.5, 241),
         "frame 60: target is 0.25 box sides from where it was heading, and 1.5 from where the look-alike was "
-        "→ score no longer limited; at 0.75 it would have stayed so for 241 frames",
+        "heading → score no longer limited; at 0.75 it would have stayed so for 241 frames",
+    ),
+    (
+        DoubtEnded(60, "1", 0.25, 1.3333, 0.5, 1),
+        "frame 60: target is 0.25 box sides from where it was heading, and 1.33 from where the look-alike "
+        "was heading → score no longer limited; at 0.667 it would have stayed so for 1 frame",
+    ),
+    (
+        DistractorSeen(50, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250, 2.25),
+        "frame 50: look-alike at 80, 60, 0.9 box sides away, only 1.5 < 4 nats less likely than the target → "
+        "score at most 0.5 for 250 frames, or until motion shows which is followed; ignored with "
+        "within_nats ≤ 2.25",
+    ),
+    (
+        DistractorSeen(50, "1", 80.0, 60.0, 0.9, -0.5, 4.0, 0.3, 250, -0.25),
+        "frame 50: look-alike at 80, 60, 0.9 box sides away, 0.5 nats more likely than the target → score at "
+        "most 0.5 for 250 frames, or until motion shows which is followed; no within_nats ignores it",
     ),
     (
         AssuranceChanged(50, "1", False, 0.9125, 0.92, 10, 0.05),

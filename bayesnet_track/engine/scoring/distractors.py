@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
-
 import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.engine.scoring.encounters import (
     BEFORE,
+    NEAR_BOX,
     NEARER,
     SPAN,
+    WAIT,
     Encounter,
     Place,
     distances_since,
@@ -24,19 +24,13 @@ from bayesnet_track.numerics.records import changed
 
 
 def find_distractor(
-    rule: Distractors,
-    frame: int,
-    target: str,
-    able: Set[str],
-    step: Step[Posterior],
-    measures: Measures,
+    rule: Distractors, frame: int, target: str, step: Step[Posterior], measures: Measures
 ) -> DistractorSeen | None:
     """The best hypothesis that is not the target's own, where it is nearly as likely; else None.
 
-    Asked only in frames at which all agents look that are `able` to, since it takes all of them to tell
-    things apart, and where something fits: what nothing fits, nothing resembles.
+    None, too, where nothing fits: nothing resembles it.
     """
-    if not able <= measures.kl.keys() or measures.fit < rule.fit:
+    if measures.fit < rule.fit:
         return None
     boxes, log = step.support.boxes, step.evidence.log_likelihood
     own = int(np.argmax(step.support.weights.log))
@@ -63,12 +57,17 @@ def follow_distractor(
     `place` is the estimate's, `side_px` the root of its area.
     """
     scored, ended = with_distractor(scored, distractor, frames), None
-    if scored.doubt and distractor is None and scored.encounter is not None:
+    if scored.doubt and scored.encounter is not None and _is_past(scored.meeting, place.frame):
         away = distances_since(scored.encounter, place, side_px)
-        if away is not None and away[0] < NEARER * away[1]:
-            ended = DoubtEnded(place.frame, target, *away, NEARER, scored.doubt)
+        if away is not None and away[0] < min(NEARER * away[1], NEAR_BOX):
+            ended = DoubtEnded(place.frame, target, *away, min(NEARER, NEAR_BOX / away[1]), scored.doubt)
             scored = changed(scored, doubt=0)
     return changed(scored, places=(*scored.places, place)[-BEFORE - SPAN :]), ended
+
+
+def _is_past(meeting: Encounter | None, frame: int) -> bool:
+    """Whether no look-alike has been seen for a while, be it in too few frames in a row to count."""
+    return meeting is None or frame - meeting.last.frame >= WAIT
 
 
 def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
@@ -76,12 +75,18 @@ def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: i
     if distractor is None:
         return changed(scored, distractors=0)
     count, seen = scored.distractors + 1, Place(distractor.frame, distractor.x, distractor.y)
-    meeting = Encounter(motion_before(scored.places), seen, seen)
+    meeting = Encounter(motion_before(scored.places), seen, seen, distractor.behind_nats)
     if scored.distractors and scored.meeting is not None:
-        meeting = changed(scored.meeting, last=seen)
+        most = max(scored.meeting.behind_nats, distractor.behind_nats)
+        meeting = changed(scored.meeting, last=seen, behind_nats=most)
     scored = changed(scored, distractors=count, meeting=meeting)
     if count < frames:
         return scored
     # In doubt already: how the target moved is known from before.
     own = scored.encounter.own if scored.doubt and scored.encounter is not None else meeting.own
     return changed(scored, doubt=distractor.hold, encounter=changed(meeting, own=own))
+
+
+def without_motion(scored: Scored) -> Scored:
+    """The same of a target that may be anywhere now: how it and a look-alike moved before says nothing."""
+    return changed(scored, distractors=0, places=(), meeting=None, encounter=None)

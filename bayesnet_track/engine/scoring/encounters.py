@@ -15,8 +15,14 @@ BEFORE = 5
 WAIT = 2
 """Frames without a look-alike after which motion may show it."""
 
+LASTS = 50
+"""Frames after the look-alike was seen for which either is taken to move on in a straight line."""
+
 APART_BOX = 1.0
 """Box sides that the two have to be apart by then."""
+
+NEAR_BOX = 1.0
+"""Box sides from the target's place within which the estimate has to be: farther off it is neither's."""
 
 NEARER = 0.5
 """The estimate has to be nearer to the target's place than this share of its distance to the other's."""
@@ -42,11 +48,13 @@ class Encounter:
     Attributes:
         own: two places of the target before; None where there are no two.
         first: the look-alike's when it was seen first, and `last` when it was seen last.
+        behind_nats: by how much it was less likely than the target, at most.
     """
 
     own: tuple[Place, Place] | None
     first: Place
     last: Place
+    behind_nats: float
 
 
 def place_in(frame: int, first: Place, last: Place) -> Place:
@@ -69,10 +77,10 @@ def motion_before(places: Sequence[Place]) -> tuple[Place, Place] | None:
 def distances_since(met: Encounter, place: Place, side_px: float) -> tuple[float, float] | None:
     """How far an estimate is from where the target and the other one should be by now, in box sides.
 
-    None where motion does not show it: the other was seen in one frame only or just now, or both should be at
+    None where motion does not show it: the other was seen in one frame only or long ago, or both should be at
     nearly the same place.
     """
-    if met.own is None or met.first.frame == met.last.frame or place.frame - met.last.frame < WAIT:
+    if met.own is None or met.first.frame == met.last.frame or place.frame - met.last.frame > LASTS:
         return None
     own, other = place_in(place.frame, *met.own), place_in(place.frame, met.first, met.last)
     if own.distance(other) <= APART_BOX * side_px:

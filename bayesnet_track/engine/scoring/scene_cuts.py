@@ -7,6 +7,7 @@ from dataclasses import replace
 from bayesnet_track.adapt.memory import Streak
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.outcome import State
+from bayesnet_track.engine.scoring.distractors import without_motion
 from bayesnet_track.engine.scoring.reacquisition import LEAST_FRAMES
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Lost
@@ -74,5 +75,5 @@ def _without_place(engine: Engine, state: State, target: str, frame: int) -> Tar
         one,
         memory=replace(one.memory, lost=none, unfit=none, unsure=none, seen=none, found=none),
         motion_context=None if context is None else replace(context, held=None),
-        scored=scored,
+        scored=without_motion(scored),
     )

@@ -46,10 +46,10 @@ class Scored:
         smooth: feature -> its filtered value; empty before the first frame.
         usual: agent -> its log evidence in its first frames.
         side_px: sqrt(w h) of the first estimate.
-        distractors: consecutive frames with a distractor, up to the last one.
+        distractors: consecutive frames with a distractor, up to the last one in which all agents looked.
         doubt: frames for which the score is at most one half, since a distractor was seen.
-        places: the last estimates; empty without a rule for distractors.
-        meeting: how the target and the distractor of the last frames moved; None before any.
+        places: the last estimates of a target that is seen; empty without a rule for distractors.
+        meeting: how the target and the distractor of the last such frames moved; None before any.
         encounter: the same of the distractor that put the target in doubt.
         recent: the last scores, as many as the guarantee asks for; none without one.
         rise: what the alarm's evidence has risen to, nats; 0 without an alarm.

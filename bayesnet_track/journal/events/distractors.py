@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
@@ -23,6 +23,8 @@ class DistractorSeen:
         within_nats: difference below which it counts as a distractor.
         fit: how well the best hypothesis of all fits.
         hold: frames for which the score is at most one half, unless motion shows which is followed.
+        turning_nats: the largest `behind_nats` of the frames in a row that raised the doubt; None in a
+            journal that does not say.
     """
 
     frame: int
@@ -34,16 +36,21 @@ class DistractorSeen:
     within_nats: float
     fit: float
     hold: int
+    turning_nats: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         behind, within = distinct_texts(self.behind_nats, self.within_nats)
-        turning = round_away(self.behind_nats, decimals(self.behind_nats, self.within_nats), up=False)
+        likely = f"only {behind} < {within} nats less likely than the target"
+        if self.behind_nats < 0.0:
+            likely = f"{behind.removeprefix('-')} nats more likely than the target"
+        turning = self.behind_nats if self.turning_nats is None else self.turning_nats
+        level = round_away(turning, decimals(turning, self.within_nats), up=False)
+        ignored = f"ignored with within_nats ≤ {level}" if float(level) > 0.0 else "no within_nats ignores it"
         hold = plural(self.hold, "frame")
         return (
-            f"look-alike at {self.x:.4g}, {self.y:.4g}, {self.away_box:.2g} box sides away, only {behind} < "
-            f"{within} nats less likely than the target → score at most 0.5 for {hold}, or until motion "
-            f"shows which is followed; ignored with within_nats ≤ {turning}"
+            f"look-alike at {self.x:.4g}, {self.y:.4g}, {self.away_box:.2g} box sides away, {likely} → score "
+            f"at most 0.5 for {hold}, or until motion shows which is followed; {ignored}"
         )
 
 
@@ -54,8 +61,8 @@ class DoubtEnded:
     Attributes:
         frame: the frame.
         target: target id.
-        own_box: how far the estimate is from where the target was moving, roots of its area.
-        other_box: the same, from where the distractor was moving.
+        own_box: how far the estimate is from where the target was heading, roots of its area.
+        other_box: the same, from where the distractor was heading.
         nearer: share of `other_box` below which `own_box` has to be.
         left: frames for which the score would have stayed limited.
     """
@@ -69,11 +76,13 @@ class DoubtEnded:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        own, least = distinct_texts(self.own_box, self.nearer * self.other_box)
+        level = self.nearer * self.other_box
+        own = distinct_texts(self.own_box, level)[0]
+        least = round_away(level, decimals(self.own_box, level), up=True)
         left = plural(self.left, "frame")
         return (
             f"target is {own} box sides from where it was heading, and {self.other_box:.3g} from where the "
-            f"look-alike was → score no longer limited; at {least} it would have stayed so for {left}"
+            f"look-alike was heading → score no longer limited; at {least} it would have stayed so for {left}"
         )
 
 
