@@ -11,7 +11,7 @@ import pytest
 
 from bayesnet_track.cli.commands.answer import UsageError
 from bayesnet_track.cli.fitting.promises import check_count
-from bayesnet_track.cli.fitting.written import further_features
+from bayesnet_track.cli.fitting.written import further_features, used_features
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 
@@ -71,7 +71,8 @@ def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
 def test_what_is_not_estimated_of_lost_is_kept(data, capsys):
     """`relocalize: sudden` needs `found_fit`; without it the graph that was written would be refused."""
     score = "score: {logistic: {bias: 1, log_fit: 1}}"
-    rules = f"{score}\n        lost: {{score_below: 0.2, frames: 4, found_fit: 0.3, scene_cut: 0.4}}"
+    levels = "score_below: 0.2, uncertain_below: 0.6"
+    rules = f"{score}\n        lost: {{{levels}, frames: 4, found_fit: 0.3, scene_cut: 0.4}}"
     motion = "relocalize: {share: 0.1, sudden: {below_fit: 0.2}}"
     text = GRAPH.replace(
         "motion: {random_walk: {sd_box: {x: 0.2, y: 0.2}}}  # moves",
@@ -98,6 +99,36 @@ def test_coefficients_of_verifiers_are_fitted_and_their_settings_kept(data, caps
     assert (found["texture"].every, found["first"].learn_rate) == (2, 0)
     assert main([*arguments, "--features", "log_fit,second"]) == 2
     assert "no 'second'; there are" in (said := capsys.readouterr().err) and "texture, first" in said
+
+
+def test_levels_are_fitted_to_the_score_that_the_graph_has(data, capsys):
+    score = "score: {logistic: {bias: 1, log_fit: 1}}"
+    rules = f"{score}\n        lost: {{score_below: 0.2, uncertain_below: 0.6, found_fit: 0.3}}"
+    (data / "g.yaml").write_text(GRAPH.replace("# moves\n", f"# moves\n        {rules}\n"))
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    out = data / "fitted.yaml"
+    assert main([*arguments, "--what", "lost", "--out", str(out)]) == 0
+    root = load_graph(out).targets["target"].inference("target")
+    assert (
+        root.score.settings
+        == load_graph(data / "g.yaml").targets["target"].inference("target").score.settings
+    )
+    assert root.lost.score_below != 0.2 and root.lost.uncertain_below >= 0.51
+    assert "2 % of the frames on target score below" in out.read_text()
+
+
+def test_the_features_of_the_score_are_those_that_it_has(data, capsys):
+    """To fit them again must not leave the verifiers out."""
+    verifiers = "{first: {agent: intensity, learn_rate: 0, coefficient: 1}, rest: {agent: texture}}"
+    score = f"score: {{logistic: {{bias: 1, log_fit: 0.5, verifiers: {verifiers}}}}}"
+    (data / "g.yaml").write_text(GRAPH.replace("# moves\n", f"# moves\n        {score}\n"))
+    assert used_features(load_graph(data / "g.yaml")) == ("log_fit", "first")
+    assert used_features(load_graph("two_squares")) == ("log_ud_box", "evidence")
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    named, unnamed = data / "named.yaml", data / "unnamed.yaml"
+    assert main([*arguments, "--what", "score", "--out", str(unnamed)]) == 0
+    assert main([*arguments, "--what", "score", "--features", "log_fit,first", "--out", str(named)]) == 0
+    assert unnamed.read_text() == named.read_text()
 
 
 def test_coefficients_of_confidence_are_fitted(data, capsys):
@@ -286,6 +317,14 @@ CASES = [
         ("--folder", "DATA", "--guarantee", "0.05", "--what", "score"),
         "--guarantee and --alarm calibrate a graph as it is; fit its score to other videos first, in a call "
         "of its own, with --what",
+    ),
+    (
+        ("--folder", "DATA", "--what", "lost"),
+        "--what: lost goes by the score, and the graph has none; add score to --what",
+    ),
+    (
+        ("--folder", "DATA", "--what", "localization_error,lost"),
+        "--what: localization_error and lost go by the score, and the graph has none; add score to --what",
     ),
     (("--what", "sds"), "no video: give --source with --truth, or --folder"),
     (

@@ -47,6 +47,11 @@ CASES = [
         "allowed: lost.uncertain_below above 0.5",
     ),
     (
+        f"  {SCORE}, lost: {{score_below: 0.2, found_fit: 0.3}}",
+        "4:73: s: lost.found_fit puts the score at one half, which lost.uncertain_below does not call "
+        "uncertain; allowed: lost.uncertain_below above 0.5",
+    ),
+    (
         "  guarantee: {above: 0.9}",
         "4:3: s: guarantee without a score that is a probability; allowed: score at the root, or no such key",
     ),

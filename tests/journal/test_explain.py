@@ -537,7 +537,7 @@ GOLDEN = [
     (
         AssuranceChanged(50, "1", False, 0.9125, 0.92, 10, 0.05),
         "frame 50: mean score of 10 frames 0.912 ≤ 0.92 → target 1 at most uncertain, for the guarantee of "
-        "5 %; would have stayed at guarantee.above 0.912",
+        "5 %; would have stayed at guarantee.above < 0.912",
     ),
     (
         AssuranceChanged(50, "1", True, 0.9375, 0.92, 1, 0.05),

@@ -13,7 +13,13 @@ from bayesnet_track.cli.fitting.motion import add_motion, fit_motion_text
 from bayesnet_track.cli.fitting.promises import check_count, check_promises, write_promises
 from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
-from bayesnet_track.cli.fitting.written import calibration_table, further_features, write_fitted
+from bayesnet_track.cli.fitting.written import (
+    calibration_table,
+    further_features,
+    has_score,
+    used_features,
+    write_fitted,
+)
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.journal.disk import is_there
@@ -38,20 +44,15 @@ def fit(options: argparse.Namespace) -> int:
     promises = options.guarantee is not None or options.alarm is not None
     what = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
     graph, text = load_graph(options.graph), graph_text(options.graph)
-    features = _choose("--features", options.features, (*SIGNS, *further_features(graph)))
+    features = used_features(graph)
+    if options.features is not None:
+        features = _choose("--features", options.features, (*SIGNS, *further_features(graph)))
     out = None if options.out is None else Path(options.out)
     if out is not None:
         with writing(out):
             if is_there(out) and not options.overwrite:
                 raise UsageError(f"{out} exists; --overwrite replaces it")
-    if options.leave_one_out and not set(what).isdisjoint(BEFORE):
-        raise UsageError(
-            "--leave-one-out judges score and regions; fit sds, fusion and policy to other videos first"
-        )
-    if "ud" in what and "policy" in what:
-        raise UsageError(
-            "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
-        )
+    _check_what(what, graph, options.leave_one_out)
     if promises:
         check_promises(options, graph)
     if options.motion:
@@ -86,6 +87,24 @@ def fit(options: argparse.Namespace) -> int:
     written = write_fitted(text, graph, fitted, what)
     check_text(written, str(out or options.graph))
     return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
+
+
+def _check_what(what: Sequence[str], graph: CheckedGraph, leave_one_out: bool) -> None:
+    """Refuse what cannot be estimated together, or of this graph; raises UsageError."""
+    if leave_one_out and not set(what).isdisjoint(BEFORE):
+        raise UsageError(
+            "--leave-one-out judges score and regions; fit sds, fusion and policy to other videos first"
+        )
+    by_score = [one for one in ("localization_error", "lost") if one in what]
+    if by_score and "score" not in what and not has_score(graph):
+        raise UsageError(
+            f"--what: {' and '.join(by_score)} {'go' if len(by_score) > 1 else 'goes'} by the score, and the "
+            "graph has none; add score to --what"
+        )
+    if "ud" in what and "policy" in what:
+        raise UsageError(
+            "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
+        )
 
 
 def _put(out: Path | None, text: str, said: str) -> int:
@@ -181,10 +200,9 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     )
     fit.add_argument(
         "--features",
-        default="log_ud_box,evidence",
         metavar="LIST",
         help="features of the score, verifiers by name, the confidence of an agent as confidence.AGENT "
-        "(default log_ud_box,evidence)",
+        "(default: those of the graph's score with a coefficient, else log_ud_box,evidence)",
     )
     fit.add_argument(
         "--guarantee",

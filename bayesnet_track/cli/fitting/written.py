@@ -21,6 +21,20 @@ def further_features(graph: CheckedGraph) -> tuple[str, ...]:
     return () if score is None else tuple(name for name in score.coefficients if name not in FEATURES)
 
 
+def used_features(graph: CheckedGraph) -> tuple[str, ...]:
+    """The features that the first plate's score goes by; without a score, the usual ones."""
+    from bayesnet_track.evaluate.fitting import USUAL_FEATURES
+
+    score = _score_of(graph)
+    used = () if score is None else tuple(name for name, slope in score.coefficients.items() if slope)
+    return used or USUAL_FEATURES
+
+
+def has_score(graph: CheckedGraph) -> bool:
+    """Whether the first plate has a score."""
+    return _score_of(graph) is not None
+
+
 def _score_of(graph: CheckedGraph) -> Logistic | None:
     plate = next(iter(graph.targets.values()))
     score = plate.inference(plate.root).score
@@ -64,9 +78,10 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         sd, lost_sd = (_short(value) for value in fitted.localization_error)
         error = {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)}
         put(("localization_error",), error, f"regions hold 50 % and 90 %; {from_what}")
-    if "lost" in what and "score" in what:
-        # A distractor puts the score at one half, which has to count as uncertain.
-        least = 0.0 if spec.distractors is None else 0.51
+    if "lost" in what:
+        # A distractor, or what does not fit as the target did, puts the score at one half: that is uncertain.
+        halves = spec.distractors is not None or (spec.lost is not None and spec.lost.found_fit is not None)
+        least = 0.51 if halves else 0.0
         levels = {
             "score_below": _short(fitted.levels.score_below),
             "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),

@@ -52,17 +52,22 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)
 
 
-def distractors_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
-    """`distractors` limit the score to one half, so they need an `uncertain_below` above it."""
+def one_half_is_uncertain(plate: Plate) -> Iterator[GraphMessage]:
+    """`distractors` and `found_fit` limit the score to one half: they need an `uncertain_below` above it."""
     for name, node in plate.inference.items():
         high = None if node.lost is None else node.lost.uncertain_below
-        if node.distractors is not None and (high is None or high <= 0.5):
-            found = (
-                "distractors put the score at one half, which lost.uncertain_below does not call uncertain"
-            )
-            yield plate.message(
-                name, found, "lost.uncertain_below above 0.5", key=("distractors",), on_key=True
-            )
+        if high is not None and high > 0.5:
+            continue
+        limiting: list[tuple[str, ...]] = []
+        if node.distractors is not None:
+            limiting.append(("distractors",))
+        if node.lost is not None and node.lost.found_fit is not None and node.lost.score_below is not None:
+            limiting.append(("lost", "found_fit"))
+        for key in limiting:
+            verb = "put" if key == ("distractors",) else "puts"
+            effect = f"{'.'.join(key)} {verb} the score at one half"
+            found = f"{effect}, which lost.uncertain_below does not call uncertain"
+            yield plate.message(name, found, "lost.uncertain_below above 0.5", key=key, on_key=True)
 
 
 def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessage]:
@@ -126,7 +131,7 @@ RESERVED = frozenset({*FEATURES, "most", "bias"})
 SCORE_CHECKS: tuple[Check, ...] = (
     score_serves_its_users,
     score_levels_in_order,
-    distractors_are_noticed,
+    one_half_is_uncertain,
     localization_error_is_larger_when_lost,
     alarm_can_be_raised,
     verifiers_can_be_asked,

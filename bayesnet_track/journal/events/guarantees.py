@@ -40,7 +40,7 @@ class AssuranceChanged:
             return f"{found} → {again}; not at guarantee.above {turning}"
         return (
             f"{found} → target {self.target} at most uncertain, for the guarantee of {100 * self.share:.3g} "
-            f"%; would have stayed at guarantee.above {turning}"
+            f"%; would have stayed at guarantee.above < {turning}"
         )
 
 
