@@ -142,7 +142,7 @@ def measure_target(
     rule, distractor, ended = root.score.settings, None, None
     unfit = measures.fit < rule.full_fit
     verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
-    verified = verification.verify(scored.references, unfit or scored.unfit)
+    verified = verification.verify(scored.references, unfit or scored.unfit or not scored.smooth)
     ud_px2 = None if unfit or _is_sought(work, filtered) else measures.ud_px2[compiled.plate.root]
     further = {**verified.values, **confidences(rule, filtered.step.evidence)}
     further["border"] = extent_beyond(box, work.frame)
@@ -154,7 +154,7 @@ def measure_target(
     bound = most(rule, measures.fit, scored.doubt)
     if filtered.modes is not None and filtered.modes.hidden is not None:
         bound = min(bound, 1.0 - filtered.modes.hidden)
-    score = min(probability(rule, scored.smooth), bound)
+    score = min(probability(rule, scored.features(rule)), bound)
     found: FoundAgain | None = None
     if root.lost is not None and root.lost.found_fit is not None:
         look = _look(work, filtered, box, score, measures.fit)

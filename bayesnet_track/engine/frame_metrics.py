@@ -126,9 +126,10 @@ def frame_metrics(
     plate, modes = work.plate_of(target).plate, work.plate_of(target).modes
     variances = np.maximum(summary.variances[:4], 0.0)
     score, features = index(measures, plate.root), {}
-    if measured.score is not None:
-        score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}
     root = plate.inference(plate.root)
+    if measured.score is not None and root.score is not None:
+        rule = root.score.settings
+        score, features = measured.score, {**measured.scored.features(rule), "most": measured.bound}
     region50, region90 = summary.regions
     if root.localization_error is not None:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))

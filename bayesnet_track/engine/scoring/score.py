@@ -43,7 +43,7 @@ class Scored:
     """What a score remembers of its target.
 
     Attributes:
-        smooth: feature -> its filtered value; empty before the first frame.
+        smooth: feature -> its filtered value, of those that had one; empty before the first frame.
         usual: agent -> its log evidence in its first frames.
         side_px: sqrt(w h) of the first estimate.
         distractors: consecutive frames with a distractor, up to the last one in which all agents looked.
@@ -124,9 +124,14 @@ class Scored:
             name: value if gain == 1.0 else before[name] + gain * (value - before[name])
             for name, value in found.items()
         }
-        smooth = {name: smooth.get(name, self.smooth.get(name, 0.0)) for name in rule.coefficients}
+        known = {**self.smooth, **smooth}
+        smooth = {name: known[name] for name in rule.coefficients if name in known}
         doubt = max(self.doubt - 1, 0)
         return changed(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
+
+    def features(self, rule: Logistic) -> dict[str, float]:
+        """Feature -> its filtered value; 0 of one that has had none."""
+        return {name: self.smooth.get(name, 0.0) for name in rule.coefficients}
 
 
 def extent_beyond(box: Floats, frame: Frame) -> float:

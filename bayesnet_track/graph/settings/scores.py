@@ -38,15 +38,17 @@ class Verifier(Model):
     learn_rate: Annotated[Number, Field(ge=0, le=1)] = Field(
         default=0.04, description="how far its reference moves toward the estimate in a frame; 0: never"
     )
-    every: FrameCount = Field(default=1, description="frames from one question to the next")
+    every: FrameCount = Field(
+        default=1, description="frames from one question to the next; asked in the first one, too"
+    )
 
 
 class Logistic(Model):
     """Probability of being on target, 1 / (1 + exp(-(bias + sum of coefficient times feature))).
 
     On target means an overlap (IoU) above 0.5 with the ground truth. Features are filtered over frames, s <-
-    s + (1 - exp(-1 / memory_frames)) (x - s), beginning with the first frame's. `bayesnet-track fit`
-    estimates the coefficients from videos with ground truth.
+    s + (1 - exp(-1 / memory_frames)) (x - s), beginning with the first frame's; a verifier's over the frames
+    in which it is asked. `bayesnet-track fit` estimates the coefficients from videos with ground truth.
     """
 
     bias: Number = Field(description="log odds where every feature is 0")
@@ -84,8 +86,8 @@ class Logistic(Model):
     )
     full_fit: Annotated[Number, Field(ge=0, le=1)] = Field(
         default=0.0,
-        description="the score is at most fit / full_fit of this frame, fit as in `log_fit`, neither logged "
-        "nor smoothed, so that it falls at once when nothing fits; 0: no such bound",
+        description="the score is at most fit / full_fit, where fit is the likelihood of "
+        "`log_fit` in this frame alone, so that it falls at once when nothing fits; 0: no such bound",
     )
 
     @cached_property
