@@ -171,7 +171,7 @@ def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(l
     reason = "relocalize beside gaussian, and no agent of the whole says how sure it is anywhere"
     assert advise(kalman, gone)["refused"] == reason
     said = "\n".join(command._lines("R", advise(kalman, gone)))
-    assert f".relocalize, but not in this graph: {reason}" in said
+    assert f".relocalize.share, but not in this graph: {reason}" in said
 
 
 def test_names_of_a_graph():

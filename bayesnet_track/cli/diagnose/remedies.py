@@ -98,9 +98,9 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
         "gone": Remedy(
             "it does not find the target again after an occlusion",
             "log RUN --target 1",
-            "ROOT.motion.MOTION.relocalize",
-            "{share: 0.1}",
-            "a share of the hypotheses searches the whole frame while the belief is uncertain",
+            "ROOT.motion.MOTION.relocalize.share",
+            "0.2",
+            "a larger share of the hypotheses searches the frame while the belief is uncertain",
         ),
         "look_alike": Remedy(
             "it follows something that looks the same, and is certain",

@@ -21,7 +21,8 @@ SAYS_NOTHING = 0.1
 """Nats by which a frame moves the belief, below which all hypotheses fit alike, as in a black frame."""
 
 FAR_BOX = 4.0
-"""Box sides from which on distance speaks no more against it; there the fifth roots of the levels count."""
+"""Box sides from which on distance asks for no more of the fit, nor one side farther of the score: there the
+fifth roots of the levels count."""
 
 
 @dataclass(frozen=True)
