@@ -21,7 +21,7 @@ LASTS = 50
 APART_BOX = 1.0
 """Box sides that the two have to be apart by then."""
 
-NEAR_BOX = 1.0
+NEAR_BOX = 2.0
 """Box sides from the target's place within which the estimate has to be: farther off it is neither's."""
 
 NEARER = 0.5
