@@ -71,5 +71,5 @@ def test_the_hidden_square_is_found_again_with_its_identity():
 
 
 @pytest.mark.slow
-def test_both_squares_end_with_the_right_cue_in_48_of_50_runs():
-    assert sum(goes_as_in_the_thesis(seed) for seed in range(50)) >= 48
+def test_both_squares_end_with_the_right_cue_in_19_of_20_runs():
+    assert sum(goes_as_in_the_thesis(seed) for seed in range(20)) >= 19
