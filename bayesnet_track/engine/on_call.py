@@ -33,13 +33,16 @@ By = Callable[[Plan], Step[Posterior]]
 
 
 def plan_without_calls(work: FrameWork, target: str, before: TargetState) -> Plan:
-    """The plan of the agents that look at a frame first: all, unless some are on call and others look."""
+    """The plan of the agents that look at a frame first.
+
+    `before.plan` itself when none is left out: nothing is to be weighed again then.
+    """
     plate, plan = work.plate_of(target).plate, before.plan
     if on_call_rule(plate) is None:
         return plan
     by_hand = work.net.targets[target].by_hand
     first = {agent for agent in plan.active if plate.governor[agent] != plate.root or agent in by_hand}
-    return plan_for(work.plate_of(target), frozenset(first)) if first else plan
+    return plan_for(work.plate_of(target), frozenset(first)) if first and first != plan.active else plan
 
 
 def call_agents(

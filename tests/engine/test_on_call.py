@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from bayesnet_track.engine.step import start_target, step
 from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.switches import Scheduled
+from bayesnet_track.journal.net.net import apply
 from bayesnet_track.journal.net.target_net import Turn
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
@@ -108,6 +109,21 @@ def test_a_person_who_switches_it_on_has_it_run_in_every_frame(played):
     cues = {"cheap": Measuring(), "dear": Measuring()}
     outcomes = played(cues, 10, inputs={4: (Toggled(4, "1", "dear", True),)})
     assert all("dear" in names for names in active(outcomes)[4:])
+
+
+def test_the_belief_is_weighed_once_where_every_agent_on_call_is_switched_on_by_hand(played, monkeypatch):
+    """Weighed twice, the particles would be drawn with other random numbers."""
+
+    def by_hand(engine, state, frame):
+        return (
+            replace(state, net=apply(state.net, Toggled(0, "1", "dear", True))) if frame.index == 0 else state
+        )
+
+    monkeypatch.setitem(ROOT, "belief", {"particles": {"size": 200}})
+    called = played({"cheap": Measuring(), "dear": Measuring()}, 6, by_hand)
+    monkeypatch.delitem(ROOT, "adapt")
+    always = played({"cheap": Measuring(), "dear": Measuring()}, 6)
+    assert [one.metrics for one in called] == [one.metrics for one in always]
 
 
 def test_it_goes_on_from_bytes_as_if_nothing_had_been(played):
