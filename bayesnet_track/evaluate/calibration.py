@@ -1,4 +1,4 @@
-"""Whether a probability is one: reliability, ranking, coverage; and fits that make it one. Pure functions."""
+"""Whether a probability is one: reliability, ranking; and fits that make it one. Pure functions."""
 
 from __future__ import annotations
 
@@ -68,13 +68,6 @@ def reliability(scores: ArrayLike, hits: ArrayLike, bins: int = 5) -> tuple[Bin,
         for k in range(bins)
         if (inside := at == k).any()
     )
-
-
-def coverage(regions: ArrayLike, centres: ArrayLike) -> float:
-    """Share of (n, 2) centres inside (n, 4) regions x_low, x_high, y_low, y_high: mean of x and y."""
-    bounds, points = np.asarray(regions, dtype=np.float64), np.asarray(centres, dtype=np.float64)
-    inside = (bounds[:, 0::2] <= points) & (points <= bounds[:, 1::2])
-    return float(inside.mean())
 
 
 def longest_run(flags: ArrayLike) -> int:

@@ -14,7 +14,6 @@ from bayesnet_track.evaluate.calibration import (
     auroc,
     below_on_target,
     brier,
-    coverage,
     fit_levels,
     fit_localization_error,
     fit_logistic,
@@ -43,10 +42,6 @@ def test_reliability_bins_the_frames():
     assert (first.frames, first.said, first.was) == (2, pytest.approx(0.2), 0.5)
     assert (last.low, last.high, last.frames, last.was) == (0.5, 1.0, 2, 1.0)
     assert brier([1.0, 0.5], [True, True]) == 0.125
-
-
-def test_coverage_is_the_mean_of_both_axes():
-    assert coverage([[0, 2, 0, 2], [0, 2, 0, 2]], [[1, 1], [1, 3]]) == 0.75
 
 
 def test_logistic_regression_finds_what_the_data_were_drawn_from():
