@@ -149,11 +149,6 @@ def share_called_afterwards(videos: Sequence[Sequence[Run]], levels: Sequence[fl
     return share_called([[_judged(run, levels) for run in runs] for runs in videos], 0.5)
 
 
-def share_wrong_afterwards(videos: Sequence[Sequence[Run]], levels: Sequence[float]) -> float:
-    """As `share_wrong`, each run at the level that is its own when it is over."""
-    return share_wrong([[_judged(run, levels) for run in runs] for runs in videos], 0.5)
-
-
 def _judged(run: Run, levels: Sequence[float]) -> Run:
     """The run with 1 where it is called tracking, and 0 elsewhere."""
     return Run((run.means > level_afterwards(levels, run.means)).astype(float), run.iou)
