@@ -64,7 +64,10 @@ class Fitted:
 def fit(
     data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURES, keep_score: bool = False
 ) -> Fitted:
-    """Estimate from runs over videos; each video counts the same, however long it is.
+    """Estimate from runs over videos.
+
+    For the score each video counts the same, however long it is. For the localization error and for
+    temperatures each run does, and for the levels of the score and of UD each frame.
 
     Frames in which the truth has no box are off target, and say nothing of where the centre is.
 

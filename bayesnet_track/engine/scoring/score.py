@@ -59,7 +59,7 @@ class Scored:
         low: consecutive frames in which something is seen, but nothing that is the target.
         missing: frame since which nothing is seen that fits as the target did; None while something is.
         again: largest `found_fit` at which each of the last consecutive frames that show it would still do.
-        place: x and y of the estimate before it was missing, px; empty while it is not.
+        place: x and y of the last estimate while it was held, px; empty before there is one.
         references: verifier -> what it remembers; empty of one that failed.
         unfit: whether nothing fitted in the last frame, so that the score was bounded by `full_fit`.
     """
