@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 from itertools import islice
 
 import cv2
@@ -46,6 +47,12 @@ def test_seven_of_eleven_frames_may_be_called_at_the_level_of_three_quarters(run
     lost = [line.frame for line in run.metrics if line.status == "lost"]
     assert lost and [line.frame for line in judged.metrics if line.status == "lost"] == lost
     assert [line.centre_box for line in judged.metrics] == [line.centre_box for line in run.metrics]
+
+
+def test_frames_after_the_target_has_ended_count_as_not_tracked(run):
+    """Of its own 8 frames 7 are above 0.7, too many for that level; of the 11 of the run they are not."""
+    ended = replace(run, metrics=run.metrics[:9])
+    assert judge_afterwards(ended)[1] == (Judged("1", 0.7, 0, 7, 8),)
 
 
 def test_export_writes_what_was_judged(run, capsys):

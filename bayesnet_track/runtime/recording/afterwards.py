@@ -35,15 +35,18 @@ def judge_afterwards(run: Run) -> tuple[Run, tuple[Judged, ...]]:
 
     A frame is tracking where the mean of its last scores is above the level for the whole run, and the target
     is not lost; else it is at most uncertain. The first frame of a target, in which it was shown, stays as it
-    is, and so do targets whose type has no levels for it.
+    is, and so do targets whose type has no levels for it. As in the calibration, the level is for all frames
+    of the run after the first of the target, with a score of 0 where it has ended.
     """
     lines, found = {(line.target, line.frame): line for line in run.metrics}, list[Judged]()
+    frames = sorted({line.frame for line in run.metrics} | run.seconds.keys())
     for target, kind in run.kinds.items():
         rule = _rule(run.spec.targets[kind])
-        own = [line for line in run.metrics if line.target == target][1:]
+        every = [line for line in run.metrics if line.target == target]
+        own = every[1:]
         if rule is None or not rule.afterwards or not own:
             continue
-        level, changed = _judge(rule, own)
+        level, changed = _judge(rule, own, [frame for frame in frames if frame > every[0].frame])
         lines.update(((line.target, line.frame), line) for line in changed)
         found.append(Judged(target, level, _count(own), _count(changed), len(own)))
     return replace(run, metrics=tuple(lines.values())), tuple(found)
@@ -58,11 +61,17 @@ def _count(lines: Sequence[FrameMetrics]) -> int:
     return sum(line.status == "tracking" for line in lines)
 
 
-def _judge(rule: Guarantee, own: Sequence[FrameMetrics]) -> tuple[float, list[FrameMetrics]]:
-    means = means_of([line.score for line in own], rule.frames)
+def _judge(
+    rule: Guarantee, own: Sequence[FrameMetrics], frames: Sequence[int]
+) -> tuple[float, list[FrameMetrics]]:
+    """The level for a target's `frames` after its first, and its lines by it."""
+    scores = dict.fromkeys(frames, 0.0) | {line.frame: line.score for line in own}
+    means = means_of(list(scores.values()), rule.frames)
     level = level_afterwards(rule.afterwards, means)
-    assured = zip(own, (means > level).tolist(), strict=True)
+    assured = dict(zip(scores, (means > level).tolist(), strict=True))
     return level, [
-        line if line.status == "lost" else replace(line, status="tracking" if is_above else "uncertain")
-        for line, is_above in assured
+        line
+        if line.status == "lost"
+        else replace(line, status="tracking" if assured[line.frame] else "uncertain")
+        for line in own
     ]
