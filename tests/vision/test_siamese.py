@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+import tracemalloc
 
+import cv2
 import numpy as np
 import pytest
 
@@ -231,6 +233,46 @@ def test_beyond_the_frame_a_crop_has_its_mean_colour():
     for crop in (Crop(-5, -5, 40, 16), Crop(100, 100, 8, 16), Crop(2, 2, 8, 16)):
         assert crop.cut(image).shape == (16, 16, 3)
         assert (crop.cut(image) == (10, 20, 30)).all()
+
+
+def padded(crop, image):
+    """The whole square, with the mean colour beyond the image, and then reduced."""
+    square = np.full((crop.side, crop.side, 3), np.rint(image.mean(axis=(0, 1))), np.uint8)
+    x0, y0 = max(crop.left, 0), max(crop.top, 0)
+    part = image[y0 : crop.top + crop.side, x0 : crop.left + crop.side]
+    square[y0 - crop.top :, x0 - crop.left :][: part.shape[0], : part.shape[1]] = part
+    return cv2.resize(square, (crop.shown, crop.shown), interpolation=cv2.INTER_LINEAR)
+
+
+@pytest.mark.parametrize(
+    ("crop", "most"),
+    [
+        (Crop(-30, 20, 64, 32), 0),
+        (Crop(-3, -8, 61, 32), 0),
+        (Crop(100, 60, 128, 32), 4),
+        (Crop(-40, -5, 65, 32), 4),
+        (Crop(-300, -411, 999, 32), 4),
+    ],
+)
+def test_a_crop_beyond_the_frame_is_the_whole_square_reduced(crop, most):
+    """To the byte up to twice the shown side, else nearly: OpenCV 4 samples at multiples of 1/32 px."""
+    rough = np.random.default_rng(5).integers(0, 256, (5, 8, 3), np.uint8)
+    image = cv2.resize(rough, (160, 100), interpolation=cv2.INTER_CUBIC)
+    apart = np.abs(crop.cut(image).astype(int) - padded(crop, image))
+    assert apart.max() <= most
+
+
+def test_a_crop_of_a_large_target_takes_no_more_memory_than_the_image():
+    image = np.full((540, 960, 3), 90, np.uint8)
+    crop = wide_crop(480.0, 270.0, np.array([900.0, 900.0]))
+    crop.cut(image)
+    tracemalloc.start()
+    try:
+        crop.cut(image)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert crop.side > 5000 and peak < image.nbytes
 
 
 def test_crops_cover_the_boxes_or_the_most_that_are_allowed():

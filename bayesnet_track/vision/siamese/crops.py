@@ -19,6 +19,8 @@ WIDE = 1.5
 """How much coarser a wide crop is than the template."""
 NEAR = 1.1
 """How far from the middle of a crop off the lattice boxes are read in it, in the same distances."""
+LARGE = 2
+"""Times its shown side from which on a square that extends beyond the image is not built at full size."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,24 @@ class Crop:
         elif part.shape[:2] != (self.side, self.side):
             sides = (y0 - self.top, self.top + self.side - y1, x0 - self.left, self.left + self.side - x1)
             color = _mean_color(image).tolist()
+            if self.side > LARGE * self.shown:
+                return self._reduced(part, (sides[2], sides[0]), color)
             part = np.asarray(cv2.copyMakeBorder(part, *sides, cv2.BORDER_CONSTANT, value=color), np.uint8)
         return np.asarray(
             cv2.resize(part, (self.shown, self.shown), interpolation=cv2.INTER_LINEAR), np.uint8
         )
+
+    def _reduced(self, part: Bytes, at: tuple[int, int], color: list[int]) -> Bytes:
+        """(shown, shown, 3) of the square with `part` at column and row `at`, and a colour elsewhere."""
+        import cv2
+
+        # Samples where `resize` would sample the whole square, which could take hundreds of megabytes.
+        times = self.side / self.shown
+        shift = 0.5 * times - 0.5
+        back = np.array([[times, 0.0, shift - at[0]], [0.0, times, shift - at[1]]])
+        sampling = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        shown = (self.shown, self.shown)
+        return np.asarray(cv2.warpAffine(part, back, shown, flags=sampling, borderValue=color), np.uint8)
 
     def boxes(self, response: Response) -> Floats:
         """(S * S, 4) centre boxes in the frame, px, row by row; sides of no extent are left tiny."""
