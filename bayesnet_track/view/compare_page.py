@@ -11,9 +11,9 @@ from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.text.compare_text import (
     change,
     common_kinds,
-    cut_short,
     estimate_lines,
     figure,
+    marks_of,
     parting_lines,
     place,
     shortened,
@@ -51,7 +51,7 @@ a { color: inherit; } .a { color: var(--a); } .b { color: var(--b); }
 .soft { color: var(--soft); } b.side { font-weight: 700; margin-right: .5em; }
 dl { display: grid; grid-template-columns: auto 1fr; gap: .1rem .7rem; margin: 0; } dt { font-weight: 700; }
 dd { margin: 0; }
-.partial { font-size: 12.5px; font-weight: 620; color: var(--doubt); border: 1.5px dashed var(--dash);
+.badge { font-size: 12.5px; font-weight: 620; color: var(--doubt); border: 1.5px dashed var(--dash);
   border-radius: 99px; padding: 1px 9px; margin-left: .4em; display: inline-block; }
 .first { border-left: 4px solid var(--mark); background: var(--card); padding: 8px 12px;
   margin-bottom: 12px; }
@@ -142,17 +142,15 @@ def compare_page(
 
 
 def _runs(first: RunRecord, second: RunRecord) -> list[str]:
-    """What was run on what, and which run is only a part."""
+    """What was run on what, and which run was smoothed or is only a part."""
     rows = []
     for letter, run in (("A", first), ("B", second)):
         started = next((one for one in run.events if isinstance(one, RunStarted)), None)
         said = "" if started is None else f" · {started.graph} · seed {started.seed}"
-        badge = (
-            f'<span class="partial">partial run: {text_of(cut_short(run))}</span>' if cut_short(run) else ""
-        )
+        badges = "".join(f'<span class="badge">{text_of(mark)}</span>' for mark in marks_of(run))
         rows.append(
             f'<dt class="{letter.lower()}">{letter}</dt>'
-            f'<dd>{text_of(run.name)}<span class="soft">{text_of(said)}</span>{badge}</dd>'
+            f'<dd>{text_of(run.name)}<span class="soft">{text_of(said)}</span>{badges}</dd>'
         )
     on = next((one for one in first.events if isinstance(one, RunStarted)), None)
     size = "" if on is None else f'<p class="soft">on {text_of(on.source)} · {on.width} × {on.height} px</p>'

@@ -42,6 +42,13 @@ def test_the_whole_path(tmp_path, capsys):
     assert main(["log", out]) == 0
     assert capsys.readouterr().out.startswith("smoothed run of general")
     assert main(["verify", out]) == 0
+    capsys.readouterr()
+    assert main(["compare", run, out]) == 0
+    header = f"A  {run}\nB  {out} (smoothed)\n\ndiffer in\n  estimates: filtered → smoothed\n"
+    assert capsys.readouterr().out.startswith(header)
+    assert main(["what-if", out, "--quiet"]) == 2
+    assert f"{out}: it has been smoothed; use the run that it was made from" in capsys.readouterr().err
+    assert not (tmp_path / "smoothed-what-if").exists()
 
 
 def test_particles_from_elsewhere_have_no_most_probable_trajectory(tmp_path, capsys):

@@ -12,7 +12,7 @@ from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.causes import Cause
-from bayesnet_track.journal.text.compare_text import compare_text
+from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
 from bayesnet_track.view.compare_page import compare_page
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
@@ -123,12 +123,32 @@ def test_a_partial_run_says_so_beside_its_name(few_metrics):
     page = compare_page(whole, cut, compare(whole, cut), [])
     assert page.count("partial run") == 1
     assert (
-        'runs/cut<span class="soft"> · general · seed 7</span><span class="partial">partial run: interrupted'
+        'runs/cut<span class="soft"> · general · seed 7</span><span class="badge">partial run: interrupted'
         in page
     )
     assert "on video.mp4 · 320 × 240 px" in page
     assert "B  runs/cut (partial run: interrupted)" in compare_text(whole, cut, compare(whole, cut), [])
     assert "partial run: not ended" in compare_page(whole, killed, compare(whole, killed), [])
+
+
+def test_a_smoothed_run_says_so_beside_its_name(few_metrics):
+    first, _, _ = runs(few_metrics)
+    started = RunStarted(2, "general", "0" * 64, 7, "video.mp4", 320, 240, True, 40, 0.04)
+    events = [*first.events, RunEnded(40, 40, True, "end_of_source")]
+    tracked = SimpleNamespace(**{**vars(first), "events": [started, *events]})
+    smoothed = SimpleNamespace(
+        **{**vars(first), "name": "runs/sm", "events": [replace(started, smoothed=True), *events]}
+    )
+    settings = settings_apart(tracked.events[0], smoothed.events[0])
+    text = compare_text(tracked, smoothed, compare(tracked, smoothed), settings)
+    assert text.startswith(
+        "A  runs/a\nB  runs/sm (smoothed)\n\ndiffer in\n  estimates: filtered → smoothed\n"
+    )
+    assert compare_text(smoothed, tracked, compare(smoothed, tracked), []).startswith(
+        "A  runs/sm (smoothed)\n"
+    )
+    page = compare_page(tracked, smoothed, compare(tracked, smoothed), settings)
+    assert page.count('<span class="badge">smoothed</span>') == 1
 
 
 def test_a_whole_target_among_the_differences_is_folded(few_metrics):

@@ -24,23 +24,13 @@ if TYPE_CHECKING:
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.cli.commands.compare import check_page, show_comparison
-    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.checkpoints.unchanged import check_cues, check_files
     from bayesnet_track.runtime.recording.manifest import add_output
     from bayesnet_track.runtime.recording.run_reader import open_run
-    from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     check_page(options)
-    try:
-        first = open_run(options.run, complain)
-    except RunDirectoryError as error:
-        raise UsageError(str(error)) from error
-    try:
-        recipe = Recipe.read(first.directory)
-    except RecipeError as error:
-        raise UsageError(str(error)) from error
-    if recipe.only_once is not None:
-        raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
+    first, recipe = _earlier_run(options)
     with users_mistake():
         changes = recipe.origin.changes()
     if changes and not options.force:
@@ -72,6 +62,25 @@ def what_if(options: argparse.Namespace) -> int:
             complain(f"{second.truth}: cannot write: {error.strerror}")
             return BAD_OUTPUT
     return show_comparison(first, open_run(out, complain), options) or code
+
+
+def _earlier_run(options: argparse.Namespace) -> tuple[Run, Recipe]:
+    """The run to repeat, and how it was made; raises UsageError if it cannot be repeated."""
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.recording.run_reader import open_run
+    from bayesnet_track.runtime.recording.rundir import RunDirectoryError
+
+    try:
+        run = open_run(options.run, complain)
+        # Its repetition would not be smoothed: the two would differ even with nothing changed.
+        if run.started.smoothed:
+            raise UsageError(f"{options.run}: it has been smoothed; use the run that it was made from")
+        recipe = Recipe.read(run.directory)
+    except (RunDirectoryError, RecipeError) as error:
+        raise UsageError(str(error)) from error
+    if recipe.only_once is not None:
+        raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
+    return run, recipe
 
 
 def _track_again(

@@ -27,6 +27,8 @@ def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
         said.append(f"graph: {first.graph} → {second.graph}")
     if first.seed != second.seed:
         said.append(f"seed: {first.seed} → {second.seed}")
+    if first.smoothed != second.smoothed:
+        said.append("estimates: " + " → ".join(_estimates_of(one) for one in (first, second)))
     costs = dict.fromkeys([*first.costs_ms, *second.costs_ms])
     both = [cue for cue in costs if cue in first.costs_ms and cue in second.costs_ms]
     said += [
@@ -42,6 +44,10 @@ def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
     return said
 
 
+def _estimates_of(started: RunStarted) -> str:
+    return "smoothed" if started.smoothed else "filtered"
+
+
 def compare_text(
     first: RunRecord,
     second: RunRecord,
@@ -50,7 +56,10 @@ def compare_text(
     shown: int = SHOWN_MOMENTS,
 ) -> str:
     """The whole comparison as plain text."""
-    lines = [" ".join([letter, "", *run_parts(run)]) for letter, run in (("A", first), ("B", second))] + [""]
+    lines = [
+        " ".join([letter, "", run.name, *(f"({one})" for one in marks_of(run))])
+        for letter, run in (("A", first), ("B", second))
+    ] + [""]
     said = settings if shown > SHOWN_MOMENTS else [shortened(one) for one in settings]
     lines += ["differ in", *(f"  {one}" for one in said)] if settings else ["the same graph and settings"]
     # What came of it before how: the moments are many.
@@ -77,19 +86,17 @@ def common_kinds(first: RunRecord, second: RunRecord, comparison: Comparison) ->
     return {target: kind for target, kind in kinds_of(first.events).items() if theirs.get(target) == kind}
 
 
-def run_parts(run: RunRecord) -> list[str]:
-    """What to call a run, and in brackets why it is only a part of its source, where it is."""
-    why = cut_short(run)
-    return [run.name, f"(partial run: {why})"] if why else [run.name]
-
-
-def cut_short(run: RunRecord) -> str:
-    """Why a run does not reach the end of its source; empty where it does, or its journal tells nothing."""
+def marks_of(run: RunRecord) -> list[str]:
+    """What to say beside the name of a run: that it was smoothed, and why it is only a part of its source."""
     started = next((one for one in run.events if isinstance(one, RunStarted)), None)
     ended = next((one for one in reversed(run.events) if isinstance(one, RunEnded)), None)
-    if started is None or (ended is not None and ended.complete):
-        return ""
-    return "not ended" if ended is None else ended.reason.replace("_", " ")
+    if started is None:
+        return []
+    marks = ["smoothed"] if started.smoothed else []
+    if ended is None or not ended.complete:
+        why = "not ended" if ended is None else ended.reason.replace("_", " ")
+        marks.append(f"partial run: {why}")
+    return marks
 
 
 def shortened(setting: str) -> str:
