@@ -159,7 +159,7 @@ def words_of(command: str, page: str) -> list[str]:
 def make_way(code: str, folder: Path) -> None:
     """Remove what an earlier command of the page wrote, where this one writes again."""
     names = re.findall(r"(?:--(?:out|html|video|svg) |\bout=\")([\w./-]+)", code)
-    for name in [*names, "runs/mine-what-if"]:
+    for name in names:
         path = folder / name
         if path.is_dir():
             shutil.rmtree(path)

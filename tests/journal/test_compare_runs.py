@@ -83,6 +83,21 @@ def test_runs_over_other_pictures_are_refused(run, capsys, tmp_path):
     assert run_command(capsys, "compare", run, other, "--force")[0] == 0
 
 
+def test_each_what_if_gets_a_folder_of_its_own_unless_one_is_named(run, capsys, tmp_path):
+    mine = tmp_path / "mine"
+    shutil.copytree(run, mine)
+    for number, name in enumerate(("mine-what-if", "mine-what-if-2", "mine-what-if-3"), start=1):
+        code, out, _ = run_command(capsys, "what-if", f"{mine}/", "--seed", number, "--quiet")
+        assert code == 0 and f"B  {tmp_path / name}\n" in out
+    assert open_run(tmp_path / "mine-what-if-2").started.seed == 2
+    named = "--out", tmp_path / "mine-what-if"
+    code, _, err = run_command(capsys, "what-if", mine, "--seed", 4, "--quiet", *named)
+    assert code == 6 and "a run is there already" in err
+    assert run_command(capsys, "what-if", mine, "--seed", 4, "--quiet", "--overwrite")[0] == 0
+    assert open_run(tmp_path / "mine-what-if").started.seed == 4
+    assert not (tmp_path / "mine-what-if-4").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

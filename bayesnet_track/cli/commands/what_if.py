@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import itertools
+import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,7 +49,7 @@ def what_if(options: argparse.Namespace) -> int:
         )
     masks = recipe.read_masks()
     graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks)
-    out = Path(options.out or f"{str(options.run).rstrip('/')}-what-if")
+    out = _folder(options)
     if out.resolve() == first.directory.path.resolve():
         raise UsageError(f"--out {out}: that is the run itself; give another folder")
     code = _track_again(options, first, recipe, graph, out)
@@ -81,6 +83,15 @@ def _earlier_run(options: argparse.Namespace) -> tuple[Run, Recipe]:
     if recipe.only_once is not None:
         raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
     return run, recipe
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    """Where to write: --out, else the first of RUN-what-if, RUN-what-if-2, ... that is free."""
+    if options.out:
+        return Path(options.out)
+    first = f"{str(options.run).rstrip('/')}-what-if"
+    names = itertools.chain([first], (f"{first}-{number}" for number in itertools.count(2)))
+    return Path(next(name for name in names if options.overwrite or not os.path.lexists(name)))
 
 
 def _track_again(
@@ -149,9 +160,16 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     what_if.add_argument(
         "--seed", type=whole_number(0), metavar="N", help="another seed (default: that of the run)"
     )
-    what_if.add_argument("-o", "--out", metavar="DIR", help="run directory to write (default RUN-what-if)")
     what_if.add_argument(
-        "--overwrite", action="store_true", help="replace an earlier run in --out, and the file of --html"
+        "-o",
+        "--out",
+        metavar="DIR",
+        help="run directory to write (default RUN-what-if, or RUN-what-if-2, ... if that exists)",
+    )
+    what_if.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace an earlier run in --out (without --out, in RUN-what-if), and the file of --html",
     )
     what_if.add_argument(
         "--force",
