@@ -55,8 +55,10 @@ def _by_score(now: Situation, memory: Memory, rule: Lost, scale: Scale, decision
 
     Without `uncertain_below` there are only tracking and lost.
     """
-    score, low = scale.score, scale.low
-    high = low if rule.uncertain_below is None else rule.uncertain_below
+    score, low, low_key = scale.score, scale.low, f"{scale.of or 'score'}_below"
+    high, high_key = low, low_key
+    if rule.uncertain_below is not None:
+        high, high_key = rule.uncertain_below, "uncertain_below"
     memory = changed(
         memory,
         lost=memory.lost.then(score < low, score, rule.frames),
@@ -64,19 +66,19 @@ def _by_score(now: Situation, memory: Memory, rule: Lost, scale: Scale, decision
         unsure=memory.unsure.then(score < high, score, rule.frames),
         found=memory.found.then(score >= high, score, rule.frames),
     )
-    before, status, level, values = now.net.status, now.net.status, low, memory.lost.values
+    before, status, level, key, values = now.net.status, now.net.status, low, low_key, memory.lost.values
     if before != "lost" and memory.lost.count >= rule.frames:
         status = "lost"
     elif before == "tracking" and low < high and memory.unsure.count >= rule.frames:
-        status, level, values = "uncertain", high, memory.unsure.values
+        status, level, key, values = "uncertain", high, high_key, memory.unsure.values
     elif before != "tracking" and memory.found.count >= rule.frames:
-        status, level, values = "tracking", high, memory.found.values
+        status, level, key, values = "tracking", high, high_key, memory.found.values
     elif before == "lost" and low < high and memory.seen.count >= rule.frames:
-        status, level, values = "uncertain", low, memory.seen.values
+        status, values = "uncertain", memory.seen.values
     if status != before:
         fell = (before, status) in (("tracking", "uncertain"), ("tracking", "lost"), ("uncertain", "lost"))
         turning = max(values) if fell else min(values)
-        cause = ScoreCause(level, score, rule.frames, turning, fell, scale.of)
+        cause = ScoreCause(level, score, rule.frames, turning, fell, scale.of, key, before)
         decisions.append(StatusChanged(now.frame, now.target, status, cause))
     return memory
 

@@ -47,31 +47,44 @@ def test_down_and_up_through_uncertain(statuses):
     t, u, x = "tracking", "uncertain", "lost"
     assert after == [t, t, u, u, x, x, u, u, t]
     assert [one.cause for one in decisions] == [
-        ScoreCause(0.6, 0.4, 2, 0.5, True),
-        ScoreCause(0.25, 0.1, 2, 0.2, True),
-        ScoreCause(0.25, 0.4, 2, 0.3, False),
-        ScoreCause(0.6, 0.8, 2, 0.7, False),
+        ScoreCause(0.6, 0.4, 2, 0.5, True, key="uncertain_below", before="tracking"),
+        ScoreCause(0.25, 0.1, 2, 0.2, True, key="score_below", before="uncertain"),
+        ScoreCause(0.25, 0.4, 2, 0.3, False, key="score_below", before="lost"),
+        ScoreCause(0.6, 0.8, 2, 0.7, False, key="uncertain_below", before="uncertain"),
     ]
     assert [explain(one) for one in decisions] == [
         "frame 2: score 0.4 < 0.6 for 2 frames → target 1 uncertain; would have stayed tracked at "
-        "uncertain_below ≤ 0.5",
+        "lost.uncertain_below ≤ 0.5",
         "frame 4: score 0.1 < 0.25 for 2 frames → target 1 lost; would not have been lost at "
-        "score_below ≤ 0.2",
-        "frame 6: score 0.4 ≥ 0.25 for 2 frames → target 1 uncertain; would have stayed as it was at "
-        "a threshold > 0.3, the lowest of these scores",
-        "frame 8: score 0.8 ≥ 0.6 for 2 frames → target 1 found again; would have stayed as it was at "
-        "a threshold > 0.7, the lowest of these scores",
+        "lost.score_below ≤ 0.2",
+        "frame 6: score 0.4 ≥ 0.25 for 2 frames → target 1 uncertain; would have stayed lost at "
+        "lost.score_below > 0.3, the lowest of these scores",
+        "frame 8: score 0.8 ≥ 0.6 for 2 frames → target 1 tracked again; would have stayed uncertain at "
+        "lost.uncertain_below > 0.7, the lowest of these scores",
     ]
 
 
 def test_straight_down_and_up(statuses):
-    after, _, _ = statuses([0.1, 0.1, 0.9, 0.9])
+    after, (_, found), _ = statuses([0.1, 0.1, 0.9, 0.9])
     assert after == ["tracking", "lost", "lost", "tracking"]
+    assert explain(found) == (
+        "frame 3: score 0.9 ≥ 0.6 for 2 frames → target 1 found again; would have been uncertain at "
+        "lost.uncertain_below > 0.9, the lowest of these scores"
+    )
 
 
 def test_one_level_knows_no_uncertain(statuses):
-    after, _, _ = statuses([0.4, 0.4, 0.2, 0.2, 0.3, 0.3], {"score_below": 0.25, "frames": 2})
+    after, (_, found), _ = statuses([0.4, 0.4, 0.2, 0.2, 0.3, 0.3], {"score_below": 0.25, "frames": 2})
     assert after == ["tracking", "tracking", "tracking", "lost", "lost", "tracking"]
+    assert "→ target 1 found again; would have stayed lost at lost.score_below > 0.3" in explain(found)
+
+
+def test_a_journal_that_names_neither_key_nor_status_before_is_read():
+    found = StatusChanged(8, "1", "tracking", ScoreCause(0.6, 0.8, 1, 0.7, False))
+    assert explain(found) == (
+        "frame 8: score 0.8 ≥ 0.6 for 1 frame → target 1 found again; would have stayed as it was at "
+        "a threshold > 0.7"
+    )
 
 
 def test_one_frame_of_another_kind_starts_the_count_again(statuses):

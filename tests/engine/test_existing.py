@@ -101,7 +101,7 @@ def test_births_statuses_and_ends_are_levels_of_existence(graph):
     (lost,) = events_of(done, StatusChanged)
     assert 20 < lost.frame < died.frame < 35
     assert "existence 0." in lost.describe()
-    assert "would not have been lost at existence_below ≤" in lost.describe()
+    assert "would not have been lost at lost.existence_below ≤" in lost.describe()
     assert died.reason == "existence" and died.existence < died.end == 0.05
     assert "would have continued at existence.end ≤" in died.describe()
     values = [line.existence for one in done for line in one.metrics if line.existence is not None]

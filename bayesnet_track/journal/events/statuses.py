@@ -162,12 +162,17 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     span = f"for {plural(cause.frames, 'frame')}"
     found = f"{cause.of or 'score'} {score} {'<' if cause.fell else '≥'} {level} {span}"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
-    status = "found again" if event.status == "tracking" else event.status
+    key = f"lost.{cause.key}" if cause.key else "a threshold"
+    status = event.status
+    if status == "tracking":
+        status = "tracked again" if cause.before == "uncertain" else "found again"
     if not cause.fell:
         lowest = ", the lowest of these scores" if cause.frames > 1 else ""
-        otherwise = f"would have stayed as it was at a threshold > {turning}{lowest}"
+        leaps = cause.before == "lost" and event.status == "tracking" and cause.key == "uncertain_below"
+        instead = "been uncertain" if leaps else f"stayed {cause.before or 'as it was'}"
+        otherwise = f"would have {instead} at {key} > {turning}{lowest}"
     elif event.status == "lost":
-        otherwise = f"would not have been lost at {cause.of or 'score'}_below ≤ {turning}"
+        otherwise = f"would not have been lost at {key} ≤ {turning}"
     else:
-        otherwise = f"would have stayed tracked at uncertain_below ≤ {turning}"
+        otherwise = f"would have stayed tracked at {key} ≤ {turning}"
     return f"{found} → target {event.target} {status}; {otherwise}"

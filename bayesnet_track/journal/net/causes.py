@@ -40,6 +40,8 @@ class ScoreCause:
             above it when it rose.
         fell: whether the score fell below the level.
         of: what was compared instead of the score: `existence`, the probability that the target exists.
+        key: the key of `lost` that holds the threshold; left out in a journal that does not say.
+        before: the status until now; left out likewise.
     """
 
     level: float
@@ -48,6 +50,8 @@ class ScoreCause:
     turning: float
     fell: bool
     of: str = field(default="", metadata={"left_out_when_empty": True})
+    key: str = field(default="", metadata={"left_out_when_empty": True})
+    before: str = field(default="", metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
