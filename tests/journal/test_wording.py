@@ -4,9 +4,19 @@ import pytest
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import JournalError
+from bayesnet_track.journal.events.beliefs import MeasurementGated
 from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
 from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.faults import VerifierFailed
+from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
+from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.self_checks import LocallyAdapted
+from bayesnet_track.journal.events.statuses import FoundAgain, StatusChanged
+from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.line_checks import MOST, check_line
+from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away
 
@@ -66,6 +76,33 @@ def test_the_life_of_a_target_is_a_line_a_chapter():
     assert summary == "summary: 0 frames, lost in 0; ended"
     with pytest.raises(ValueError, match=r"no target '3' in this run; there are 1, 2"):
         describe_life([started, other], [], "3")
+
+
+def test_the_life_of_a_target_has_what_explains_its_statuses():
+    why = [
+        DistractorSeen(*(5, "1", 90.0, 80.0, 1.6, 1.37, 4.0, 0.9, 250)),
+        DoubtEnded(9, "1", 0.557, 1.55, 0.5, 244),
+        AssuranceChanged(11, "1", False, 0.5, 0.6, 3, 0.05),
+        AlarmRaised(12, "1", 21.0, 0.05, 10, 25),
+        AlarmEnded(14, "1"),
+        FoundAgain(20, "1", 0.82, 0.4, 0.25, 3, 0.53, 15, 31.4),
+        Reappeared(*(21, "1", "agents", 9, 0.93, 0.5, 0.1, 0.008, 210.4, 84.2, 95.2, 5120.0, 1024.0)),
+        VerifierFailed(22, "1", "texture", "raised ValueError"),
+    ]
+    started = TargetStarted(0, "1", "square", BOX, ("color",))
+    lines = describe_life([started, *why, StatusChanged(23, "1", "lost")], [], "1").splitlines()
+    assert lines[1:-2] == [explain(event) for event in why]
+
+
+def test_what_happened_often_is_counted_in_the_life_of_a_target():
+    started = TargetStarted(0, "1", "square", BOX, ("color",))
+    gated = [MeasurementGated(frame, "1", "detector", 31.5, 9.2, 0.99, 2, 0.999, 0) for frame in (3, 5)]
+    off = Activated(4, "1", "motion", "square", None)
+    adapted = LocallyAdapted(8, "1", "hue", 1, Cause("ud_px2", 2500, 2731, 1, 2731, 2731, 1))
+    _, condensed, _ = describe_life([started, *gated, off, adapted], [], "1").splitlines()
+    assert condensed == (
+        "frames 3 to 8: motion on at 4; measurement_gated 2 times; hue adapted itself 1 time"
+    )
 
 
 def test_data_is_written_whole_however_little_the_system_takes():

@@ -1,16 +1,20 @@
-"""One target's life as a short story: where it came from, what its net did, when it was lost, its end."""
+"""One target's life as a short story: where it came from, what its net did, why it was lost, its end."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from bayesnet_track.journal.codec import event_name
+from bayesnet_track.journal.events import distractors, guarantees
 from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.faults import VerifierFailed
+from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.reidentification import Reacquired, Returned
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
-from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
+from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
@@ -27,6 +31,15 @@ CHAPTERS = (
     Reacquired,
     TargetDied,
     DuplicateEnded,
+    # What limits the score or frees it, withholds the status, or finds the target: a status has a cause.
+    distractors.DistractorSeen,
+    distractors.DoubtEnded,
+    guarantees.AssuranceChanged,
+    guarantees.AlarmRaised,
+    guarantees.AlarmEnded,
+    FoundAgain,
+    Reappeared,
+    VerifierFailed,
 )
 """What is told in full; everything between two of them is condensed."""
 
@@ -57,13 +70,13 @@ def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], targ
 
 
 def _condense(events: Iterable[Event]) -> list[str]:
-    """What the net did between two chapters: its switches in one line, its agents on call in another."""
+    """What happened between two chapters: switches and counts in one line, agents on call in another."""
     events = list(events)
     calls = tuple(event for event in events if isinstance(event, Scheduled))
     told = [CallsFolded(calls).describe()] if calls else []
     switches = [event for event in events if isinstance(event, Switch)]
-    tuned = Counter(event.node for event in events if isinstance(event, LocallyAdapted))
-    frames = [event.frame for event in [*switches, *(e for e in events if isinstance(e, LocallyAdapted))]]
+    counted = Counter(_name(event) for event in events if not isinstance(event, Scheduled | Switch))
+    frames = [getattr(event, "frame", 0) for event in events if not isinstance(event, Scheduled)]
     if not frames:
         return told
     parts = []
@@ -71,10 +84,15 @@ def _condense(events: Iterable[Event]) -> list[str]:
         done = [event for event in switches if event.node == node]
         switched = ", ".join(f"{event.shorten()} at {event.frame}" for event in done[:3])
         parts.append(f"{node} {switched}{_more(done)}")
-    parts += [f"{node} adapted itself {plural(count, 'time')}" for node, count in tuned.items()]
+    parts += [f"{name} {plural(count, 'time')}" for name, count in counted.items()]
     first, last = min(frames), max(frames)
     span = f"frame {first}" if first == last else f"frames {first} to {last}"
     return [f"{span}: {'; '.join(parts)}", *told]
+
+
+def _name(event: Event) -> str:
+    """How an event is counted: by its kind, as `--kind` takes it."""
+    return f"{event.node} adapted itself" if isinstance(event, LocallyAdapted) else event_name(type(event))
 
 
 def _more(done: Sequence[Event]) -> str:
