@@ -581,6 +581,17 @@ MISTAKES = {
         "nearest: color",
     ),
     "log {demo} --why 60": (2, "bayesnet-track log: frame 60 is not in this run; it has frames 0 to 59"),
+    "log {demo} --why 3 --json --node color": (
+        2,
+        "bayesnet-track log: --why explains one frame; leave out --node and --json",
+    ),
+    "log {demo} --why 3 --target 2": (2, "bayesnet-track log: no target '2' in this run; there are 1"),
+    "log {demo} --target 2 --json": (2, "bayesnet-track log: no target '2' in this run; there are 1"),
+    "log {demo} --target 1 --node colour": (
+        2,
+        "bayesnet-track log: no node 'colour' in the run's graph; there are square, color, motion; "
+        "nearest: color",
+    ),
     "score {wrong}/untrue": (
         2,
         "bayesnet-track score: no ground truth at {wrong}/untrue/truth.txt; name one with --truth FILE",
@@ -917,6 +928,13 @@ def test_log_filters(cli, demo_run):
 
 def test_log_as_json_is_the_journal(cli, demo_run):
     assert cli(f"log {demo_run} --json")[1] == (demo_run / "journal.jsonl").read_text()
+
+
+def test_log_of_a_target_takes_the_other_filters(cli, demo_run):
+    lines = (demo_run / "journal.jsonl").read_text().splitlines()
+    assert cli(f"log {demo_run} --target 1 --json")[1].splitlines() == lines[1:-1]  # not those of the run
+    for filters in ("--kind activated", "--node motion", "--frames 20:40"):
+        assert cli(f"log {demo_run} --target 1 {filters}") == cli(f"log {demo_run} {filters}")
 
 
 def test_log_explains_a_frame(cli, demo_run):

@@ -720,3 +720,13 @@ def test_why_of_a_frame_that_is_not_there():
         why([BORN], [METRICS], 30)
     with pytest.raises(ValueError, match="it has none"):
         why([], [], 0)
+
+
+def test_why_of_one_of_several_targets():
+    other = replace(METRICS, target="2")
+    assert why([BORN], [METRICS, other], 29, "1") == why([BORN], [METRICS], 29)
+    with pytest.raises(ValueError, match="target 3 is not live in frame 29"):
+        why([BORN], [METRICS, other], 29, "3")
+    assert [e for e in (BORN, replace(BORN, target="2")) if Filter(target="2").keeps(e)] == [
+        replace(BORN, target="2")
+    ]

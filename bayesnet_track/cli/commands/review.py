@@ -23,20 +23,27 @@ def log(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.text.explain import has_several_targets, why
     from bayesnet_track.journal.text.folding import narrate_all
     from bayesnet_track.journal.text.naming import kinds_of, name_targets, narrate
-    from bayesnet_track.journal.text.story import describe_life
+    from bayesnet_track.journal.text.story import check_target, describe_life
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
     events = list(read_events(directory.journal, complain))
-    if options.why is not None:
-        metrics = list(read_metrics(directory.frames, complain))
-        with users_mistake():
-            say(name_targets(why(events, metrics, options.why), kinds_of(events)))
-        return OK
+    given = [
+        name for name in ("node", "kind", "frames", "json") if getattr(options, name) not in (None, False)
+    ]
+    if options.why is not None and given:
+        raise UsageError(f"--why explains one frame; leave out --{' and --'.join(given)}")
     if options.target is not None:
+        with users_mistake():
+            check_target(events, options.target)
+    if options.why is not None or (options.target is not None and not given):
         metrics = list(read_metrics(directory.frames, complain))
         with users_mistake():
-            say(name_targets(describe_life(events, metrics, options.target), kinds_of(events)))
+            if options.why is None:
+                account = describe_life(events, metrics, options.target)
+            else:
+                account = why(events, metrics, options.why, options.target)
+        say(name_targets(account, kinds_of(events)))
         return OK
     chosen = chosen_events(events, options)
     if not chosen:
@@ -56,7 +63,7 @@ def log(options: argparse.Namespace) -> int:
 
 
 def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[Event]:
-    """The events that --node, --kind and --frames leave."""
+    """The events that --target, --node, --kind and --frames leave."""
     from bayesnet_track.journal.text.explain import Filter
 
     frames = None
@@ -73,7 +80,7 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
                 f"--frames {options.frames!r}: A:B with A < B is needed (or :B, or A:, or one A)"
             )
     with users_mistake():
-        keep = Filter(node=options.node, kind=options.kind, frames=frames)
+        keep = Filter(options.node, options.kind, frames, options.target)
     return [event for event in events if keep.keeps(event)]
 
 
@@ -172,11 +179,20 @@ def add_log(commands: argparse._SubParsersAction[Any]) -> None:
         "log", help="print every reconfiguration of a run as a sentence, with its reason"
     )
     log.add_argument("run", metavar="RUN", help="run directory")
-    log.add_argument("--target", metavar="ID", help="only the history of one target")
+    log.add_argument(
+        "--target",
+        metavar="ID",
+        help="the history of one target; with --node, --kind, --frames or --json: its events",
+    )
     log.add_argument("--node", help="only this node")
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
     log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")
-    log.add_argument("--why", type=whole_number(0), metavar="N", help="what was active in frame N, and why")
+    log.add_argument(
+        "--why",
+        type=whole_number(0),
+        metavar="N",
+        help="what was active in frame N, and why; alone, or with --target",
+    )
     log.add_argument("--json", action="store_true", help="print the events as they are in the journal")
 
 

@@ -35,6 +35,7 @@ class Filter:
         node: name of an agent or of the inference node whose rule fired.
         kind: name of an event in the file, such as activated.
         frames: first frame, and the frame before which to stop.
+        target: id of a target.
 
     Raises:
         ValueError: no event is of that kind.
@@ -43,6 +44,7 @@ class Filter:
     node: str | None = None
     kind: str | None = None
     frames: tuple[int, int] | None = None
+    target: str | None = None
 
     def __post_init__(self) -> None:
         kinds = [event_name(kind) for kind in get_args(Event)]
@@ -54,6 +56,8 @@ class Filter:
     def keeps(self, event: Event) -> bool:
         """True when the event passes every part."""
         if self.kind is not None and self.kind != event_name(type(event)):
+            return False
+        if self.target is not None and self.target != getattr(event, "target", None):
             return False
         if self.node is not None and self.node not in (
             getattr(event, "node", None),
@@ -67,18 +71,23 @@ class Filter:
         return frame is not None and self.frames[0] <= frame < self.frames[1]
 
 
-def why(events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int) -> str:
+def why(
+    events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int, target: str | None = None
+) -> str:
     """A longer account of one frame: estimate, UD, and each agent with its KL and the decision that set it.
 
+    `target` is the only one that it is about.
+
     Raises:
-        ValueError: no line of `metrics` is of that frame.
+        ValueError: no line of `metrics` is of that frame, or of the target in it.
     """
     known_events, lines = list(events), list(metrics)
-    chosen = [line for line in lines if line.frame == frame]
+    chosen = [line for line in lines if line.frame == frame and target in (None, line.target)]
     if not chosen:
         known = sorted({line.frame for line in lines})
         if known and known[0] <= frame <= known[-1]:
-            raise ValueError(f"no target is live in frame {frame}")
+            who = "no target is" if target is None else f"target {target} is not"
+            raise ValueError(f"{who} live in frame {frame}")
         range_ = f"it has frames {known[0]} to {known[-1]}" if known else "it has none"
         raise ValueError(f"frame {frame} is not in this run; {range_}")
     return "\n\n".join(_account(known_events, line) for line in chosen)

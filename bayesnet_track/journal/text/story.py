@@ -48,12 +48,9 @@ def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], targ
     """The story of one target, a line per chapter; `metrics` are the run's.
 
     Raises:
-        ValueError: no target of this id lives in the run.
+        ValueError: as `check_target`.
     """
-    started = TargetStarted | Returned
-    ids = dict.fromkeys(event.target for event in events if isinstance(event, started))
-    if target not in ids:
-        raise ValueError(f"no target {target!r} in this run; there are {', '.join(ids) or 'none'}")
+    check_target(events, target)
     mine = [event for event in events if getattr(event, "target", None) == target]
     lines: list[str] = []
     between: list[Event] = []
@@ -67,6 +64,18 @@ def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], targ
     lines += _condense(between)
     own = [line for line in metrics if line.target == target]
     return "\n".join([*lines, _ending(mine, own)])
+
+
+def check_target(events: Iterable[Event], target: str) -> None:
+    """Refuse a target that the run does not have.
+
+    Raises:
+        ValueError: no target of this id lives in the run.
+    """
+    started = TargetStarted | Returned
+    ids = dict.fromkeys(event.target for event in events if isinstance(event, started))
+    if target not in ids:
+        raise ValueError(f"no target {target!r} in this run; there are {', '.join(ids) or 'none'}")
 
 
 def _condense(events: Iterable[Event]) -> list[str]:
