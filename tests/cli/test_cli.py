@@ -945,6 +945,17 @@ def test_log_explains_a_frame(cli, demo_run):
     assert re.search(rf"^  motion     on .*\n +frame {on.frame}: UD .* → motion on;", after, re.MULTILINE)
 
 
+def test_log_explains_a_score_by_the_coefficients_of_the_graph(cli, images, tmp_path):
+    assert cli(f"run general --source {images} --init {BOX} --quiet --out", tmp_path / "run")[0] == 0
+    said = cli(f"log {tmp_path / 'run'} --why 2")[1]
+    assert re.search(r"^  score from bias \S+, log_ud_box \S+ × \S+ = \S+, texture .*; log odds ", said, re.M)
+    assert "agreement" not in said
+    (tmp_path / "run" / "graph.yaml").unlink()
+    assert re.search(
+        r"^  features   agreement .*; the coefficients are", cli(f"log {tmp_path / 'run'} --why 2")[1], re.M
+    )
+
+
 def test_log_says_when_nothing_is_left(cli, demo_run):
     assert cli(f"log {demo_run} --kind quarantined") == (0, "", "no event is left by these filters\n")
 

@@ -706,13 +706,38 @@ def test_why_tells_who_saw_nothing():
     assert "  hue        on   did not see the target\n" in explained
 
 
+def test_why_tells_what_a_score_was_made_from():
+    line = replace(METRICS, features={"log_fit": -0.25, "evidence": 1.5, "most": 1.0})
+    scores = {"square": {"bias": 1.05, "evidence": 0.0, "log_fit": 2.0}, "other": {"bias": 9.0}}
+    assert "\n  score from bias 1.05, log_fit 2 × -0.25 = -0.50; log odds 0.55, probability 0.63\n" in why(
+        [STARTED, BORN], [line], 29, scores=scores
+    )
+    assert "\n  features   evidence 1.50, log_fit -0.25; the coefficients are in the graph\n" in why(
+        [STARTED, BORN], [line], 29
+    )
+
+
+ALIKE = DistractorSeen(*(27, "1", 90.0, 80.0, 1.6, 1.37, 4.0, 0.9, 250))
+
+
 @pytest.mark.parametrize(
-    ("most", "limit"), [(1.0, ""), (0.5, "; limited to 0.50 by a bad fit or a look-alike")]
+    ("most", "hidden", "events", "limit"),
+    [
+        (1.0, None, [ALIKE], ""),
+        (0.5, None, [ALIKE], "; at most 0.50, because of the look-alike seen in frame 27"),
+        (0.2, None, [ALIKE], "; at most 0.20, because the best hypothesis fits badly"),
+        (
+            *(0.5, None, [ALIKE, DoubtEnded(28, "1", 0.5, 1.5, 0.5, 244)]),
+            "; at most 0.50, because the best hypothesis fits badly",
+        ),
+        (0.5, None, [replace(ALIKE, frame=30)], "; at most 0.50, because the best hypothesis fits badly"),
+        (0.07, 0.93, [], "; at most 0.07, because the target is hidden with probability 0.93"),
+    ],
 )
-def test_why_tells_what_a_score_was_made_from(most, limit):
-    line = replace(METRICS, features={"log_fit": -0.25, "evidence": 1.5, "most": most})
-    said = why([STARTED, BORN], [line], 29)
-    assert f"\n  score from evidence 1.50, log_fit -0.25{limit}\n" in said
+def test_why_names_the_limit_of_a_score(most, hidden, events, limit):
+    line = replace(METRICS, hidden=hidden, features={"log_fit": -0.25, "most": most})
+    said = why([STARTED, BORN, *events], [line], 29, scores={"square": {"bias": 0.0}})
+    assert f"\n  score from bias 0; log odds 0.00, probability 0.50{limit}\n" in said
 
 
 def test_why_of_a_frame_that_is_not_there():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +42,7 @@ def log(options: argparse.Namespace) -> int:
             if options.why is None:
                 account = describe_life(events, metrics, options.target)
             else:
-                account = why(events, metrics, options.why, options.target)
+                account = why(events, metrics, options.why, options.target, _coefficients(directory))
         say(name_targets(account, kinds_of(events)))
         return OK
     chosen = chosen_events(events, options)
@@ -82,6 +82,24 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
     with users_mistake():
         keep = Filter(options.node, options.kind, frames, options.target)
     return [event for event in events if keep.keeps(event)]
+
+
+def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
+    """Type of target -> feature of its score -> coefficient, and `bias`; empty without a graph to read."""
+    from bayesnet_track.graph.spec import InferenceNode
+    from bayesnet_track.graph.text.messages import GraphError
+    from bayesnet_track.graph.text.recorded import read_recorded
+
+    try:
+        targets = read_recorded(directory.graph)[0].targets
+    except GraphError:
+        return {}  # the frame can be explained without
+    return {
+        name: {"bias": node.score.settings.bias, **node.score.settings.coefficients}
+        for name, target in targets.items()
+        for node in target.nodes.values()
+        if isinstance(node, InferenceNode) and node.score is not None
+    }
 
 
 def _check_node(directory: RunDirectory, node: str | None) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from math import isclose, tanh
+from types import MappingProxyType
 from typing import get_args
 
 from bayesnet_track.journal.codec import event_name
 from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.self_checks import SelfStopped
 from bayesnet_track.journal.events.statuses import StatusChanged
@@ -16,6 +19,7 @@ from bayesnet_track.journal.events.switches import Activated, Deactivated, Sched
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import Cause, Concentration, FitCause, ScoreCause
 from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.text.naming import kinds_of
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.wording import UNIT
 
@@ -72,11 +76,16 @@ class Filter:
 
 
 def why(
-    events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int, target: str | None = None
+    events: Iterable[Event],
+    metrics: Iterable[FrameMetrics],
+    frame: int,
+    target: str | None = None,
+    scores: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
 ) -> str:
     """A longer account of one frame: estimate, UD, and each agent with its KL and the decision that set it.
 
-    `target` is the only one that it is about.
+    `target` is the only one that it is about. `scores` are the graph's: type of target -> feature -> its
+    coefficient, and `bias`.
 
     Raises:
         ValueError: no line of `metrics` is of that frame, or of the target in it.
@@ -90,13 +99,16 @@ def why(
             raise ValueError(f"{who} live in frame {frame}")
         range_ = f"it has frames {known[0]} to {known[-1]}" if known else "it has none"
         raise ValueError(f"frame {frame} is not in this run; {range_}")
-    return "\n\n".join(_account(known_events, line) for line in chosen)
+    kinds = kinds_of(known_events)
+    return "\n\n".join(
+        _account(known_events, line, scores.get(kinds.get(line.target, ""), {})) for line in chosen
+    )
 
 
 # ------------------------------------------------------------------------------------ one frame
 
 
-def _account(events: Sequence[Event], line: FrameMetrics) -> str:
+def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, float]) -> str:
     x, y, w, h = line.centre_box
     quiet = "not yet measured" if line.quiet_px2 is None else f"{_ud(line.quiet_px2)} px²"
     sample = f"{line.particles}, of which {line.ess:.0f} effective"
@@ -109,18 +121,15 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
         f"  UD         {', '.join(f'{node} {_ud(ud)} px²' for node, ud in line.ud_nodes.items())}; "
         f"baseline {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
     ]
+    mine = [event for event in events if getattr(event, "target", None) == line.target]
     if line.features:
-        shown = [f"{name} {value:.2f}" for name, value in sorted(line.features.items()) if name != "most"]
-        most = line.features.get("most", 1.0)
-        limit = f"; limited to {most:.2f} by a bad fit or a look-alike" if most < 1.0 else ""
-        rows.append(f"  score from {', '.join(shown)}{limit}")
+        rows.append(f"{_score(line, slopes)}{_limit(line, mine)}")
     for agent, p in line.p_values.items():
         rows.append(
             f"  predicted  {agent}: {100 * p:.3g} % of such measurements lie farther from the prediction"
         )
     if line.e_value is not None:
         rows.append(f"  e-value    {line.e_value:.3g} that the target is not held")
-    mine = [event for event in events if getattr(event, "target", None) == line.target]
     before = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
     for agent in _agents(mine, line):
         rests = _is_on_call(agent, before) and agent not in line.active
@@ -135,6 +144,35 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
     levels = _levels(mine)
     rows += [f"  thresholds {', '.join(levels)}"] if levels else []
     return "\n".join(rows)
+
+
+def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:
+    """What the score was computed from; without the graph's coefficients, what was measured for it."""
+    if not slopes:
+        shown = [f"{name} {value:.2f}" for name, value in sorted(line.features.items()) if name != "most"]
+        return f"  features   {', '.join(shown)}; the coefficients are in the graph"
+    used = {name: slope for name, slope in slopes.items() if slope and name in line.features}
+    terms = {name: slope * line.features[name] for name, slope in used.items()}
+    odds = slopes["bias"] + sum(terms.values())
+    parts = [
+        f"{name} {used[name]:.3g} × {line.features[name]:.2f} = {term:.2f}" for name, term in terms.items()
+    ]
+    summed = ", ".join([f"bias {slopes['bias']:.3g}", *parts])
+    return f"  score from {summed}; log odds {odds:.2f}, probability {0.5 + 0.5 * tanh(odds / 2):.2f}"
+
+
+def _limit(line: FrameMetrics, mine: Iterable[Event]) -> str:
+    """Which limit the score has; empty where it has none."""
+    most = line.features.get("most", 1.0)
+    if most >= 1.0:
+        return ""
+    reason = "the best hypothesis fits badly"
+    doubts = [one for one in mine if isinstance(one, DistractorSeen | DoubtEnded) and one.frame <= line.frame]
+    if line.hidden is not None and isclose(most, 1.0 - line.hidden, abs_tol=1e-6):
+        reason = f"the target is hidden with probability {line.hidden:.2f}"
+    elif most == 0.5 and doubts and isinstance(doubts[-1], DistractorSeen):
+        reason = f"of the look-alike seen in frame {doubts[-1].frame}"
+    return f"; at most {most:.2f}, because {reason}"
 
 
 def _is_start(event: Event, line: FrameMetrics) -> bool:
