@@ -154,3 +154,18 @@ def test_what_is_shown_stays_short_and_printable():
     assert "\x1b" not in shown("\x1b[31m") + listed(["\x1b[31m"])
     assert shown({str(i): i for i in range(9)}) == "a mapping of 9 keys"
     assert nearest("zzz", ["activate"]) == ""
+
+
+@pytest.mark.parametrize(
+    ("word", "names", "near"),
+    [
+        ("max_rate", ["early_rate", "rate_max"], "rate_max"),
+        ("max_rate", ["active", "learn_rate_max"], "learn_rate_max"),
+        ("velocity", ["box_velocity", "random_walk"], "box_velocity"),
+        ("deactivate", ["estimate", "learn"], ""),
+        ("fusion", ["fuse", "learn"], "fuse"),
+        ("rate", ["early_rate", "rate_max"], "rate_max"),
+    ],
+)
+def test_the_nearest_name_has_the_same_words_or_letters(word, names, near):
+    assert nearest(word, names) == near

@@ -76,7 +76,7 @@ CASES = [
         "4:37: s: bin_px is 0; allowed: a number above 0\n"
         "4:47: s: error is -1; allowed: a number above 0\n"
         "4:63: s: confidence is 1; allowed: a number at least 0.5, below 1\n"
-        "4:78: s: fields[1] is 'vx'; allowed: one of x, y, w, h; nearest: x\n"
+        "4:78: s: fields[1] is 'vx'; allowed: one of x, y, w, h\n"
         "4:90: s: min is 50; allowed: a whole number at least 100, at most 1000000",
     ),
     (

@@ -160,15 +160,19 @@ def nearest(word: str, names: Iterable[str]) -> str:
 
     >>> nearest("activte", ["activate", "deactivate", "keep"]), nearest("x", ["size"])
     ('activate', '')
-    >>> nearest("sd_x", ["sd_y_px", "sd_x_px"])
-    'sd_x_px'
+    >>> nearest("sd_x", ["sd_y_px", "sd_x_px"]), nearest("max_rate", ["early_rate", "learn_rate_max"])
+    ('sd_x_px', 'learn_rate_max')
     """
     some = [name for name in names if abs(len(name) - len(word)) <= 6 and name != word][:MAX_COMPARED]
     # `sd_x` is likelier to be `sd_x_px`, cut short, than `sd_y_px`, which has as many letters in common.
-    begun = [name for name in some if len(word) > 2 and name.startswith(word)]
-    if len(begun) == 1:
+    parts = set(word.split("_"))
+    begun = [name for name in some if name.startswith(word) or parts <= set(name.split("_"))]
+    if len(word) > 2 and len(begun) == 1:
         return begun[0]
-    return "".join(get_close_matches(word[:MAX_SHOWN], some, n=1))
+    # Half of the letters are enough only if the first one is among them: `deactivate` is not `estimate`.
+    alike = [name for name in some if name[:1] == word[:1]]
+    word = word[:MAX_SHOWN]
+    return "".join(get_close_matches(word, some, n=1, cutoff=0.7) or get_close_matches(word, alike, n=1))
 
 
 def listed(names: Iterable[str]) -> str:
