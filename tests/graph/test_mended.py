@@ -65,6 +65,12 @@ def test_what_a_guess_would_cause_is_not_reported(said):
     assert [(line, found) for line, _, found in missing] == [(10, "key 'parent' is missing")]
 
 
+def test_nothing_below_a_guessed_key_is_reported(said):
+    """Its keys may be those of another one, and they stand nowhere in the file."""
+    found = said("        learm: {levl: 1}", "      a: {parent: root, agent: intensity}")
+    assert found == [(10, 9, "unknown key 'learm' of an inference node")]
+
+
 def test_what_is_no_node_is_an_error_and_no_crash(said):
     found = said("      a: true", "      b: {agent: intensity}")
     assert [line for line, _, _ in found] == [10, 11] and found[1][2] == "key 'parent' is missing"

@@ -24,8 +24,8 @@ def errors_behind(
 ) -> list[GraphMessage]:
     """What `find` reports of `value` (plain data) once the `first` errors are mended; it raises GraphError.
 
-    What may follow from a guess is left out: what concerns the same node, or any node of a type of target
-    from which one was taken out.
+    What may follow from a guess is left out: what concerns the same node, what stands below a guessed key, or
+    any node of a type of target from which one was taken out.
     """
     value, found, newest = deepcopy(value), list[GraphMessage](), list(first)
     touched = set[Path]()
@@ -66,7 +66,7 @@ def _mend(value: Any, message: GraphMessage) -> list[Path]:
     concerned = [path[:2], ("joins",)] if TREE & {*path[NODE:]} else [node]
     if word and isinstance(inside, dict) and repr(key) in message.found and word not in inside:
         inside[word] = inside.pop(key)
-        return [] if message.found.startswith("unknown key") else concerned
+        return [(*path[:-1], word)] if message.found.startswith("unknown key") else concerned
     if word and isinstance(inside[key], str) and repr(inside[key]) in message.found:
         inside[key] = word
         return [] if key == "fuse" else concerned
