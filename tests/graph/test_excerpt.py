@@ -8,6 +8,7 @@ from bayesnet_track.graph.text.excerpt import WIDTH, describe_error
 from bayesnet_track.graph.text.hints import RULES, hint_of
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import find_graph
 
 SLIPS = {
@@ -111,6 +112,15 @@ but found '-'
      |       ^
   hint: nodes and keys are no list: leave out the - at the beginning""",
     ),
+    "          deactivate:": (
+        "        deactivate:",
+        """\
+wrong.yaml:23:9: square: unknown key 'deactivate' of an inference node; allowed: parent, belief, motion, \
+modes, estimate, fuse, correlation, ud_fields, adapt, learn, lost, score, ... (4 more)
+  23 |         deactivate: {below: {ud_px2: 105}, frames: 6, drop: largest_kl}
+     |         ^
+  hint: `deactivate` is a key of `adapt`: indent it under `adapt:`""",
+    ),
     "parent: square, ": (
         "",
         """\
@@ -139,6 +149,24 @@ def test_a_usual_slip_is_shown_with_its_line_and_a_hint(right, tmp_path, monkeyp
 def test_every_rule_is_for_a_slip_of_this_file():
     """Brackets and a second form of the missing colon besides: their words are those of braces and colons."""
     assert len(RULES) <= len(SLIPS) + 2
+
+
+@pytest.mark.parametrize(
+    ("adapt", "above"),
+    [
+        (
+            "{activate: {above: {ud_px2: 9}, frames: 1}, deactivate: {below: {ud_px2: 5}}, frames: 6}",
+            "deactivate",
+        ),
+        ("{frames: 6, activate: {above: {ud_px2: 9}}}", "activate"),
+        ("{frames: 6, activate: {above: {ud_px2: 9}, frames: 1}}", None),
+    ],
+)
+def test_a_misplaced_key_belongs_to_the_last_mapping_before_it_that_lacks_it(adapt, above):
+    with pytest.raises(GraphError) as raised:
+        read_graph(f"name: g\ntargets: {{t: {{nodes: {{s: {{adapt: {adapt}}}}}}}}}\n")
+    hint = f"`frames` is a key of `{above}`: indent it under `{above}:`" if above else ""
+    assert [hint_of(one) for one in raised.value.errors] == [hint]
 
 
 def test_a_long_line_is_shown_around_the_caret(tmp_path):

@@ -10,6 +10,7 @@ from pydantic import BaseModel, Tag, ValidationError
 
 from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode
+from bayesnet_track.graph.text.hints import misplaced
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
     GraphMessage,
@@ -151,7 +152,9 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
     if new := _explain_renamed(word, owner, path):
         what = found.removeprefix("unknown ").partition(" of a")[0]
         return at.message(path, f"{what} has been renamed", new, on_key=True)
-    return at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
+    message = at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
+    hint = misplaced(word, parent.value, owner) if fields else ""
+    return replace(message, nearest="", hint=hint) if hint else message
 
 
 def _explain_renamed(word: str, owner: Any, path: Path) -> str | None:

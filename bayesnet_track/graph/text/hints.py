@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+from pydantic import BaseModel
+
+from bayesnet_track.graph.settings.base import PluginChoice
 from bayesnet_track.graph.text.messages import GraphMessage
+from bayesnet_track.graph.text.shapes import shape_of
 
 Rule = tuple[str, Callable[[re.Match[str], GraphMessage], str]]
 
@@ -18,12 +23,41 @@ def hint_of(message: GraphMessage) -> str:
     >>> hint_of(GraphMessage("a.yaml", 1, 1, (), "ball", "particles is 800", "a mapping with size, min"))
     'write particles: {size: 800}'
     """
+    if message.hint:
+        return message.hint
     text = f"{message.found}; allowed: {message.allowed}"
     for pattern, words in RULES:
         found = re.search(pattern, text)
         if found:
             return words(found, message)
     return ""
+
+
+def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
+    """Where an unknown key of `around`, a value of `model`, belongs: in a mapping beside it; else empty."""
+    if not isinstance(around, Mapping) or word not in around:
+        return ""
+    names = list(around)
+    before = names.index(word)
+    # A key that stands too far left follows what it belongs to.
+    for name in (*reversed(names[:before]), *names[before:]):
+        inside = {} if around[name] is None else around[name]
+        if isinstance(inside, Mapping) and word not in inside and word in _keys_below(model, name):
+            return f"`{word}` is a key of `{name}`: indent it under `{name}:`"
+    return ""
+
+
+def _keys_below(model: type[BaseModel], name: str) -> set[str]:
+    """The keys that the value of a field may have."""
+    field = model.model_fields.get(name)
+    kinds = shape_of(field.annotation).kinds if field is not None else ()
+    models = [kind for kind in (shape_of(kind).only for kind in kinds) if isinstance(kind, type)]
+    return {
+        key
+        for kind in models
+        if issubclass(kind, BaseModel) and not issubclass(kind, PluginChoice)
+        for key in kind.model_fields
+    }
 
 
 def _nested(found: re.Match[str], _: GraphMessage) -> str:

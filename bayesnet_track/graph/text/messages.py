@@ -30,6 +30,7 @@ class GraphMessage:
         found: what was found.
         allowed: what is allowed instead, or empty.
         nearest: the allowed name nearest to what was found, or empty.
+        hint: how it is mended, where only what stands around it says so, or empty.
     """
 
     file: str
@@ -40,6 +41,7 @@ class GraphMessage:
     found: str
     allowed: str = ""
     nearest: str = ""
+    hint: str = ""
 
     def __str__(self) -> str:
         """``file:line:column: node: found; allowed: ...; nearest: ...``."""
