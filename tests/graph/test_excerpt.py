@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bayesnet_track.graph.text.excerpt import WIDTH, describe_error
-from bayesnet_track.graph.text.hints import RULES, hint_of
+from bayesnet_track.graph.text.hints import A_NODE, RULES, hint_of
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graph.text.read import read_graph
@@ -149,6 +149,43 @@ def test_a_usual_slip_is_shown_with_its_line_and_a_hint(right, tmp_path, monkeyp
 def test_every_rule_is_for_a_slip_of_this_file():
     """Brackets and a second form of the missing colon besides: their words are those of braces and colons."""
     assert len(RULES) <= len(SLIPS) + 2
+
+
+NODES = ("square: {motion: constant_velocity, fuse: product}", "motion: {parent: square, agent: motion}")
+
+
+@pytest.mark.parametrize(
+    ("columns", "found", "hint"),
+    [
+        ((6, 4), "7:5: square: unknown key 'motion'", A_NODE),
+        ((6, 2), "7:11: motion: key 'nodes' is missing", A_NODE),
+        ((6, 0), "7:1: graph: unknown key 'motion'", A_NODE),
+        (
+            (4, 4),
+            "5:5: square: key 'nodes' is missing",
+            "`square` looks like a node: write `nodes:` above it and indent the nodes under it",
+        ),
+    ],
+)
+def test_a_node_outside_nodes_is_one_error_with_a_hint(columns, found, hint, tmp_path):
+    lines = ["bayesnet: 1", "name: g", "targets:", "  square:"]
+    lines += ["    nodes:"] if columns[0] == 6 else []
+    lines += [" " * column + node for column, node in zip(columns, NODES, strict=True)]
+    path = tmp_path / "g.yaml"
+    path.write_text("\n".join(lines))
+    with pytest.raises(GraphError) as raised:
+        load_graph(path)
+    (only,) = raised.value.errors
+    assert str(only).startswith(f"{path}:{found}; allowed: ") and hint_of(only) == hint
+
+
+def test_other_slips_of_a_target_without_nodes_are_told():
+    with pytest.raises(GraphError) as raised:
+        read_graph("name: g\ntargets: {t: {birht: {}}}\n")
+    assert [(one.found, one.nearest, hint_of(one)) for one in raised.value.errors] == [
+        ("key 'nodes' is missing", "", ""),
+        ("unknown key 'birht'", "birth", ""),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
-from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode
-from bayesnet_track.graph.text.hints import misplaced
+from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
+from bayesnet_track.graph.text.hints import is_like_node, misplaced, without_nodes
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
     GraphMessage,
@@ -34,9 +34,22 @@ def explain(
     messages: dict[tuple[Path, str], GraphMessage] = {}
     for one in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
         steps = _walk(one["loc"], model, data)
+        if one["type"] == "extra_forbidden" and _follows_from_nodes(steps):
+            continue
         message = _explain(one["type"], one["msg"], steps, at, prefix)
         messages.setdefault((message.path, message.found), message)
     return list(messages.values())
+
+
+def _follows_from_nodes(steps: list[_Step]) -> bool:
+    """Whether a key is unknown because `nodes`, which is missing, should stand above it."""
+    *_, around, last = steps
+    return (
+        around.shape is not None
+        and around.shape.only is Target
+        and "nodes" not in around.value
+        and (is_like_node(around.value) or is_like_node(last.value))
+    )
 
 
 @dataclass(frozen=True)
@@ -110,7 +123,10 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Pa
         return _unknown_key(str(last.key), owner, parent, path, at)
     if kind == "missing":
         wanted = expects(*_parts(last.shape)) if last.shape else ""
-        return at.message(path[:-1], f"key {name!r} is missing", wanted)
+        message = at.message(path[:-1], f"key {name!r} is missing", wanted)
+        if owner is not Target or name != "nodes":
+            return message
+        return replace(message, allowed="nodes by name, indented below it", hint=without_nodes(parent.value))
     if isinstance(owner, type) and issubclass(owner, PluginChoice):
         if kind == "value_error":
             found, allowed = "parameters that are not plain data", "words, finite numbers, lists and mappings"

@@ -9,8 +9,14 @@ from typing import Any
 from pydantic import BaseModel
 
 from bayesnet_track.graph.settings.base import PluginChoice
+from bayesnet_track.graph.spec import GraphSpec, Target
 from bayesnet_track.graph.text.messages import GraphMessage
 from bayesnet_track.graph.text.shapes import shape_of
+
+NODE_KEYS = frozenset({"parent", "agent", "factor", "belief", "motion"})
+"""Keys by which a node is known wherever it stands."""
+
+A_NODE = "this looks like a node: indent it under `nodes:`"
 
 Rule = tuple[str, Callable[[re.Match[str], GraphMessage], str]]
 
@@ -34,9 +40,14 @@ def hint_of(message: GraphMessage) -> str:
 
 
 def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
-    """Where an unknown key of `around`, a value of `model`, belongs: in a mapping beside it; else empty."""
+    """Where an unknown key of `around`, a value of `model`, belongs: below `nodes` or a key beside it.
+
+    Empty where nothing says so.
+    """
     if not isinstance(around, Mapping) or word not in around:
         return ""
+    if issubclass(model, (GraphSpec, Target)) and is_like_node(around[word]):
+        return A_NODE
     names = list(around)
     before = names.index(word)
     # A key that stands too far left follows what it belongs to.
@@ -45,6 +56,19 @@ def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
         if isinstance(inside, Mapping) and word not in inside and word in _keys_below(model, name):
             return f"`{word}` is a key of `{name}`: indent it under `{name}:`"
     return ""
+
+
+def without_nodes(target: Any) -> str:
+    """How a target without the key `nodes` is mended; empty where nothing in it looks like a node."""
+    nodes = [name for name, value in target.items() if name not in NODE_KEYS and is_like_node(value)]
+    if nodes:
+        return f"`{nodes[0]}` looks like a node: write `nodes:` above it and indent the nodes under it"
+    return A_NODE if is_like_node(target) else ""
+
+
+def is_like_node(value: Any) -> bool:
+    """Whether a value has a key by which a node is known."""
+    return isinstance(value, Mapping) and not NODE_KEYS.isdisjoint(value)
 
 
 def _keys_below(model: type[BaseModel], name: str) -> set[str]:

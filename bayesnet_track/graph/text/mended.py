@@ -83,7 +83,8 @@ def _mend(value: Any, message: GraphMessage) -> list[Path]:
         del inside[key]
         return concerned
     del _at(value, node[:-1])[node[-1]]
-    return [path[:2], ("joins",)]
+    # A node that stands outside all targets may belong to any of them.
+    return [()] if message.hint and len(path) < 3 else [path[:2], ("joins",)]
 
 
 def _written(value: Any, path: Path) -> Path:
