@@ -124,7 +124,7 @@ modes, estimate, fuse, correlation, ud_fields, adapt, learn, lost, score, ... (4
     "parent: square, ": (
         "",
         """\
-wrong.yaml:25:14: color: key 'parent' is missing; allowed: a letter, then up to 63 letters, digits or _
+wrong.yaml:25:14: color: key 'parent' is missing; allowed: square
   25 |       color: {agent: {color_histogram: {floor: 0.003}}}
      |              ^
   hint: an agent scores the hypotheses of the node above it; name that node, as in parent: square; \
@@ -149,6 +149,15 @@ def test_a_usual_slip_is_shown_with_its_line_and_a_hint(right, tmp_path, monkeyp
 def test_every_rule_is_for_a_slip_of_this_file():
     """Brackets and a second form of the missing colon besides: their words are those of braces and colons."""
     assert len(RULES) <= len(SLIPS) + 2
+
+
+@pytest.mark.parametrize(
+    ("root", "above"), [("s: {fuse: product}, ", "s"), ("a: {parent: a, factor: '1'}, ", "NODE")]
+)
+def test_the_hint_on_a_missing_parent_names_a_node_that_could_be_it(root, above):
+    with pytest.raises(GraphError) as raised:
+        read_graph(f"name: g\ntargets: {{t: {{nodes: {{{root}b: {{agent: motion}}}}}}}}\n")
+    assert f"as in parent: {above};" in hint_of(raised.value.errors[0])
 
 
 NODES = ("square: {motion: constant_velocity, fuse: product}", "motion: {parent: square, agent: motion}")

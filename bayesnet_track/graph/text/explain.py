@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
+from bayesnet_track.graph.settings.net import node_kind
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.hints import is_like_node, misplaced, without_nodes
 from bayesnet_track.graph.text.messages import (
@@ -122,8 +123,7 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Pa
     if kind == "extra_forbidden":
         return _unknown_key(str(last.key), owner, parent, path, at)
     if kind == "missing":
-        wanted = expects(*_parts(last.shape)) if last.shape else ""
-        message = at.message(path[:-1], f"key {name!r} is missing", wanted)
+        message = at.message(path[:-1], f"key {name!r} is missing", _allowed(steps))
         if owner is not Target or name != "nodes":
             return message
         return replace(message, allowed="nodes by name, indented below it", hint=without_nodes(parent.value))
@@ -143,14 +143,24 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Pa
         return at.message(path, found, "one parent, so that evidence reaches a node by one path only")
     if isinstance(last.shape.only if last.shape else None, type) and kind == "value_error":
         return _bad_choice(last, name, said, path, at)
-    allowed = expects(*_parts(last.shape)) if last.shape else ""
-    if kind == "too_short":
-        allowed = "at least one"
+    allowed = "at least one" if kind == "too_short" else _allowed(steps)
     found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
     word = last.value if isinstance(last.value, str) else ""
     if word and (new := _explain_renamed(f"{name}.{word}", owner, path)):
         return at.message(path, f"{name} {shown(word)} has been renamed", new)
     return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
+
+
+def _allowed(steps: list[_Step]) -> str:
+    """What may stand at the last step: for a parent, the inference nodes of the target."""
+    last = steps[-1]
+    if last.shape is None:
+        return ""
+    if last.key == "parent" and len(steps) > 2 and isinstance(steps[-3].value, Mapping):
+        nodes = steps[-3].value.items()
+        above = [name for name, node in nodes if node_kind(node) == "inference" and name != steps[-2].key]
+        return listed(above) or "the name of an inference node"
+    return expects(*_parts(last.shape))
 
 
 def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions) -> GraphMessage:

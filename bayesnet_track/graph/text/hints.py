@@ -90,7 +90,7 @@ def _nested(found: re.Match[str], _: GraphMessage) -> str:
 
 
 def _parent(_: re.Match[str], message: GraphMessage) -> str:
-    above = message.path[1] if len(message.path) > 1 else "NODE"
+    above = "NODE" if message.allowed.startswith("the name") else message.allowed.partition(",")[0]
     return (
         f"an agent scores the hypotheses of the node above it; name that node, as in parent: {above}; "
         "a root has no agent"
