@@ -18,6 +18,7 @@ from bayesnet_track.graph.text.messages import (
     Path,
     Positions,
     listed,
+    nearest,
     shown,
     shown_name,
 )
@@ -25,6 +26,8 @@ from bayesnet_track.graph.text.renamed import new_word
 from bayesnet_track.graph.text.shapes import Shape, expects, shape_of
 
 NODES: Mapping[Any, str] = {InferenceNode: "an inference", AgentNode: "an agent", FactorNode: "a factor"}
+MARKED: Mapping[str, type[Model]] = {"agent": AgentNode, "factor": FactorNode}
+"""Key that makes a node something else than an inference node -> what it makes it."""
 MAX_EXPLAINED = 4 * MAX_MESSAGES
 
 
@@ -35,22 +38,33 @@ def explain(
     messages: dict[tuple[Path, str], GraphMessage] = {}
     for one in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
         steps = _walk(one["loc"], model, data)
-        if one["type"] == "extra_forbidden" and _follows_from_nodes(steps):
+        if one["type"] == "extra_forbidden" and _follows(steps):
             continue
         message = _explain(one["type"], one["msg"], steps, at, prefix)
         messages.setdefault((message.path, message.found), message)
     return list(messages.values())
 
 
-def _follows_from_nodes(steps: list[_Step]) -> bool:
-    """Whether a key is unknown because `nodes`, which is missing, should stand above it."""
+def _follows(steps: list[_Step]) -> bool:
+    """Whether a key is unknown only because `nodes` is missing above it, or the key that makes an agent."""
     *_, around, last = steps
+    kind = around.shape.only if around.shape is not None else None
+    if kind is InferenceNode:
+        return last.key in _meant(around.value).model_fields
     return (
-        around.shape is not None
-        and around.shape.only is Target
+        kind is Target
         and "nodes" not in around.value
         and (is_like_node(around.value) or is_like_node(last.value))
     )
+
+
+def _meant(node: Mapping[str, Any]) -> type[Model]:
+    """The kind of a node without `agent` and `factor`: by the one key that is no key of that kind."""
+    for name, kind in MARKED.items():
+        wrong = [key for key in node if key not in kind.model_fields]
+        if len(wrong) == 1 and nearest(wrong[0], [*InferenceNode.model_fields, *MARKED]) == name:
+            return kind
+    return InferenceNode
 
 
 @dataclass(frozen=True)
@@ -164,8 +178,9 @@ def _allowed(steps: list[_Step]) -> str:
 
 
 def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions) -> GraphMessage:
+    owner = _meant(parent.value) if owner is InferenceNode else owner
     fields = list(owner.model_fields) if isinstance(owner, type) and issubclass(owner, BaseModel) else []
-    near = fields
+    near = [*fields, *MARKED] if owner is InferenceNode else fields
     found = f"unknown key {shown(word)}"
     if isinstance(owner, type) and issubclass(owner, Choice):
         choice = str(path[-2]) if len(path) > 1 else "choice"
@@ -174,7 +189,6 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
         found = f"unknown {shown_name(choice)} {shown(word)}"
     elif owner in NODES:
         found += f" of {NODES[owner]} node"
-        near = [*fields, "agent", "factor"] if owner is InferenceNode else fields
     if new := _explain_renamed(word, owner, path):
         what = found.removeprefix("unknown ").partition(" of a")[0]
         return at.message(path, f"{what} has been renamed", new, on_key=True)
