@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.sources.mot_lines import read_text
 
 
 def read_truth(path: str | Path) -> Floats:
@@ -18,10 +19,10 @@ def read_truth(path: str | Path) -> Floats:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: a line is not 4 or 8 numbers, or the file holds no line; says file and line.
+        ValueError: it is not text, a line is not 4 or 8 numbers, or the file holds no line; says file and
+            line.
     """
-    text = Path(path).read_text(encoding="utf-8-sig")
-    return parse_truth(text, str(path))
+    return parse_truth(read_text(path), str(path))
 
 
 def parse_truth(text: str, name: str = "<truth>") -> Floats:

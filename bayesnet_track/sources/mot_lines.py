@@ -16,6 +16,10 @@ LARGEST = 2**53
 """Beyond it float64 does not tell whole numbers apart."""
 
 
+class NotTextError(ValueError):
+    """A file that is not text; says which."""
+
+
 @dataclass(frozen=True, eq=False)
 class MotLines:
     """The lines of a MOT file that are not empty, as they stand there.
@@ -60,12 +64,12 @@ def read_text(path: str | Path) -> str:
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is not text.
+        NotTextError: it is not text.
     """
     try:
         return Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file") from None
+        raise NotTextError(f"{path}: not a text file") from None
 
 
 def parse_mot(text: str, name: str = "<mot>") -> MotLines:

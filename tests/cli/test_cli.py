@@ -540,7 +540,37 @@ MISTAKES = {
     ),
     "run general --source {images} --out {out} --init-from {images}/none.txt": (
         2,
-        "bayesnet-track run: {images}/none.txt: No such file or directory",
+        "bayesnet-track run: --init-from {images}/none.txt: No such file or directory; expected a text file "
+        "with one box x,y,w,h per line",
+    ),
+    "run general --source {images} --out {out} --init-from {wrong}/binary": (
+        2,
+        "bayesnet-track run: --init-from {wrong}/binary: not a text file; expected a text file with one box "
+        "x,y,w,h per line",
+    ),
+    "run general --source {images} --out {out} --init-from {wrong}/none --seeds 2": (
+        2,
+        "bayesnet-track run: --init-from {wrong}/none: No such file or directory; expected a text file with "
+        "one box x,y,w,h per line",
+    ),
+    "run general --source {images} --out {out} --init 1,2,5,5 --truth {wrong}/none --seeds 2": (
+        2,
+        "bayesnet-track run: --truth {wrong}/none: No such file or directory; expected a text file with one "
+        "box x,y,w,h per line, or MOT lines",
+    ),
+    "run kalman_detections --source {images} --out {out} --detections {wrong}/none": (
+        2,
+        "bayesnet-track run: --detections {wrong}/none: No such file or directory; expected a text file with "
+        "MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
+    ),
+    "run kalman_detections --source {images} --out {out} --detections {wrong}/binary": (
+        2,
+        "bayesnet-track run: --detections {wrong}/binary: not a text file; expected a text file with "
+        "MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
+    ),
+    "batch general --list {wrong}/binary --out {out}": (
+        2,
+        "bayesnet-track batch: {wrong}/binary: not a text file",
     ),
     "run general --source {images} --out {out} --init-from {images}/groundtruth.txt --start 9": (
         2,
@@ -658,6 +688,7 @@ MISTAKES = {
 def places(images, demo_run, tmp_path_factory):
     wrong = tmp_path_factory.mktemp("wrong")
     (wrong / "words.txt").write_text("no,boxes,in,here\n")
+    (wrong / "binary").write_bytes(b"\xff\xd8\xff")
     (wrong / "wide.txt").write_text("1,1,1e100,9\n")
     (wrong / "absent.txt").write_text("nan,nan,nan,nan\n1,2,3,4\n")
     (wrong / "bad.yaml").write_text("bayesnet: 1\nname: bad\ntargts: {}\n")

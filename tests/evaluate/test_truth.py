@@ -47,6 +47,13 @@ def test_errors_say_file_and_line(tmp_path, text, message):
     assert str(caught.value) == message.replace("FILE", str(path))
 
 
+def test_what_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "image.jpg"
+    path.write_bytes(b"\xff\xd8\xff")
+    with pytest.raises(ValueError, match=r"image\.jpg: not a text file"):
+        read_truth(path)
+
+
 def test_byte_order_mark_and_windows_line_ends(tmp_path):
     path = tmp_path / "truth.txt"
     path.write_bytes(b"\xef\xbb\xbf1,2,3,4\r\n5,6,7,8\r\n\r\n")

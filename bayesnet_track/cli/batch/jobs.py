@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from bayesnet_track.sources.mot_lines import read_text
+
 COLUMNS = ("source", "name", "init", "init_from", "truth")
 """Columns of a list; only the source is needed."""
 
@@ -125,9 +127,10 @@ def read_list(path: Path) -> list[Video]:
 
     Raises:
         OSError: it cannot be read.
+        NotTextError: it is not text.
         BatchError: it is malformed; says file and line.
     """
-    text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path)
     rows = list(_json_rows(path, text) if text.lstrip().startswith("{") else _csv_rows(path, text))
     if not rows:
         raise BatchError(f"{path}: no video in it")

@@ -9,7 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, say, users_mistake
+from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, say, users_file, users_mistake
+from bayesnet_track.cli.commands.start_boxes import TRUTH_LINES
 from bayesnet_track.cli.options.arguments import whole_number
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], 
         if getattr(options, name, None) is not None:
             raise UsageError(f"--{name} is for one run; leave out --seeds")
     truth = options.truth or options.init_from
-    if truth is not None:
-        with users_mistake():
-            is_mot(truth)  # a file that cannot be read is known before anything is tracked
+    if options.truth:
+        with users_file("--truth", f"{TRUTH_LINES}, or MOT lines"):
+            is_mot(options.truth)  # a file that cannot be read is known before anything is tracked
     rows, worst = [], OK
     for seed in range(options.seed, options.seed + options.seeds):
         out = str(Path(options.out) / f"seed-{seed}")

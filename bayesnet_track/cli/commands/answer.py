@@ -29,6 +29,18 @@ def users_mistake() -> Iterator[None]:
         raise UsageError(words(error)) from error
 
 
+@contextmanager
+def users_file(option: str, expected: str) -> Iterator[None]:
+    """`users_mistake` for the file of an option; one that cannot be read is said with what it should hold."""
+    from bayesnet_track.sources.mot_lines import NotTextError
+
+    with users_mistake():
+        try:
+            yield
+        except (OSError, NotTextError) as error:
+            raise UsageError(f"{option} {words(error)}; expected {expected}") from error
+
+
 def writing(path: Path) -> AbstractContextManager[None]:
     """What the system refuses inside it is about an output: `OutputError`, which names it."""
     from bayesnet_track.journal import writer

@@ -6,11 +6,14 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.commands.answer import UsageError, users_mistake
+from bayesnet_track.cli.commands.answer import UsageError, users_file
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.run import Start
 
+
+TRUTH_LINES = "a text file with one box x,y,w,h per line"
+"""What a ground-truth file of one target holds, for messages."""
 
 VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
 
@@ -40,7 +43,7 @@ def read_start(path: Path, frame: int) -> Start:
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.runtime.run import Start
 
-    with users_mistake():
+    with users_file("--init-from", TRUTH_LINES):
         boxes = read_truth(path)
     if frame >= len(boxes):
         raise UsageError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")

@@ -11,6 +11,7 @@ from bayesnet_track.cli.batch.seeds import add_seeds_options, run_seeds
 from bayesnet_track.cli.commands.answer import (
     UsageError,
     complain,
+    users_file,
     users_mistake,
 )
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
@@ -87,10 +88,11 @@ def track_source(
     from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
     from bayesnet_track.sources.detection_files import file_detector
+    from bayesnet_track.sources.mot_lines import COLUMNS
 
     detections = getattr(options, "detections", None)
     if detections is not None:
-        with users_mistake():
+        with users_file("--detections", f"a text file with MOT lines ({COLUMNS}) or JSON Lines"):
             given = file_detector(detections)
         say_unused(options, graph, source, given)
     inputs = getattr(options, "inputs", None)
