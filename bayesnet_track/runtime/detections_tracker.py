@@ -105,8 +105,9 @@ class DetectionsTracker:
 
         Raises:
             TypeError: detections without `xyxy`, such as an array.
-            ValueError: boxes that are not (n, 4) finite numbers with an area, confidences beyond 0..1, or no
-                class names for a graph with `labels`.
+            ValueError: boxes that are not (n, 4) finite numbers with an area, confidences beyond 0..1, no
+                class names for a graph with `labels`, or not one confidence or name for each box; the
+                tracker stays as it was.
         """
         boxes = _boxes(detections)
         self._fed.now = Detections(
@@ -128,8 +129,9 @@ class DetectionsTracker:
         return marked
 
     def _labels(self, detections: Any, count: int) -> tuple[str, ...]:
-        names = getattr(detections, "data", {}).get("class_name")
+        names = (getattr(detections, "data", None) or {}).get("class_name")
         if names is not None:
+            _check_one_each('data["class_name"]', np.shape(names), count)
             return tuple(map(str, names))
         births = (plate.spec.birth for plate in self._graph.targets.values())
         wanted = [label for birth in births if birth is not None for label in birth.labels]
@@ -166,11 +168,21 @@ def _held(targets: Sequence[FrameMetrics]) -> tuple[list[str], NDArray[np.float6
 def _scores(detections: Any, count: int) -> NDArray[np.float64]:
     given = getattr(detections, "confidence", None)
     scores = np.ones(count) if given is None else np.asarray(given, dtype=np.float64)
+    _check_one_each("confidence", scores.shape, count)
     if not ((scores > -1e-6) & (scores < 1 + 1e-6)).all():
         raise ValueError(
             "detections: confidence goes beyond 0..1; scale it, or give None where it is unknown"
         )
     return scores
+
+
+def _check_one_each(name: str, shape: tuple[int, ...], count: int) -> None:
+    if shape != (count,):
+        boxes = "box" if count == 1 else "boxes"
+        raise ValueError(
+            f"detections: {name} of shape {shape} for {count} {boxes}; allowed: ({count},), one for each row "
+            "of xyxy; leave it out or give None where it is unknown"
+        )
 
 
 def _boxes(detections: Any) -> NDArray[np.float64]:
@@ -179,7 +191,14 @@ def _boxes(detections: Any) -> NDArray[np.float64]:
             "detections have xyxy (n, 4) and confidence (n,), as supervision.Detections has; "
             f"{type(detections).__name__} has no xyxy: types.SimpleNamespace(xyxy=…, confidence=…) will do"
         )
-    corners = np.asarray(detections.xyxy, dtype=np.float64).reshape(-1, 4)
+    corners = np.asarray(detections.xyxy, dtype=np.float64)
+    if corners.shape == (0,):  # an empty list
+        corners = corners.reshape(0, 4)
+    if corners.ndim != 2 or corners.shape[1] != 4:
+        raise ValueError(
+            f"detections: xyxy of shape {corners.shape}; allowed: (n, 4), a row left, top, right, bottom for "
+            "each box"
+        )
     if not np.isfinite(corners).all() or (corners[:, 2:] <= corners[:, :2]).any():
         raise ValueError("detections: xyxy needs finite boxes left, top, right, bottom, with an area")
     return centre_from_xyxy(corners)

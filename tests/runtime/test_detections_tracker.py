@@ -1,5 +1,6 @@
 """Detections of a pipeline get identities: the `update` of Roboflow's `trackers`, by a graph."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -52,6 +53,39 @@ def test_frames_without_detections_and_without_confidence():
 def test_boxes_without_area_are_refused(box):
     with pytest.raises(ValueError, match="xyxy needs finite boxes left, top, right, bottom, with an area"):
         DetectionsTracker(size=(64, 48)).update(SimpleNamespace(xyxy=[box]))
+
+
+TWO = [[20, 100, 60, 200], [300, 100, 360, 200]]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"confidence": [0.9]}, r"confidence of shape (1,) for 2 boxes; allowed: (2,)"),
+        ({"confidence": 0.9}, r"confidence of shape () for 2 boxes; allowed: (2,)"),
+        ({"confidence": [[0.9], [0.8]]}, r"confidence of shape (2, 1) for 2 boxes; allowed: (2,)"),
+        ({"xyxy": TWO[:1], "confidence": []}, r"confidence of shape (0,) for 1 box; allowed: (1,)"),
+        ({"xyxy": [], "confidence": [0.9]}, r"confidence of shape (1,) for 0 boxes; allowed: (0,)"),
+        ({"data": {"class_name": ["car"]}}, r'data["class_name"] of shape (1,) for 2 boxes; allowed: (2,)'),
+        ({"data": {"class_name": "ab"}}, r'data["class_name"] of shape () for 2 boxes; allowed: (2,)'),
+        ({"xyxy": TWO[0] + TWO[1]}, r"xyxy of shape (8,); allowed: (n, 4)"),
+        ({"xyxy": [[20, 100], [60, 200]]}, r"xyxy of shape (2, 2); allowed: (n, 4)"),
+        ({"xyxy": [TWO]}, r"xyxy of shape (1, 2, 4); allowed: (n, 4)"),
+    ],
+)
+def test_what_does_not_fit_the_boxes_is_refused_and_the_tracker_stays_as_it_was(given, message):
+    tracker = DetectionsTracker(size=(640, 480))
+    with pytest.raises(ValueError, match=re.escape(message)):
+        tracker.update(SimpleNamespace(**{"xyxy": TWO, **given}))
+    for _ in range(4):
+        found = tracker.update(SimpleNamespace(xyxy=TWO, confidence=[0.9, 0.8]))
+    assert found.tracker_id.tolist() == [1, 2]
+
+
+def test_data_of_none_is_no_data():
+    tracker = DetectionsTracker(size=(640, 480))
+    assert tracker.update(SimpleNamespace(xyxy=TWO, data=None)).tracker_id.shape == (2,)
+    assert tracker.update(SimpleNamespace(xyxy=[], data=None)).tracker_id.shape == (0,)
 
 
 def test_it_says_what_it_holds_and_what_it_takes():
