@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from os import PathLike
 
@@ -22,6 +22,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
@@ -91,6 +92,7 @@ class Tracker(Boxed):
         self._resizing = Resizing.to(1, 1, max_side)
         self._has_color = True
         self._state: State | None = None
+        self._nets_before: Mapping[str, TargetNet] = {}
         self._next_index = 0
         self._last: Outcome | None = None
 
@@ -129,7 +131,7 @@ class Tracker(Boxed):
         begun = start_targets(self._graph, self._engine, resizing.frame(first), placed)
         check_started(self._graph, begun)
         self._resizing, self._has_color = resizing, first.has_color
-        self._state, self._next_index = begun.state, 1
+        self._state, self._next_index, self._nets_before = begun.state, 1, {}
         self._last = resizing.outcome(begun)
 
     def update(self, frame: NDArray[np.uint8], *, depth: Depth | None = None) -> tuple[bool, CornerBox]:
@@ -147,6 +149,7 @@ class Tracker(Boxed):
         now = _frame(frame, self._next_index, depth, self._copy_frames)
         _check_alike(now, (*self._resizing.source, self._has_color))
         found = step(self._engine, self._state, self._resizing.frame(now))
+        self._nets_before = self._state.net.targets
         self._state, self._next_index = found.state, self._next_index + 1
         self._last = self._resizing.outcome(found)
         x, y, w, h = self.centre_box
@@ -206,7 +209,8 @@ class Tracker(Boxed):
         `time_s` is NaN: frames come here without a clock.
         """
         live = {} if self._state is None else self._state.net.targets
-        kinds = {target: net.template for target, net in live.items()}
+        # Who ended in the last frame is measured in it, too.
+        kinds = {target: net.template for target, net in {**self._nets_before, **live}.items()}
         return Detections.of(self.targets, kinds, tuple(self._graph.targets), lost)
 
     @property
@@ -220,12 +224,15 @@ class Tracker(Boxed):
     def metrics(self) -> FrameMetrics:
         """Everything measured of the first target in the last frame, as UD, active agents, KL, sd, ...
 
+        The first target is the one of `xywh` and `status`; one that ended in the frame is only in `targets`.
+
         Raises:
-            RuntimeError: `init` was not called, or no target was live.
+            RuntimeError: `init` was not called, or no target is live.
         """
-        if not self.targets:
-            raise RuntimeError("no target was live in the last frame")
-        return self.targets[0]
+        line = self._first_line()
+        if line is None:
+            raise RuntimeError("no target is live after the last frame")
+        return line
 
     @property
     def score(self) -> float:
@@ -233,7 +240,8 @@ class Tracker(Boxed):
 
         Elsewhere an index in 0..1 from UD and evidence: high is sure, but it is no probability.
         """
-        return self.metrics.score if self.targets else 0.0
+        line = self._first_line()
+        return 0.0 if line is None else line.score
 
     def getTrackingScore(self) -> float:
         """`score`, by the name that OpenCV's trackers have for it."""
@@ -260,6 +268,12 @@ class Tracker(Boxed):
         lines, live = self._last.metrics, self._state.net.targets
         every = lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
         return ((target, box) for target, box in every if target in live)
+
+    def _first_line(self) -> FrameMetrics | None:
+        if self._last is None or self._state is None:
+            raise RuntimeError("call init(frame, box) first")
+        live = self._state.net.targets
+        return next((line for line in self._last.metrics if line.target in live), None)
 
     @property
     def events(self) -> tuple[Event, ...]:

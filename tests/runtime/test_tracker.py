@@ -1,5 +1,6 @@
 """The tracker with OpenCV's `init` and `update`: its values, its errors, its manners in a host process."""
 
+import copy
 import json
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
+from bayesnet_track.journal.events.endings import TargetDied
 from bayesnet_track.runtime import tracker as module
 from bayesnet_track.sources.scenes import make_scene
 
@@ -321,6 +323,55 @@ def test_black_frames_are_never_a_confident_box():
     # Light again, at the same place: it is found.
     again = follow(tracker, [pictures[-1]] * 25)
     assert again[-1][0] and np.abs(np.array(again[-1][1][:2]) - (106, 100)).max() < 10
+
+
+# ------------------------------------------------------------------------------------ targets that end
+
+
+@pytest.fixture(scope="module")
+def two_that_end():
+    """The frames' trackers, of two squares: the first ends in frame 7, the second in frame 11."""
+    node = {"motion": {"random_walk": {"sd_px": {"x": 2, "y": 2}}}, "belief": {"particles": {"size": 100}}}
+    birth = {"detector": {"gray_level": {"min_area_px": 100}}, "confirm": {"hits": 2, "of": 2}}
+    nodes = {"s": node, "a": {"parent": "s", "agent": "intensity"}}
+    kind = {"birth": birth, "death": {"unseen_frames": 3}, "nodes": nodes}
+    tracker = Tracker(load_graph({"name": "two_that_end", "targets": {"square": kind}}))
+    cells = np.kron(np.random.default_rng(0).integers(150, 255, (5, 5)), np.ones((4, 4))).astype(np.uint8)
+    after = []
+    for index in range(13):
+        picture = np.full((90, 160), 40, np.uint8)
+        for left, last in ((20, 4), (100, 8)):
+            if index <= last:
+                picture[30:50, left : left + 20] = cells
+        if index == 0:
+            tracker.init(picture)
+        else:
+            tracker.update(picture)
+        after.append(copy.copy(tracker))
+    return after
+
+
+def test_all_values_are_of_the_same_target_where_the_first_one_ends(two_that_end):
+    at_the_end = two_that_end[7]
+    ended, live = at_the_end.targets
+    assert any(isinstance(event, TargetDied) and event.target == ended.target for event in at_the_end.events)
+    assert at_the_end.metrics is live and at_the_end.score == at_the_end.getTrackingScore() == live.score
+    assert at_the_end.centre_box == live.centre_box and at_the_end.status == "tracking"
+    assert live.score > 0.5 > ended.score
+
+
+def test_the_score_is_0_where_the_only_target_ends(two_that_end):
+    for tracker in two_that_end[11:]:
+        assert tracker.score == tracker.getTrackingScore() == 0.0 and tracker.status == "lost"
+        with pytest.raises(RuntimeError, match="no target is live after the last frame"):
+            _ = tracker.metrics
+    assert len(two_that_end[11].targets) == 1
+
+
+def test_detections_of_a_target_that_ended_keep_its_class(two_that_end):
+    for index, count in ((6, 2), (7, 2), (8, 1), (11, 1), (12, 0)):
+        found = two_that_end[index].detections(lost=True)
+        assert found.data["class_name"].tolist() == ["square"] * count
 
 
 # ------------------------------------------------------------------------------------ several of them
