@@ -69,6 +69,7 @@ class Result:
         kinds: target id -> name of its plate, for all in `targets`.
         states: target id -> what is known of it after the frame, its belief included; in these pixels, too.
         heard: target id -> what its agents said in the frame.
+        plates: names of all plates of the graph, in its order; empty where unknown.
     """
 
     frame: Frame
@@ -81,10 +82,11 @@ class Result:
     kinds: dict[str, str] = field(default_factory=dict)
     states: Mapping[str, TargetState] = field(default_factory=dict)
     heard: Mapping[str, Heard] = field(default_factory=dict)
+    plates: tuple[str, ...] = ()
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""
-        return Detections.of(self.targets, self.kinds, lost=lost)
+        return Detections.of(self.targets, self.kinds, self.plates or None, lost)
 
     def plot(self, frame: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A copy of the BGR `frame` (its own when None) with boxes, hypotheses and labels of all targets."""

@@ -167,7 +167,7 @@ def run(
                 emit(event)
             if before is None:
                 check_started(graph, outcome)
-            result = _result(item, outcome, spent, before)
+            result = _result(item, outcome, spent, before, tuple(graph.targets))
             totals.add(result)
             for sink in sinks:
                 sink.frame(result)
@@ -203,7 +203,9 @@ def _at_work() -> float:
     return time.perf_counter() - WATCH.seconds
 
 
-def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) -> Result:
+def _result(
+    frame: Frame, outcome: Outcome, spent: float, before: State | None, plates: tuple[str, ...]
+) -> Result:
     # Who ended in this frame was live in it.
     nets = {**(before.net.targets if before is not None else {}), **outcome.state.net.targets}
     decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
@@ -218,6 +220,7 @@ def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) 
         {line.target: nets[line.target].template for line in outcome.metrics if line.target in nets},
         outcome.state.targets,
         outcome.heard,
+        plates,
     )
 
 

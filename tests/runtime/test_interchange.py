@@ -11,6 +11,7 @@ import pytest
 
 from bayesnet_track import Detections, Tracker, open_run, track
 from bayesnet_track.cli.main import main
+from bayesnet_track.engine.starts import Start
 from bayesnet_track.runtime.recording.exports import as_coco, as_csv, as_jsonl, as_mot
 from bayesnet_track.runtime.recording.tables import AGENT_COLUMNS, TRACK_COLUMNS
 from bayesnet_track.sources.scenes import make_scene
@@ -85,6 +86,17 @@ def test_from_a_result_and_from_a_tracker(tmp_path):
     assert [result.kinds for result in results] == [{"1": "square"}] * 3
     found = results[2].detections()
     assert list(found.data["class_name"]) == ["square"] and list(found.tracker_id) == [1]
+
+
+def test_the_class_of_a_result_is_numbered_as_in_the_graph(run, tmp_path):
+    import cv2
+
+    scene = make_scene("orange_and_gray")
+    cv2.imwrite(str(tmp_path / "0.png"), scene.frames[0])
+    _, second = run.spec.targets
+    (result,) = track("orange_and_gray", tmp_path, [Start(scene.start_box, second)])
+    found = result.detections()
+    assert (found.class_id.tolist(), found.data["class_name"].tolist()) == ([1], [second])
 
 
 def test_to_supervision_hands_over_the_same_fields(run, monkeypatch):
