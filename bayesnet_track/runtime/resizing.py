@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.engine.forecasting import Forecast
 from bayesnet_track.engine.outcome import Outcome
-from bayesnet_track.engine.starts import Start
+from bayesnet_track.engine.starts import Start, StartError
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
 from bayesnet_track.journal.events.distractors import DistractorSeen
@@ -33,6 +33,12 @@ from bayesnet_track.sources.detection_files import FileDetector
 
 Size = tuple[int, int]
 """Width and height, px."""
+
+LEAST_MAX_SIDE = 16
+"""The smallest `max_side`, px."""
+
+ROUNDING = 1e-9
+"""By how much a side of 1 px may come out smaller, px."""
 
 ACROSS, DOWN = ("x", "w", "vx", "ax"), ("y", "h", "vy", "ay")
 """Fields of a state in pixels along either axis."""
@@ -57,10 +63,13 @@ class Resizing:
         """Frames whose longer side is at most `max_side`; never larger ones, and the same with None.
 
         Raises:
-            ValueError: `max_side` is less than 1.
+            ValueError: `max_side` is less than `LEAST_MAX_SIDE`.
         """
-        if max_side is not None and max_side < 1:
-            raise ValueError(f"max_side {max_side}: at least 1 px is needed")
+        if max_side is not None and max_side < LEAST_MAX_SIDE:
+            raise ValueError(
+                f"max_side {max_side}: at least {LEAST_MAX_SIDE} px is needed; give more, or None for the "
+                "frames as they are"
+            )
         share = 1.0 if max_side is None else min(1.0, max_side / max(width, height))
         return cls((width, height), (max(1, round(share * width)), max(1, round(share * height))))
 
@@ -80,10 +89,20 @@ class Resizing:
         return frame if self.is_none else replace(frame, image=_smaller(frame.image, self.tracked))
 
     def start(self, start: Start) -> Start:
-        """The start box where the engine sees it."""
+        """The start box where the engine sees it.
+
+        Raises:
+            StartError: it is less than 1 px wide or high there.
+        """
         if self.is_none:
             return start
         x, y, w, h = (np.asarray(start.box, dtype=np.float64) * self._in).tolist()
+        if min(w, h) < 1 - ROUNDING:
+            given, (width, height) = ",".join(f"{float(value):g}" for value in start.box), self.tracked
+            raise StartError(
+                f"start box {given}: only {w:.3g}x{h:.3g} px where frames are tracked at {width}x{height} "
+                "px; width and height must be at least 1 px there; give a larger max_side, or none"
+            )
         return replace(start, box=(x, y, w, h))
 
     def detector(self, detector: FileDetector) -> FileDetector:

@@ -117,6 +117,7 @@ def run(
     check_starts(graph, starts, source.width, source.height)
     totals = summary if summary is not None else Summary()
     resizing = Resizing.to(source.width, source.height, max_side)
+    placed = [resizing.start(one) for one in starts]
     engine = engine or make_engine(resizing.graph(graph), seed)
 
     def emit(event: Event) -> None:
@@ -150,7 +151,7 @@ def run(
                     started = replace(started, tracked=resizing.tracked)
                 for event in (started, *totals.notices):
                     emit(event)
-                placed, given = [resizing.start(one) for one in starts], external_inputs(item.index)
+                given = external_inputs(item.index)
                 outcome = start_targets(graph, engine, seen, placed, given)
             else:
                 given = external_inputs(item.index)

@@ -117,8 +117,8 @@ def track(
             ``CUE``, which are run; path and SHA-256 of files are recorded in `out`.
         isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
         stride: track every `stride`-th frame of a `source` that is a text; see `open_source`.
-        max_side: track in frames whose longer side is at most so many px; boxes stay in the source's pixels,
-            lengths in the graph count those of the smaller frames.
+        max_side: track in frames whose longer side is at most so many px, 16 or more; boxes stay in the
+            source's pixels, lengths in the graph count those of the smaller frames.
         sinks: further observers.
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
@@ -169,6 +169,8 @@ def track(
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
         resizing = resizing_of(opened, max_side)
+        for start in starts:
+            resizing.start(start)  # raises before anything is written
         seen = resizing.graph(checked)
         engine = prepare_engine(seen, seed, motion, detections, resizing)
         if detections is not None and opened is not source:  # who opened the source knows its frames

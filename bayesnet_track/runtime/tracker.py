@@ -53,13 +53,14 @@ class Tracker(Boxed):
             where graphs name them.
         cues: cues of one's own that the graph may name: declarations, or paths of Python files with a
             ``CUE``, which are run.
-        max_side: track in frames whose longer side is at most so many px; boxes stay in the pixels of the
-            frames that are given, lengths in the graph count those of the smaller ones.
+        max_side: track in frames whose longer side is at most so many px, 16 or more; boxes stay in the
+            pixels of the frames that are given, lengths in the graph count those of the smaller ones.
         copy_frames: False for a caller that never writes into a frame that it gave: nothing is copied then.
 
     Raises:
         GraphError: every error of the graph.
         CueError: a cue cannot be loaded, or is not what its declaration says.
+        ValueError: `max_side` is less than 16.
 
     Example::
 
@@ -116,8 +117,9 @@ class Tracker(Boxed):
         `update`.
 
         Raises:
-            ValueError: the box is not four finite numbers, has no area or does not touch the frame, there is
-                none and nothing is born, the frame is no picture, or no agent can start from it.
+            ValueError: the box is not four finite numbers, has no area, there or in the frames of
+                `max_side`, or does not touch the frame, there is none and nothing is born, the frame is no
+                picture, or no agent can start from it.
         """
         first = _frame(frame, 0, depth, self._copy_frames)
         starts = [] if box is None else [Start(box)]
@@ -125,9 +127,9 @@ class Tracker(Boxed):
         resizing = Resizing.to(first.width, first.height, self._max_side)
         if depth is not None and not resizing.is_none:
             raise ValueError("max_side: frames with depth cannot be resized; allowed: frames of one camera")
+        placed = [resizing.start(one) for one in starts]
         if self._graph.masks:
             self._engine = self._make(resizing.graph(self._graph))
-        placed = [resizing.start(one) for one in starts]
         begun = start_targets(self._graph, self._engine, resizing.frame(first), placed)
         check_started(self._graph, begun)
         self._resizing, self._has_color = resizing, first.has_color

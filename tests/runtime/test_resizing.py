@@ -6,6 +6,7 @@ again, bit for bit, so that every number of a run over it is known from the run 
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import itertools
 import json
@@ -18,6 +19,7 @@ import pytest
 
 from bayesnet_track import Start, Tracker, open_run, track
 from bayesnet_track.cli.main import main
+from bayesnet_track.cli.options.sources import add_size_option
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.graph.text.load import load_graph
@@ -266,7 +268,7 @@ def test_what_is_tracked_in_another_shape_comes_back_to_where_it_was() -> None:
 def test_frames_are_means_over_areas() -> None:
     image = np.zeros((4, 6, 3), np.uint8)
     image[:2, :2] = [[[0], [40]], [[80], [120]]]
-    seen = Resizing.to(6, 4, 3).frame(Frame(0, 0.0, image))
+    seen = Resizing((6, 4), (3, 2)).frame(Frame(0, 0.0, image))
     assert seen.image.shape == (2, 3, 3) and seen.image[0, 0, 0] == 60 and seen.image[1:].max() == 0
 
 
@@ -318,5 +320,32 @@ def test_frames_with_depth_are_refused(tmp_path: Path) -> None:
     image = np.zeros((40, 60, 3), np.uint8)
     with pytest.raises(ValueError, match="frames with depth cannot be resized"):
         Tracker("two_squares", max_side=30).init(image, (1, 1, 20, 20), depth=RightEye(image, None))
-    with pytest.raises(ValueError, match="max_side 0: at least 1 px"):
-        Tracker("two_squares", max_side=0)
+
+
+def test_python_and_the_command_line_take_the_same_sizes(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    add_size_option(parser)
+    assert parser.parse_args(["--max-side", "16"]).max_side == 16
+    Tracker("two_squares", max_side=16)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--max-side", "15"])
+    assert "'15': a whole number from 16 on is needed" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="max_side 15: at least 16 px is needed; give more, or None"):
+        Tracker("two_squares", max_side=15)
+
+
+def test_a_start_box_has_to_have_an_area_in_the_smaller_frames_too(videos: Path, tmp_path: Path) -> None:
+    message = (
+        "start box 300,200,30,60: only 0.938x1.88 px where frames are tracked at 20x15 px; "
+        "width and height must be at least 1 px there; give a larger max_side, or none"
+    )
+    box, image = (300, 200, 30, 60), enlarged(SCENE.frames[0])
+    tracker = Tracker("two_squares", max_side=20)
+    with pytest.raises(StartError) as refused:
+        tracker.init(image, box)
+    assert str(refused.value) == message
+    with pytest.raises(StartError) as refused:
+        track("two_squares", videos / "large", box, out=tmp_path / "run", max_side=20)
+    assert str(refused.value) == message and not (tmp_path / "run").exists()
+    for most in range(16, 641):  # a side of just 1 px there
+        assert Resizing.to(640, 480, most).start(Start((0, 0, 640 / most, 100))).box[2] == pytest.approx(1)

@@ -31,11 +31,17 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _max_side(text: str) -> int:
+    from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE
+
+    return whole_number(LEAST_MAX_SIDE)(text)
+
+
 def add_size_option(parser: argparse.ArgumentParser) -> None:
     """`--max-side`."""
     parser.add_argument(
         "--max-side",
-        type=whole_number(16),
+        type=_max_side,
         metavar="PX",
         help="use smaller frames, their longer side at most PX; boxes stay in pixels of the source, lengths "
         "in the graph, or of the detector, count those of the smaller frames",
