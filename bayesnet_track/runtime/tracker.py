@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from os import PathLike
+from typing import Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +106,23 @@ class Tracker(Boxed):
             return f"<Tracker {name!r}: not started, call init(frame, box)>"
         shown = ", ".join(map(repr, self.targets[:3]))
         return f"<Tracker {name!r}, {plural(len(self.targets), 'target')}: {shown}>"
+
+    def __copy__(self) -> Self:
+        """A tracker that goes on from here by itself; what never changes is shared."""
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """As `copy.copy`: no tracker changes what copies share."""
+        return copy.copy(self)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse pickling; raises TypeError, which says what to use."""
+        raise TypeError(
+            "a Tracker cannot be pickled; copy.copy(tracker) gives another one in this process, and a run of "
+            "track(..., out=FOLDER) goes on in another process by `bayesnet-track resume FOLDER`"
+        )
 
     def init(
         self, frame: NDArray[np.uint8], box: CornerBox | None = None, *, depth: Depth | None = None

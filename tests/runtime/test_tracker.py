@@ -2,6 +2,7 @@
 
 import copy
 import json
+import pickle
 import subprocess
 import sys
 import threading
@@ -386,6 +387,27 @@ def test_two_trackers_in_turn_do_not_affect_each_other():
         together[0].extend(follow(first, [picture]))
         together[1].extend(follow(second, [picture]))
     assert together == alone
+
+
+@pytest.mark.parametrize("way", [copy.copy, copy.deepcopy])
+def test_a_copy_goes_on_by_itself(way):
+    wanted = follow(started(), frames(6))
+    tracker = started()
+    follow(tracker, frames(3))
+    other = way(tracker)
+    assert follow(other, frames(3, 4)) == wanted[3:]
+    tracker.init(SCENE.frames[0], tuple(SCENE.others[0][0]))
+    assert tuple(other.xywh) == wanted[-1][1]
+    assert follow(started(), frames(6)) == wanted
+    unstarted = way(Tracker("two_squares"))
+    unstarted.init(SCENE.frames[0], BOX)
+    assert follow(unstarted, frames(6)) == wanted
+
+
+def test_pickling_says_what_to_use():
+    for tracker in (started(), Tracker("two_squares")):
+        with pytest.raises(TypeError, match=r"cannot be pickled; copy\.copy\(tracker\).*resume FOLDER"):
+            pickle.dumps(tracker)
 
 
 def test_two_threads_give_what_one_gives():
