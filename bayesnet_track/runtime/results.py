@@ -21,6 +21,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.view.overlay import draw_targets
 
 
@@ -89,8 +90,12 @@ class Result:
         return Detections.of(self.targets, self.kinds, self.plates or None, lost)
 
     def plot(self, frame: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A copy of the BGR `frame` (its own when None) with boxes, hypotheses and labels of all targets."""
-        return draw_targets(self.frame.image if frame is None else frame, self.targets)
+        """A copy of `frame` (its own when None), as 8-bit BGR, with boxes, hypotheses and labels of targets.
+
+        Raises:
+            ValueError: the frame is no picture.
+        """
+        return draw_targets(self.frame.image if frame is None else to_bgr(frame)[0], self.targets)
 
     def __repr__(self) -> str:
         """Frame, targets and how much was decided."""

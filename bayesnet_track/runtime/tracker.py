@@ -217,12 +217,14 @@ class Tracker(Boxed):
         )
 
     def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A copy of the BGR `frame`, which was processed last, with every target drawn on it.
+        """A copy of `frame`, which was processed last, as 8-bit BGR, with every target drawn on it.
 
         Raises:
             RuntimeError: `init` was not called.
+            ValueError: the frame is no picture.
         """
-        return draw_targets(frame, self.targets)
+        targets = self.targets
+        return draw_targets(_picture(frame)[0], targets)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too.
@@ -302,12 +304,16 @@ class Tracker(Boxed):
         return () if self._last is None else self._last.events
 
 
-def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None, copies: bool) -> Frame:
+def _picture(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bool]:
     if not isinstance(image, np.ndarray):
         raise ValueError(
             f"a frame is an array of pixels, not {type(image).__name__}; could the image be read?"
         )
-    picture, has_color = to_bgr(image)
+    return to_bgr(image)
+
+
+def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None, copies: bool) -> Frame:
+    picture, has_color = _picture(image)
     if copies and np.may_share_memory(picture, image):
         picture = picture.copy()  # the caller may reuse its buffer, and the next step looks at it again
     if depth is not None:

@@ -44,6 +44,7 @@ def test_a_result_shows_what_matters_and_draws_on_a_copy(video):
     other = np.zeros_like(before)
     assert (result.plot() != before).any() and np.array_equal(result.frame.image, before)
     assert (result.plot(other) != other).any() and not other.any()
+    np.testing.assert_array_equal(result.plot(other[..., 0].astype(np.uint16)), result.plot(other))
     assert repr(result.detections()) == "<Detections: 1, tracker_id [1]>"
 
 

@@ -88,6 +88,21 @@ def test_it_shows_what_matters_and_draws_on_a_copy():
     assert (drawn != before).any()
 
 
+@pytest.mark.parametrize("kind", ["uint16", "gray", "gray channel", "alpha"])
+def test_it_draws_on_every_kind_of_frame_that_it_takes(kind):
+    gray = SCENE.frames[0][..., 1]
+    frame, same = {
+        "uint16": (SCENE.frames[0].astype(np.uint16) * 257, SCENE.frames[0]),
+        "gray": (gray, np.stack([gray] * 3, axis=2)),
+        "gray channel": (gray[..., None], np.stack([gray] * 3, axis=2)),
+        "alpha": (np.dstack([SCENE.frames[0], np.full_like(gray, 255)]), SCENE.frames[0]),
+    }[kind]
+    tracker = started("general")
+    np.testing.assert_array_equal(tracker.plot(frame), tracker.plot(same))
+    with pytest.raises(ValueError, match="not NoneType; could the image be read"):
+        tracker.plot(None)
+
+
 @pytest.mark.parametrize(
     "box",
     [
