@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from typing import Protocol
@@ -83,12 +83,20 @@ class TrackerRuns:
     def _find(self, start: int, box: Box, step: int) -> Iterator[Found]:
         tracker = Tracker(self.graph, self.seed, max_side=self.max_side)
         tracker.init(self.frames.image(start), box)
+        found = Found(box, 1.0, (0.0, 0.0), "tracking")
         last = len(self.frames) if step > 0 else -1
         for frame in range(start + step, last, step):
             tracker.update(self.frames.image(frame))
-            x, y, w, h = (float(value) for value in tracker.xywh)
-            sd = tracker.metrics.sd
-            yield Found((x, y, w, h), tracker.score, (float(sd[0]), float(sd[1])), tracker.status)
+            yield (found := _found(tracker, found))
+
+
+def _found(tracker: Tracker, before: Found) -> Found:
+    try:
+        line = tracker.metrics
+    except RuntimeError:  # it has ended: a person corrects the box where it was last
+        return replace(before, probability=0.0, status="lost")
+    x, y, w, h = (float(value) for value in line.xywh)
+    return Found((x, y, w, h), line.score, (float(line.sd[0]), float(line.sd[1])), tracker.status)
 
 
 class _Run:

@@ -160,6 +160,28 @@ def test_the_tracker_runs_forward_and_backward_from_a_box():
         assert runs.at(3, (float(x), float(y), float(w), float(h)), 5) is runs.at(3, (x, y, w, h), 5)
 
 
+def test_a_target_that_ended_is_lost_where_it_was_last():
+    class Store:
+        def __len__(self):
+            return 12
+
+        def image(self, frame):
+            image = np.full((90, 160, 3), 40, np.uint8)
+            if frame < 3:
+                cells = np.random.default_rng(0).integers(150, 255, (5, 5, 1))
+                image[30:50, 20:40] = np.kron(cells, np.ones((4, 4, 1)))
+            return image
+
+    node = {"motion": {"random_walk": {"sd_px": {"x": 2, "y": 2}}}, "belief": {"particles": {"size": 100}}}
+    nodes = {"s": node, "a": {"parent": "s", "agent": "intensity"}}
+    kind = {"death": {"lost_frames": 2}, "nodes": nodes}
+    runs = TrackerRuns(load_graph({"name": "ends", "targets": {"square": kind}}), Store())
+    found = [runs.at(0, (20.0, 30.0, 20.0, 20.0), frame) for frame in range(1, 12)]
+    ended = found[-1]
+    assert ended == found[-2] and (ended.probability, ended.status) == (0.0, "lost")
+    assert ended.box in [one.box for one in found if one.probability > 0]
+
+
 def test_a_run_whose_tracker_was_let_go_goes_on_as_if_nothing_had_been(monkeypatch):
     source = SceneSource.named("two_squares", end=7)
     x, y, w, h = map(float, source.scene.truth[0])
