@@ -41,7 +41,7 @@ def schedule(now: Situation, memory: Memory) -> tuple[Scheduled, ...]:
         call.overlap,
         rule.agree,
         gap,
-        now.frame + gap,
+        now.frame + gap * now.stride,
         now.frame if turn is None else turn.due,
         call.cause,
         doubt,

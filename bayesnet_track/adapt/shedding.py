@@ -44,16 +44,23 @@ class Load:
     """What is remembered of late frames.
 
     Attributes:
-        late: the last late frames: frame and what it took, ms.
+        late: the last late frames: how many tracked frames came before, and what it took, ms.
         calm: frames in time in a row, as far as they were told.
         wait: frames in time before something comes back.
-        back: frame in which something came back last; None before.
+        back: how many tracked frames came before something came back last; None before.
+        frames: tracked frames until now, since the first one that was late.
     """
 
     late: tuple[tuple[int, float], ...] = ()
     calm: int = 0
     wait: int = CALM
     back: int | None = None
+    frames: int = 0
+
+    @property
+    def counts(self) -> bool:
+        """Whether something is remembered of which the age matters."""
+        return bool(self.late) or self.back is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +89,12 @@ class Running:
 def balance(
     frame: int, timing: Iterable[LateFrame | SpareTime], running: Mapping[str, Running], load: Load
 ) -> tuple[tuple[Decision, ...], Load]:
-    """What is shed or taken back in this frame, and what is remembered."""
+    """What is shed or taken back in this frame, and what is remembered.
+
+    Asked in every frame as long as `load` counts them: the numbers of frames jump where some are dropped.
+    """
     decisions: list[Decision] = []
+    load = replace(load, frames=load.frames + 1)
     for one in timing:
         if isinstance(one, LateFrame):
             load = _late(one, running, load, frame, decisions)
@@ -95,7 +106,8 @@ def balance(
 def _late(
     notice: LateFrame, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
 ) -> Load:
-    late = (*(one for one in load.late if one[0] > frame - WITHIN), (frame, notice.spent_ms))
+    now = load.frames
+    late = (*(one for one in load.late if one[0] > now - WITHIN), (now, notice.spent_ms))
     load = replace(load, late=late, calm=0)
     if len(late) < LATE:
         return load
@@ -104,8 +116,8 @@ def _late(
     decisions += shed
     if not shed:
         return load
-    too_soon = load.back is not None and frame - load.back <= SOON
-    return Load(wait=min(load.wait * 2, MOST_CALM) if too_soon else CALM, back=load.back)
+    too_soon = load.back is not None and now - load.back <= SOON
+    return Load(wait=min(load.wait * 2, MOST_CALM) if too_soon else CALM, back=load.back, frames=now)
 
 
 def _shed_agents(
@@ -177,7 +189,7 @@ def _in_time(
         return load
     back = _more(notice, running, frame) or _take_back(notice, running, load, frame)
     decisions += back
-    return replace(load, late=(), calm=0, back=frame) if back else load
+    return replace(load, late=(), calm=0, back=load.frames) if back else load
 
 
 def _more(notice: SpareTime, running: Mapping[str, Running], frame: int) -> list[Decision]:

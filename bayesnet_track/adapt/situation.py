@@ -34,6 +34,7 @@ class Situation:
         hiding: probability that it cannot be seen, and above which it counts as lost; None where its modes do
             not say.
         call: what became of the agents on call; None without any.
+        stride: of the source's frames every so many-th is tracked.
     """
 
     frame: int
@@ -49,6 +50,7 @@ class Situation:
     existence: float | None = None
     hiding: HiddenCause | None = None
     call: Call | None = None
+    stride: int = 1
 
 
 def quiet_level(plate: CheckedTarget, active: frozenset[str], memory: Memory, node: str) -> float | None:

@@ -141,7 +141,7 @@ def measure_target(
         return Measured(state, box, net, measures, scored)
     rule, distractor, ended = root.score.settings, None, None
     unfit = measures.fit < rule.full_fit
-    verification = Verification(compiled.verifiers, work.cache, work.frame.index, filtered.target, box)
+    verification = Verification(compiled.verifiers, work.cache, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit or not scored.smooth)
     ud_px2 = None if unfit or _is_sought(work, filtered) else measures.ud_px2[compiled.plate.root]
     further = {**verified.values, **confidences(rule, filtered.step.evidence)}
@@ -248,6 +248,7 @@ def _see(work: FrameWork, filtered: Filtered, measured: Measured) -> Situation:
         filtered.before.existence,
         None if filtered.modes is None else filtered.modes.hiding,
         filtered.call,
+        work.frame.stride,
     )
 
 

@@ -197,12 +197,12 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     held = held and measured.scored.missing is None
     live = work.net.targets[filtered.target]
     every = frames_between(rule, live.sampled)
-    rests = work.frame.index % every > 0
+    rests = (work.frame.index if live.sampled else work.frame.turn) % every > 0
     if filtered.call is not None and live.turn is not None:  # without a call none of them rests
-        every, rests = live.turn.since(work.frame.index), not filtered.call.ran
+        every, rests = live.turn.since(work.frame.index, work.frame.stride), not filtered.call.ran
     if not held or not net.active or filtered.step.degenerate is not None or rests:
         rate, at_parts = 0.0, {}
-    age = work.frame.index - filtered.before.started
+    age = work.frame.since(filtered.before.started)
     return rate, {
         agent: over_frames(
             at_parts.get(compiled.part_of.get(agent, ""), rate) * largest_rate(rule, own, age), every

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.adapt.shedding import Load
+from bayesnet_track.adapt.shedding import Load, balance
 from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.findings import Heard
 from bayesnet_track.engine.frame_metrics import Lines, WhenAsked
@@ -133,10 +133,12 @@ def moments_of(
 
 def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | SpareTime]) -> Outcome:
     """The outcome after what is shed or taken back, where a frame was late or early."""
-    timing = tuple(timing)
+    timing, state, engine = tuple(timing), outcome.state, work.engine
     if not timing:
-        return outcome
-    state, engine = outcome.state, work.engine
+        if not state.load.counts:
+            return outcome
+        _, load = balance(work.frame.index, (), {}, state.load)
+        return changed(outcome, state=changed(state, load=load))
     decisions, load = balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
     net = apply_decisions(state.net, decisions)
     targets = {target: recompile(engine, net, target, one) for target, one in state.targets.items()}

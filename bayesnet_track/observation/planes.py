@@ -33,6 +33,7 @@ class Frame:
         time_s: the same time in seconds; NaN where frames come without a clock.
         depth: the rectified right picture or the points that belong to the image; None for a source of one
             eye.
+        stride: of the source's frames every so many-th is tracked.
     """
 
     index: int
@@ -41,9 +42,19 @@ class Frame:
     has_color: bool = True
     time_s: float = 0.0
     depth: Depth | None = None
+    stride: int = 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only(self.image))
+
+    @property
+    def turn(self) -> int:
+        """Its number among the frames that are tracked: what is done in every n-th frame goes by it."""
+        return self.index // self.stride
+
+    def since(self, index: int) -> int:
+        """How many tracked frames after frame `index` of the source it is."""
+        return (self.index - index) // self.stride
 
     @property
     def height(self) -> int:

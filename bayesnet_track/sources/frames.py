@@ -186,7 +186,7 @@ class Source:
             shape = now
             if first is not None:
                 image = _resize(image, first.width, first.height)
-            last = Frame(item.index, item.time, image, has_color, item.time_s, depth)
+            last = Frame(item.index, item.time, image, has_color, item.time_s, depth, self.stride)
             first = first or last
             yield last
             if self._end is not None and item.index + 1 >= self._end:

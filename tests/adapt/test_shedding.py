@@ -27,10 +27,13 @@ def running(fakes):
     return Running(plate, net, memory, {"a": 4.0, "b": 1.0, "c": 1.0}, 800, 200, 800)
 
 
-def play(one, timing, load=Load()):  # noqa: B008
-    """What is decided when so much is told in turn: (frame, input)."""
-    chosen = []
+def play(one, timing, load=Load(), stride=1):  # noqa: B008
+    """What is decided when so much is told in turn: (frame, input); in the frames between, nothing is."""
+    chosen, last = [], None
     for frame, inputs in timing:
+        for between in range(frame if last is None else last + stride, frame, stride):
+            _, load = balance(between, (), {"1": one}, load)
+        last = frame
         decisions, load = balance(frame, inputs, {"1": one}, load)
         net = Net({"1": one.net})
         for decision in decisions:
@@ -53,6 +56,13 @@ def test_the_agent_that_says_least_per_ms_goes_first(running):
     index = {"a": 0.1, "b": 0.05, "c": 0.5}
     assert chosen == [Shed(22, "1", "b", 11.0, 10.0, 3, 10, 11.0, pytest.approx(index))]
     assert one.net.shed == ("b",) and one.net.active == {"a", "c"}
+
+
+@pytest.mark.parametrize("stride", [1, 5, 40])
+def test_frames_count_that_are_tracked_whatever_their_numbers(running, stride):
+    """The numbers of a camera's frames jump where it drops some, and it drops them where frames are late."""
+    timing = [(stride * n, (LateFrame(stride * n, 11.0, 10.0),)) for n in range(4)]
+    assert [one.frame for one in play(running, timing, stride=stride)[0]] == [2 * stride]
 
 
 def test_two_late_frames_are_no_reason_and_old_ones_are_forgotten(running):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,21 @@ def test_all_are_asked_in_the_first_frame_and_then_those_whose_turn_it_is(fakes)
     outcomes, _ = run(fakes, lambda frame: -1.0 * frame, verifiers=every)
     assert said(outcomes) == [-1, -1, -3, -3, -3, -6, -6, -6, -9]
     assert said(outcomes, "w") == [-1, -2, -2, -2, -5, -5, -5, -8, -8]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_with_a_stride_they_take_turns_too(fakes, first):
+    every = {name: {"agent": "c", "every": 2} for name in ("v", "w")}
+    sees = {
+        "a": fakes.gaussian(50.0, 40.0, 3.0),
+        "b": fakes.flat(),
+        "c": lambda planes, h, reference: np.full(len(h), -1.0 * planes.frame.index),
+    }
+    engine, _ = fakes.engine(nodes(every), sees)
+    frames = [replace(fakes.frame(first + 2 * n), stride=2) for n in range(6)]
+    outcomes = fakes.play(engine, frames)
+    asked = {name: np.flatnonzero(np.diff(said(outcomes, name))).tolist() for name in ("v", "w")}
+    assert asked == {"v": [0, 2], "w": [1, 3]}
 
 
 def test_it_learns_in_the_first_frame_and_while_the_score_is_no_less_than_a_tenth(fakes):

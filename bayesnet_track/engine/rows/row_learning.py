@@ -25,7 +25,7 @@ def follow_rows(
     """
     after, plate = dict(table.references), table.compiled.plate
     rule = plate.inference(plate.root).learn
-    every, ages = frames_between(rule, {}), [work.frame.index - one.started for one in table.base]
+    every, ages = frames_between(rule, {}), [work.frame.since(one.started) for one in table.base]
     for agent, largest in table.compiled.rate_max.items():
         own = np.array(
             [

@@ -115,14 +115,12 @@ class Verification:
     Attributes:
         verifiers: those of its plate.
         cache: the planes of the frame.
-        frame: the frame's number.
         target: target id.
         box: (4,) the estimate, centre box.
     """
 
     verifiers: Mapping[str, VerifierAtWork]
     cache: PlaneCache
-    frame: int
     target: str
     box: Floats
 
@@ -133,8 +131,9 @@ class Verification:
         yet learns its first one here.
         """
         values, kept, faults = dict[str, float](), dict(references), dict[str, str]()
+        turn = self.cache.frames.current.turn
         for place, (name, one) in enumerate(self.verifiers.items()):
-            if (self.frame + place) % one.every and not everyone:
+            if (turn + place) % one.every and not everyone:
                 continue
             known = kept[name] if name in kept else one.first_reference(self.cache, self.box)
             if not known:  # it failed before
@@ -157,4 +156,5 @@ class Verification:
         return Verified(verified.values, kept, (*verified.failed, *self._failed(faults)))
 
     def _failed(self, faults: Mapping[str, str]) -> tuple[VerifierFailed, ...]:
-        return tuple(VerifierFailed(self.frame, self.target, name, why) for name, why in faults.items())
+        frame = self.cache.frames.current.index
+        return tuple(VerifierFailed(frame, self.target, name, why) for name, why in faults.items())

@@ -190,7 +190,7 @@ class Learn(Model):
     )
     every: FrameCount = Field(
         default=1,
-        description="references learn in frames whose number this divides, each time as much as in so many "
+        description="references learn in one of so many tracked frames, each time as much as in so many "
         "frames",
     )
     early_rate: Annotated[Number, Field(ge=0, le=1)] = Field(

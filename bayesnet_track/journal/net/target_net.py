@@ -29,19 +29,19 @@ class Turn:
 
     Attributes:
         due: the frame.
-        gap: frames from their last run to it.
+        gap: tracked frames from their last run to it.
     """
 
     due: int
     gap: int
 
-    def since(self, frame: int) -> int:
-        """How many frames after their last run `frame` is, at most the gap.
+    def since(self, frame: int, stride: int = 1) -> int:
+        """How many tracked frames after their last run `frame` is, at most the gap.
 
-        >>> Turn(due=12, gap=4).since(11)
-        3
+        >>> Turn(due=12, gap=4).since(11), Turn(due=20, gap=4).since(15, stride=5)
+        (3, 3)
         """
-        return min(frame - self.due, 0) + self.gap
+        return min((frame - self.due) // stride, 0) + self.gap
 
 
 @dataclass(frozen=True)

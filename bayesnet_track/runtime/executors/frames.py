@@ -45,6 +45,7 @@ class SharedFrame:
     image: Block
     depth: Block | None
     geometry: StereoGeometry | None
+    stride: int
 
 
 class FrameStore:
@@ -78,9 +79,8 @@ class FrameStore:
         image = self._write(frame.image, at)
         depth = None if other is None else self._write(other, at + _align(frame.image.nbytes))
         geometry = frame.depth.geometry if isinstance(frame.depth, RightEye) else None
-        shared = SharedFrame(
-            self._number, frame.index, frame.time, frame.time_s, frame.has_color, image, depth, geometry
-        )
+        times = (frame.index, frame.time, frame.time_s)
+        shared = SharedFrame(self._number, *times, frame.has_color, image, depth, geometry, frame.stride)
         self._held.append((frame, shared))
         return shared
 
@@ -132,6 +132,7 @@ class FrameView:
                 shared.has_color,
                 shared.time_s,
                 self._depth(shared),
+                shared.stride,
             )
             self._frames[shared.number] = frame
         return frame
