@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,8 @@ def _box(line: str, place: str) -> list[float]:
         wrong = next(word for word in words if not _is_number(word))
         raise ValueError(f"{place}: {wrong[:40]!r} is not a number; expected x,y,w,h") from None
     if len(values) == 8:
+        if not all(map(math.isfinite, values)):
+            return [math.nan] * 4  # `min` and `max` would pass over a NaN that is not the first
         xs, ys = values[0::2], values[1::2]
         return [min(xs), min(ys), max(xs) - min(xs), max(ys) - min(ys)]
     if len(values) != 4:

@@ -21,7 +21,11 @@ def test_polygons_become_their_bounding_box():
 
 
 @pytest.mark.parametrize(
-    "line", ["nan,nan,nan,nan", "NaN,2,3,4", "1,2,0,4", "1,2,3,-1", "inf,1,2,3", "0 0 0 0"]
+    "line",
+    [
+        *("nan,nan,nan,nan", "NaN,2,3,4", "1,2,0,4", "1,2,3,-1", "inf,1,2,3", "0 0 0 0"),
+        *("1,2,nan,4,5,6,7,8", "1,2,3,4,5,6,7,nan", "1,inf,3,4,5,6,7,8"),
+    ],
 )
 def test_absent_targets_are_nan_rows(line):
     boxes = parse_truth(f"1,2,3,4\n{line}\n5,6,7,8\n")
