@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from bayesnet_track.evaluate.scores import Score, score
@@ -29,7 +30,7 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
     if not metrics:
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
     frames = [line.frame for line in metrics]
-    return score(
+    found = score(
         corner_from_centre([line.centre_box for line in metrics]),
         [line.status == "lost" for line in metrics],
         truth[frames],
@@ -39,6 +40,7 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
         region90=[line.region90 for line in metrics],
         confidence=[line.score for line in metrics],
     )
+    return found if found.first_lost is None else replace(found, first_lost=frames[found.first_lost])
 
 
 def _of_target(lines: list[FrameMetrics], target: str | None, folder: Path) -> list[FrameMetrics]:

@@ -31,7 +31,8 @@ class Score:
         precision20: share of frames whose centre is within 20 px of the true one.
         mean_iou: mean intersection over union.
         lost_episodes: maximal stretches of at least 5 scored frames with IoU 0.
-        first_lost: scored frame at which the first of them begins, or None.
+        first_lost: the frame in which the first of them begins, or None: a row of the truth, of `score_run`
+            the number of the frame in the source.
         reported_lost: frames whose status was lost.
         lost_when_off: share of the frames with IoU 0 that were reported as lost.
         lost_when_on: share of the frames with IoU above 0 that were reported as lost.
@@ -54,7 +55,7 @@ class Score:
     precision20: Annotated[float, "share of frames whose centre is within 20 px"]
     mean_iou: Annotated[float, "mean overlap with the true box"]
     lost_episodes: Annotated[int, "stretches of 5 frames or more without any overlap"]
-    first_lost: Annotated[int | None, "frame in which the first one begins"]
+    first_lost: Annotated[int | None, "number of the frame in which the first one begins"]
     reported_lost: Annotated[int, "frames in which the target was reported as lost"]
     lost_when_off: Annotated[float | None, "share of the frames without overlap that were reported as lost"]
     lost_when_on: Annotated[float | None, "share of the frames with overlap that were reported as lost"]
@@ -153,7 +154,7 @@ def score(
         precision20=float((np.hypot(*(centre - true_centre)[:, :2].T) <= PRECISION_PX).mean()),
         mean_iou=float(iou.mean()),
         lost_episodes=len(episodes),
-        first_lost=episodes[0] if episodes else None,
+        first_lost=int(np.flatnonzero(present)[episodes[0]]) if episodes else None,
         reported_lost=int(given_up.sum()),
         lost_when_off=_share(gone[iou == 0]),
         lost_when_on=_share(gone[iou > 0]),

@@ -69,6 +69,16 @@ def test_rows_of_the_truth_are_frame_indices(tmp_path, truth):
     assert got.coverage50 == (1.0, 0.0) and got.coverage90 == (1.0, 1.0)
 
 
+def test_the_first_lost_frame_is_a_number_of_the_source(tmp_path):
+    rows = [(10.0, 10.0, 20.0, 20.0)] * 40
+    rows[7] = (float("nan"),) * 4
+    (tmp_path / "truth.txt").write_text(format_truth(rows))
+    lines = [metrics(i, (10, 10, 20, 20) if i < 19 else (500, 10, 20, 20)) for i in range(4, 40, 3)]
+    write_metrics(tmp_path, lines)
+    got = score_run(tmp_path, tmp_path / "truth.txt")
+    assert (got.scored_frames, got.lost_episodes, got.first_lost) == (11, 1, 19)
+
+
 def test_without_timings_there_is_no_rate(tmp_path, truth):
     write_metrics(tmp_path, [metrics(0, (0.0, 10.0, 20.0, 20.0))])
     assert score_run(tmp_path, truth).fps is None

@@ -51,6 +51,15 @@ def test_lost_episodes_are_maximal_stretches_of_five():
     assert (got.lost_episodes, got.first_lost) == (2, 0)
 
 
+def test_the_first_lost_frame_is_counted_from_the_start_of_the_pass():
+    truth = np.tile(TRUE, (12, 1))
+    truth[1:3] = np.nan
+    boxes = np.tile(TRUE, (12, 1))
+    boxes[6:, 0] += 200
+    got = score(boxes, np.zeros(12), truth)
+    assert (got.lost_episodes, got.first_lost) == (1, 6)
+
+
 def test_coverage_is_per_axis_and_leaves_out_the_start():
     truth = np.tile(TRUE, (5, 1))  # the centre is 19.5, 19.5
     region = [[0, 0, 0, 0], [19, 20, 19, 20], [19.5, 20, 0, 19], [20, 30, 19, 19.5], [0, 50, 25, 30]]
