@@ -124,8 +124,47 @@ def score(
         confidence: (n,) score of each frame, for the figures of long-term tracking.
 
     Raises:
-        ValueError: lengths differ, a box is not finite, or no frame has a true box.
+        ValueError: lengths differ, a box or a confidence is not finite, or no frame has a true box.
     """
+    reported, given_up, true, present = _checked(boxes, lost, truth)
+    taken, agents, trust = (
+        _rows(name, values, true.shape[:1])
+        for name, values in (("seconds", seconds), ("active", active), ("confidence", confidence))
+    )
+    narrow, wide = (
+        _rows(name, values, true.shape) for name, values in (("region50", region50), ("region90", region90))
+    )
+    centre, true_centre = centre_from_corner(reported[present]), centre_from_corner(true[present])
+    iou, gone = overlap(centre, true_centre), given_up[present]
+    episodes = lost_episodes(iou)
+    long = None if trust is None else _long_term(iou, trust, present)
+    return Score(
+        frames=len(true),
+        scored_frames=int(present.sum()),
+        auc=success_auc(iou),
+        auc_strict=success_auc(np.where(gone, 0.0, iou)),
+        precision20=float((np.hypot(*(centre - true_centre)[:, :2].T) <= PRECISION_PX).mean()),
+        mean_iou=float(iou.mean()),
+        lost_episodes=len(episodes),
+        first_lost=int(np.flatnonzero(present)[episodes[0]]) if episodes else None,
+        reported_lost=int(given_up.sum()),
+        lost_when_off=_share(gone[iou == 0]),
+        lost_when_on=_share(gone[iou > 0]),
+        fps=None if taken is None else frames_per_second(taken),
+        mean_active=None if agents is None else float(agents.mean()),
+        coverage50=_coverage(narrow, present, true_centre),
+        coverage90=_coverage(wide, present, true_centre),
+        long_precision=None if long is None else long.precision,
+        long_recall=None if long is None else long.recall,
+        long_f=None if long is None else long.f,
+        long_f_at=None if long is None else long.threshold,
+    )
+
+
+def _checked(
+    boxes: ArrayLike, lost: ArrayLike, truth: ArrayLike
+) -> tuple[Floats, NDArray[np.bool_], Floats, NDArray[np.bool_]]:
+    """Boxes, lost and truth as arrays, and in which frames the target is present; raises as `score`."""
     reported, true = np.asarray(boxes, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     given_up = np.asarray(lost, dtype=bool)
     if (
@@ -142,31 +181,25 @@ def score(
     present: NDArray[np.bool_] = np.asarray(np.isfinite(true).all(axis=1))
     if not present.any():
         raise ValueError("the truth has no box in any of these frames")
-    centre, true_centre = centre_from_corner(reported[present]), centre_from_corner(true[present])
-    iou, gone = overlap(centre, true_centre), given_up[present]
-    episodes = lost_episodes(iou)
-    long = None if confidence is None else _long_term(iou, np.asarray(confidence, dtype=np.float64), present)
-    return Score(
-        frames=len(true),
-        scored_frames=int(present.sum()),
-        auc=success_auc(iou),
-        auc_strict=success_auc(np.where(gone, 0.0, iou)),
-        precision20=float((np.hypot(*(centre - true_centre)[:, :2].T) <= PRECISION_PX).mean()),
-        mean_iou=float(iou.mean()),
-        lost_episodes=len(episodes),
-        first_lost=int(np.flatnonzero(present)[episodes[0]]) if episodes else None,
-        reported_lost=int(given_up.sum()),
-        lost_when_off=_share(gone[iou == 0]),
-        lost_when_on=_share(gone[iou > 0]),
-        fps=None if seconds is None else frames_per_second(seconds),
-        mean_active=None if active is None else float(np.mean(np.asarray(active, dtype=np.float64))),
-        coverage50=_coverage(region50, present, true_centre),
-        coverage90=_coverage(region90, present, true_centre),
-        long_precision=None if long is None else long.precision,
-        long_recall=None if long is None else long.recall,
-        long_f=None if long is None else long.f,
-        long_f_at=None if long is None else long.threshold,
-    )
+    return reported, given_up, true, present
+
+
+def _rows(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:
+    """An optional array as numbers; raises ValueError where it does not have a row for each of the truth."""
+    if values is None:
+        return None
+    rows = np.asarray(values, dtype=np.float64)
+    if rows.shape != shape:
+        raise ValueError(
+            f"{name} {rows.shape}: must be {shape}, one row for each of the truth; leave it out if unknown"
+        )
+    if name == "confidence" and not np.isfinite(rows).all():
+        row = int((~np.isfinite(rows)).argmax())
+        raise ValueError(
+            f"confidence of frame {row} is {rows[row]}: a finite number is needed; "
+            "give a frame without one the smallest of all"
+        )
+    return rows
 
 
 def _long_term(iou: Floats, confidence: Floats, present: NDArray[np.bool_]) -> LongTerm | None:
@@ -217,7 +250,7 @@ def _share(flags: NDArray[np.bool_]) -> float | None:
 
 
 def _coverage(
-    region: ArrayLike | None, present: NDArray[np.bool_], centre: Floats
+    region: Floats | None, present: NDArray[np.bool_], centre: Floats
 ) -> tuple[float, float] | None:
     if region is None:
         return None
@@ -225,6 +258,6 @@ def _coverage(
         present, centre = np.concatenate([[False], present[1:]]), centre[1:]
     if not present.any():
         return None
-    bounds = np.asarray(region, dtype=np.float64)[present]
+    bounds = region[present]
     inside = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
     return float(inside[0].mean()), float(inside[1].mean())

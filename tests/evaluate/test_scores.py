@@ -80,6 +80,24 @@ def test_wrong_input_is_refused():
         score(truth, np.zeros(3), truth * np.nan)
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "message"),
+    [
+        ("confidence", [0.5] * 4, r"confidence \(4,\): must be \(3,\)"),
+        ("confidence", [[0.5]] * 3, r"confidence \(3, 1\): must be \(3,\)"),
+        ("confidence", [0.5, np.nan, 0.5], "confidence of frame 1 is nan: a finite number is needed"),
+        ("seconds", [1.0] * 2, r"seconds \(2,\): must be \(3,\)"),
+        ("active", [1] * 4, r"active \(4,\): must be \(3,\)"),
+        ("region50", [[0, 9, 0, 9]] * 4, r"region50 \(4, 4\): must be \(3, 4\)"),
+        ("region90", [[0, 9]] * 3, r"region90 \(3, 2\): must be \(3, 4\)"),
+    ],
+)
+def test_every_array_has_a_row_for_each_frame(name, values, message):
+    truth = np.tile(TRUE, (3, 1))
+    with pytest.raises(ValueError, match=message):
+        score(truth, np.zeros(3), truth, **{name: values})
+
+
 def iou(a, b):
     across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
     down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
