@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from bayesnet_track.evaluate.scores import Score, score
 from bayesnet_track.evaluate.truth import read_truth
+from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.reader import read_metrics
+from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.boxes import corner_from_centre
+
+_NOTHING = (math.nan,) * 4
+"""The row of a frame in which the target has ended."""
 
 
 def score_run(run_directory: str | Path, truth_path: str | Path, target: str | None = None) -> Score:
     """Scores of one target of a run; row i of the truth belongs to the frame with index i.
 
     Reads ``frames.jsonl`` and, where there is one, ``timings.jsonl``. Frames beyond the end of the truth are
-    not scored. `target` may be left out when the run has only one.
+    not scored, nor are those before the target's first line. After that, a frame of the run without a line of
+    the target, which has ended, counts as lost with an IoU of 0. `target` may be left out when the run has
+    only one.
 
     Raises:
         OSError: a file cannot be read.
@@ -25,22 +35,32 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
     """
     folder = Path(run_directory)
     truth = read_truth(truth_path)
-    metrics = _of_target(list(read_metrics(folder / "frames.jsonl")), target, folder)
-    metrics = [line for line in metrics if line.frame < len(truth)]
-    if not metrics:
+    every = list(read_metrics(folder / "frames.jsonl"))
+    seconds = dict(read_seconds(folder / "timings.jsonl"))
+    lines = {line.frame: line for line in _of_target(every, target, folder)}
+    ran = {line.frame for line in every} | _timed(folder, seconds)
+    frames = sorted(frame for frame in ran if min(lines) <= frame < len(truth))
+    if not any(frame in lines for frame in frames):
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
-    frames = [line.frame for line in metrics]
+    metrics = [lines.get(frame) for frame in frames]
     found = score(
-        corner_from_centre([line.centre_box for line in metrics]),
-        [line.status == "lost" for line in metrics],
+        np.array([_NOTHING if line is None else corner_from_centre(line.centre_box) for line in metrics]),
+        [line is None or line.status == "lost" for line in metrics],
         truth[frames],
-        seconds=_seconds(folder / "timings.jsonl", frames),
-        active=[len(line.active) for line in metrics],
-        region50=[line.region50 for line in metrics],
-        region90=[line.region90 for line in metrics],
-        confidence=[line.score for line in metrics],
+        seconds=_seconds(folder / "timings.jsonl", frames, seconds),
+        active=[0 if line is None else len(line.active) for line in metrics],
+        region50=[_NOTHING if line is None else line.region50 for line in metrics],
+        region90=[_NOTHING if line is None else line.region90 for line in metrics],
+        confidence=[0.0 if line is None else line.score for line in metrics],
     )
     return found if found.first_lost is None else replace(found, first_lost=frames[found.first_lost])
+
+
+def _timed(folder: Path, seconds: Mapping[int, float]) -> set[int]:
+    """The frames that have a time and are whole: a killed run can have timed one that it did not measure."""
+    journal = folder / "journal.jsonl"
+    is_ended = journal.is_file() and any(isinstance(event, RunEnded) for event in read_events(journal))
+    return set(seconds) if is_ended or not seconds else set(seconds) - {max(seconds)}
 
 
 def _of_target(lines: list[FrameMetrics], target: str | None, folder: Path) -> list[FrameMetrics]:
@@ -53,10 +73,9 @@ def _of_target(lines: list[FrameMetrics], target: str | None, folder: Path) -> l
     return [line for line in lines if line.target == wanted]
 
 
-def _seconds(path: Path, frames: list[int]) -> list[float] | None:
+def _seconds(path: Path, frames: list[int], taken: Mapping[int, float]) -> list[float] | None:
     if not path.exists():
         return None
-    taken = dict(read_seconds(path))
     missing = [frame for frame in frames if frame not in taken]
     if missing:
         raise ValueError(f"{path}: no time for frame {missing[0]}")

@@ -33,7 +33,7 @@ class Score:
         lost_episodes: maximal stretches of at least 5 scored frames with IoU 0.
         first_lost: the frame in which the first of them begins, or None: a row of the truth, of `score_run`
             the number of the frame in the source.
-        reported_lost: frames whose status was lost.
+        reported_lost: frames whose status was lost, or that have no box.
         lost_when_off: share of the frames with IoU 0 that were reported as lost.
         lost_when_on: share of the frames with IoU above 0 that were reported as lost.
         fps: frames per second, the first frame not counted.
@@ -56,7 +56,7 @@ class Score:
     mean_iou: Annotated[float, "mean overlap with the true box"]
     lost_episodes: Annotated[int, "stretches of 5 frames or more without any overlap"]
     first_lost: Annotated[int | None, "number of the frame in which the first one begins"]
-    reported_lost: Annotated[int, "frames in which the target was reported as lost"]
+    reported_lost: Annotated[int, "frames in which the target was reported as lost, or had ended"]
     lost_when_off: Annotated[float | None, "share of the frames without overlap that were reported as lost"]
     lost_when_on: Annotated[float | None, "share of the frames with overlap that were reported as lost"]
     fps: Annotated[
@@ -115,6 +115,8 @@ def score(
 
     Args:
         boxes: (n, 4) reported corner boxes in px; frame 0 is the start and counts, as in the OTB toolkit.
+            NaN rows where nothing is reported, as after the target's end: `lost` is True there, the IoU is 0,
+            and the frame does not count for speed, agents and coverage.
         lost: (n,) True where the target was reported as lost.
         truth: (n, 4) true corner boxes; NaN rows where the target is absent.
         seconds: (n,) wall time of each frame.
@@ -134,8 +136,9 @@ def score(
     narrow, wide = (
         _rows(name, values, true.shape) for name, values in (("region50", region50), ("region90", region90))
     )
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(reported).all(axis=1))
     centre, true_centre = centre_from_corner(reported[present]), centre_from_corner(true[present])
-    iou, gone = overlap(centre, true_centre), given_up[present]
+    iou, gone = np.where(known[present], overlap(centre, true_centre), 0.0), given_up[present]
     episodes = lost_episodes(iou)
     long = None if trust is None else _long_term(iou, trust, present)
     return Score(
@@ -150,10 +153,10 @@ def score(
         reported_lost=int(given_up.sum()),
         lost_when_off=_share(gone[iou == 0]),
         lost_when_on=_share(gone[iou > 0]),
-        fps=None if taken is None else frames_per_second(taken),
-        mean_active=None if agents is None else float(agents.mean()),
-        coverage50=_coverage(narrow, present, true_centre),
-        coverage90=_coverage(wide, present, true_centre),
+        fps=None if taken is None else frames_per_second(taken[known]),
+        mean_active=None if agents is None else _mean(agents[known]),
+        coverage50=_coverage(narrow, present & known, centre_from_corner(true)),
+        coverage90=_coverage(wide, present & known, centre_from_corner(true)),
         long_precision=None if long is None else long.precision,
         long_recall=None if long is None else long.recall,
         long_f=None if long is None else long.f,
@@ -176,8 +179,12 @@ def _checked(
         raise ValueError(
             f"boxes {reported.shape}, lost {given_up.shape}, truth {true.shape}: must be (n, 4), (n,), (n, 4)"
         )
-    if not np.isfinite(reported).all():
-        raise ValueError(f"box of frame {int((~np.isfinite(reported)).any(axis=1).argmax())} is not finite")
+    wrong = ~np.isfinite(reported).all(axis=1) & ~(np.isnan(reported).all(axis=1) & given_up)
+    if wrong.any():
+        raise ValueError(
+            f"box of frame {int(wrong.argmax())} is not finite: give finite numbers, "
+            "or a row of NaN with lost True where nothing is reported"
+        )
     present: NDArray[np.bool_] = np.asarray(np.isfinite(true).all(axis=1))
     if not present.any():
         raise ValueError("the truth has no box in any of these frames")
@@ -249,15 +256,15 @@ def _share(flags: NDArray[np.bool_]) -> float | None:
     return float(flags.mean()) if flags.size else None
 
 
+def _mean(values: Floats) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
 def _coverage(
-    region: Floats | None, present: NDArray[np.bool_], centre: Floats
+    region: Floats | None, counted: NDArray[np.bool_], centre: Floats
 ) -> tuple[float, float] | None:
-    if region is None:
+    if region is None or not counted[1:].any():  # the start is given, not estimated
         return None
-    if present[0]:  # the start is given, not estimated
-        present, centre = np.concatenate([[False], present[1:]]), centre[1:]
-    if not present.any():
-        return None
-    bounds = region[present]
+    bounds, centre = region[1:][counted[1:]], centre[1:][counted[1:]]
     inside = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
     return float(inside[0].mean()), float(inside[1].mean())

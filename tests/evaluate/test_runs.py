@@ -7,6 +7,7 @@ import pytest
 
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.journal.codec import to_json
+from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.sources.scene_source import format_truth
 
@@ -77,6 +78,43 @@ def test_the_first_lost_frame_is_a_number_of_the_source(tmp_path):
     write_metrics(tmp_path, lines)
     got = score_run(tmp_path, tmp_path / "truth.txt")
     assert (got.scored_frames, got.lost_episodes, got.first_lost) == (11, 1, 19)
+
+
+def write_ended(folder, frames):
+    end = RunEnded(frames, frames, True, "end_of_source")
+    (folder / "journal.jsonl").write_text(to_json(end) + "\n")
+
+
+def still(folder, absent=()):
+    rows = [(float("nan"),) * 4 if i in absent else (10.0, 10.0, 20.0, 20.0) for i in range(12)]
+    (folder / "truth.txt").write_text(format_truth(rows))
+    return folder / "truth.txt"
+
+
+def test_frames_after_the_end_of_a_target_count_as_lost(tmp_path):
+    write_metrics(tmp_path, [metrics(i, (10, 10, 20, 20)) for i in range(2, 6)])
+    write_timings(tmp_path, range(14), 0.1)
+    write_ended(tmp_path, 14)
+    got = score_run(tmp_path, still(tmp_path, absent=[8]))
+    assert (got.frames, got.scored_frames, got.reported_lost) == (10, 9, 6)
+    assert got.mean_iou == pytest.approx(4 / 9) == got.precision20
+    assert (got.lost_episodes, got.first_lost, got.lost_when_off, got.lost_when_on) == (1, 6, 1.0, 0.0)
+    # What an ended target does not have is no part of the means.
+    assert got.mean_active == 1.0 and got.coverage90 == (1.0, 1.0) and got.fps == pytest.approx(10)
+    assert got.long_recall == pytest.approx(3 / 8) and got.long_precision == 1.0
+
+
+def test_frames_of_other_targets_show_the_end_without_timings(tmp_path):
+    lines = [metrics(i, (10, 10, 20, 20), str(n)) for i in range(6) for n in (1, 2) if n == 2 or i < 3]
+    write_metrics(tmp_path, lines)
+    assert score_run(tmp_path, still(tmp_path), target="1").mean_iou == pytest.approx(3 / 6)
+    assert score_run(tmp_path, still(tmp_path), target="2").mean_iou == 1.0
+
+
+def test_a_frame_that_a_killed_run_only_timed_is_not_lost(tmp_path):
+    write_metrics(tmp_path, [metrics(i, (10, 10, 20, 20)) for i in range(3)])
+    write_timings(tmp_path, range(4), 0.1)
+    assert score_run(tmp_path, still(tmp_path)).frames == 3
 
 
 def test_without_timings_there_is_no_rate(tmp_path, truth):

@@ -80,6 +80,16 @@ def test_wrong_input_is_refused():
         score(truth, np.zeros(3), truth * np.nan)
 
 
+def test_a_row_without_a_box_is_lost():
+    nothing = [np.nan] * 4
+    boxes, truth = np.array([TRUE, TRUE, nothing, nothing]), np.tile(TRUE, (4, 1))
+    got = score(boxes, [False, False, True, True], truth, region50=[[0, 99, 0, 99]] * 4, active=[2, 2, 0, 0])
+    assert (got.scored_frames, got.mean_iou, got.precision20, got.lost_when_off) == (4, 0.5, 0.5, 1.0)
+    assert (got.coverage50, got.mean_active) == ((1.0, 1.0), 2.0)
+    with pytest.raises(ValueError, match="box of frame 3 is not finite"):
+        score(boxes, [False, False, True, False], truth)
+
+
 @pytest.mark.parametrize(
     ("name", "values", "message"),
     [
