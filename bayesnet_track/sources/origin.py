@@ -11,7 +11,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Literal
 
-from bayesnet_track.sources.paths import depth_files, files_of, is_file
+from bayesnet_track.sources.paths import depth_files, files_of, is_broken_link, is_file
 
 Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
 
@@ -165,7 +165,9 @@ def fingerprint(files: Sequence[Path]) -> Fingerprint:
 
 
 def _size(path: Path) -> int:
-    """Of a plain file: a device or a pipe might never end."""
+    """Of a plain file: a device or a pipe might never end. A broken link among the frames holds nothing."""
+    if is_broken_link(path):
+        return 0
     found = path.stat()
     if not S_ISREG(found.st_mode):
         raise OSError(EINVAL, "not a plain file", str(path))
@@ -173,6 +175,8 @@ def _size(path: Path) -> int:
 
 
 def _samples(path: Path, size: int) -> Iterable[bytes]:
+    if is_broken_link(path):
+        return
     with path.open("rb") as file:
         if size <= 2 * ENDS_BYTES + SAMPLES * SAMPLE_BYTES:
             yield file.read()

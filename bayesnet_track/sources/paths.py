@@ -32,6 +32,16 @@ def natural_key(path: Path) -> tuple[tuple[tuple[int, str], ...], str]:
     return tuple((int(part), "") if n % 2 else (-1, part) for n, part in enumerate(parts)), str(path)
 
 
+def is_broken_link(path: Path) -> bool:
+    """True for a link to what is not there."""
+    return path.is_symlink() and not path.exists()
+
+
+def _keeps_number(path: Path) -> bool:
+    """True for a file, or a broken link, which has a place among the frames; not for a pipe: it may hang."""
+    return path.is_file() or is_broken_link(path)
+
+
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 
 
@@ -39,7 +49,9 @@ def depth_files(text: str) -> list[Path]:
     """The depth files of a folder or glob, in natural order; raises SourceError when there is none."""
     folder = Path(text)
     names = folder.iterdir() if folder.is_dir() else (Path(name) for name in glob.glob(text))  # noqa: PTH207
-    found = sorted((p for p in names if p.suffix.lower() in DEPTH_SUFFIXES and p.is_file()), key=natural_key)
+    found = sorted(
+        (p for p in names if p.suffix.lower() in DEPTH_SUFFIXES and _keeps_number(p)), key=natural_key
+    )
     if not found:
         raise SourceError(
             text,
@@ -93,7 +105,7 @@ def files_of(text: str) -> list[Path]:
 
 def _matching(text: str) -> list[Path]:
     found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
-    images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and name.is_file()]
+    images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(name)]
     if images:
         return images
     raise SourceError(
@@ -107,7 +119,7 @@ def _matching(text: str) -> list[Path]:
 def _in_folder(text: str, folder: Path) -> list[Path]:
     for place in (folder, *(folder / name for name in SEQUENCE_FOLDERS)):
         if place.is_dir():
-            found = [p for p in place.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+            found = [p for p in place.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(p)]
             if found:
                 return found
     raise SourceError(

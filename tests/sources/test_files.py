@@ -7,6 +7,7 @@ from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.depth_files import read_points
 from bayesnet_track.sources.mot_lines import parse_mot
 from bayesnet_track.sources.origin import fingerprint
+from bayesnet_track.sources.paths import depth_files
 from bayesnet_track.sources.scenes.crowd import SIDE, crowd
 from bayesnet_track.sources.scenes.texture import gray_cells, shaded_cells, smooth_background
 
@@ -56,6 +57,15 @@ def test_other_arrays_are_no_depth(values, what, tmp_path):
     np.save(tmp_path / "depth.npy", values)
     with pytest.raises(PictureError, match=what):
         read_points(tmp_path / "depth.npy", None)
+
+
+def test_a_broken_link_keeps_its_place_among_the_depth_files(tmp_path):
+    np.save(tmp_path / "1.npy", np.ones((2, 3)))
+    (tmp_path / "0.npy").symlink_to(tmp_path / "gone.npy")
+    broken, whole = depth_files(str(tmp_path))
+    assert (broken.name, whole.name) == ("0.npy", "1.npy")
+    with pytest.raises(PictureError, match=r"0\.npy"):
+        read_points(broken, None)
 
 
 def test_a_fingerprint_is_of_names_sizes_and_bytes(tmp_path):

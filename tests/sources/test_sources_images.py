@@ -112,6 +112,22 @@ def test_a_damaged_image_keeps_its_number_and_the_rest_goes_on(tmp_path, content
     assert source.frames == 4
 
 
+@pytest.mark.parametrize("pattern", ["", "*.png"])
+def test_a_broken_link_keeps_its_number(tmp_path, pattern):
+    folder = save(tmp_path / "s", [f"{n}.png" for n in range(5)])
+    (folder / "2.png").unlink()
+    (folder / "2.png").symlink_to(tmp_path / "gone.png")
+    (folder / "9.png").mkdir()
+    source, frames, events = read(folder / pattern)
+    assert ([f.index for f in frames], source.declared_frames) == ([0, 1, 3, 4], 5)
+    assert events == [SourceDamaged(2, "2.png: No such file or directory"), FramesMissing(3, 1.0)]
+    before = source.origin.marked()
+    assert before.changes() == ()
+    (folder / "2.png").unlink()
+    save(folder, ["2.png"])
+    assert before.changes()
+
+
 def test_a_damaged_first_image_is_told_before_the_first_frame(tmp_path):
     folder = save(tmp_path / "s", ["0.png", "1.png"])
     (folder / "0.png").write_bytes(b"")
