@@ -18,6 +18,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
+from bayesnet_track.runtime.arguments import check_video, longest_side, milliseconds, whole
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.given_files import file_sha256
 from bayesnet_track.runtime.checkpoints.recipe import make_recipe
@@ -135,7 +136,8 @@ def track(
         StartError: no target can start from the box, or no agent of any target in the first frame.
         DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
         OSError: the file of detections or of inputs cannot be read.
-        ValueError: it is malformed; says file and line. Or arguments that do not go together.
+        ValueError: it is malformed; says file and line. Or an argument out of its range, or several that do
+            not go together.
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
 
@@ -145,13 +147,18 @@ def track(
             one = result.targets[0]
             print(result.frame.index, one.xywh, one.status, one.active)
     """
+    seed, stride = whole("seed", seed, 0), whole("stride", stride, 1)
+    horizon, max_side, budget_ms = (
+        whole("horizon", horizon, 0),
+        longest_side(max_side),
+        milliseconds(budget_ms),
+    )
+    check_video(video)
     plugins.allow(allow_plugins)
     totals = summary if summary is not None else Summary()
     checked = load_graph(graph, tuple(cues))
     if keep_beliefs:
         check_kept(checked.spec)
-    if horizon < 0:
-        raise ValueError(f"horizon {horizon}: 0 frames ahead or more are needed")
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
     external_inputs = as_inputs(inputs)

@@ -58,5 +58,5 @@ def test_forecasts_go_on_where_a_run_is_resumed(run, tmp_path):
 
 
 def test_a_horizon_below_0_is_refused():
-    with pytest.raises(ValueError, match="horizon -1: 0 frames ahead or more"):
+    with pytest.raises(ValueError, match="horizon=-1: a whole number from 0 on is needed"):
         tracked(None, horizon=-1)

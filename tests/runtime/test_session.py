@@ -133,6 +133,40 @@ def test_a_mistake_is_told_before_anything_is_written(video, tmp_path, changed, 
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("seed", 1.5, "seed=1.5: a whole number from 0 on is needed"),
+        ("seed", -1, "seed=-1: a whole number from 0 on"),
+        ("stride", 0, "stride=0: a whole number from 1 on"),
+        ("horizon", "2", "horizon='2': a whole number from 0 on"),
+        ("max_side", 99.7, r"max_side=99\.7: a whole number from 16 on"),
+        ("max_side", 15, "max_side=15: a whole number from 16 on"),
+        (
+            "budget_ms",
+            -1,
+            "budget_ms=-1: milliseconds above 0 and below 1e\\+07 are needed; None for no budget",
+        ),
+        ("budget_ms", 0, "budget_ms=0: milliseconds above 0"),
+        ("budget_ms", float("nan"), "budget_ms=nan: milliseconds above 0"),
+        ("budget_ms", "fast", "budget_ms='fast': milliseconds above 0"),
+        ("video", "avi", "video='avi': False, True, 'mkv' or 'mp4' is needed"),
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_at_the_call(video, tmp_path, name, value, message):
+    with pytest.raises(ValueError, match=message):
+        track("general", video, SQUARE, out=tmp_path / "run", **{name: value})
+    assert not (tmp_path / "run").exists()
+
+
+def test_numbers_of_numpy_are_recorded(video, tmp_path):
+    whole = {"seed": np.int64(3), "stride": np.uint8(2), "horizon": np.int32(1), "max_side": np.int16(48)}
+    next(track("general", video, SQUARE, out=tmp_path / "run", **whole, budget_ms=np.float32(500)))
+    recipe = Recipe.read(tmp_path / "run")
+    assert (recipe.seed, recipe.origin.stride, recipe.horizon, recipe.max_side) == (3, 2, 1, 48)
+    assert recipe.budget_ms == 500.0
+
+
 def test_a_mistake_does_not_cost_an_earlier_run(video, tmp_path):
     for _ in track("general", video, SQUARE, out=tmp_path / "run"):
         break
