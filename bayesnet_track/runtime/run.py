@@ -13,11 +13,13 @@ from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
+from bayesnet_track.journal.events.sources import FrameSizeChanged
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.deadline import Deadline
+from bayesnet_track.runtime.frame_kind import FrameKind
 from bayesnet_track.runtime.inputs import InputsAt, nothing
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
@@ -111,6 +113,7 @@ def run(
     The journal is closed in order also when the caller stops iterating or an error passes through.
 
     Raises:
+        ValueError: a frame is not of the size, the type and the channels of the first one.
         StartError: no target can start so, of which nothing was told to a sink before; or no agent of any
             target can (`check_started`): then sinks were told why.
     """
@@ -132,15 +135,20 @@ def run(
         totals.lost_frames = after.reached.lost_frames
     opened, compiled_before = time.perf_counter(), WATCH.seconds
     first_done: tuple[float, int] | None = None
+    kind: FrameKind | None = None
     try:
         for event in () if after is None else after.events:
             emit(event)
         for item in source if after is None else after.items:
             if not isinstance(item, Frame):
+                if kind is not None and isinstance(item, FrameSizeChanged):
+                    kind = kind.of_either_color  # the source resizes, but leaves gray as it is
                 totals.notices.append(item)
                 if has_started:
                     emit(item)
                 continue
+            kind = kind or FrameKind.of(item)
+            kind.check(item, "end the source before it")
             began, compiled = time.perf_counter(), WATCH.seconds
             seen = resizing.frame(item)
             if state is None:

@@ -31,6 +31,7 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.frame_kind import FrameKind
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.sources.images import to_bgr
@@ -93,7 +94,7 @@ class Tracker(Boxed):
         self._engine: Engine = self._make(self._graph)
         self._max_side = max_side
         self._resizing = Resizing.to(1, 1, max_side)
-        self._has_color = True
+        self._kind = FrameKind(1, 1, True, 3, "uint8")
         self._state: State | None = None
         self._nets_before: Mapping[str, TargetNet] = {}
         self._next_index = 0
@@ -151,7 +152,7 @@ class Tracker(Boxed):
             self._engine = self._make(resizing.graph(self._graph))
         begun = start_targets(self._graph, self._engine, resizing.frame(first), placed)
         check_started(self._graph, begun)
-        self._resizing, self._has_color = resizing, first.has_color
+        self._resizing, self._kind = resizing, FrameKind.of(first)
         self._state, self._next_index, self._nets_before = begun.state, 1, {}
         self._last = resizing.outcome(begun)
 
@@ -168,7 +169,7 @@ class Tracker(Boxed):
         if self._state is None:
             raise RuntimeError("call init(frame, box) before update(frame)")
         now = _frame(frame, self._next_index, depth, self._copy_frames)
-        _check_alike(now, (*self._resizing.source, self._has_color))
+        self._kind.check(now, "call init again")
         found = step(self._engine, self._state, self._resizing.frame(now))
         self._nets_before = self._state.net.targets
         self._state, self._next_index = found.state, self._next_index + 1
@@ -321,20 +322,3 @@ def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None, copies: bo
         if other.shape != picture.shape:
             raise ValueError(f"depth of shape {other.shape} does not fit a picture of {picture.shape}")
     return Frame(index, float(index), picture, has_color, math.nan, depth)
-
-
-Kind = tuple[int, int, bool]
-"""Width, height, and whether it has colour."""
-
-
-def _check_alike(now: Frame, before: Kind) -> None:
-    kind = now.width, now.height, now.has_color
-    if kind != before:
-        raise ValueError(
-            f"frame {now.index} is {_size(kind)}, the frames before it are {_size(before)}; "
-            "bring it to their size and channels, or call init again"
-        )
-
-
-def _size(kind: Kind) -> str:
-    return f"{kind[0]}x{kind[1]} {'colour' if kind[2] else 'gray'}"

@@ -4,7 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 
 import cv2
@@ -88,6 +88,10 @@ def frame(index, time=None):
     return Frame(index, float(index if time is None else time), image, True, index * 0.04)
 
 
+def altered(index, **changes):
+    return replace(frame(index), **changes)
+
+
 @pytest.fixture(scope="module")
 def general():
     return load_graph("general")
@@ -149,6 +153,37 @@ def test_a_tracker_fed_with_the_same_frames_gives_the_same_boxes(recorded):
         assert box == tuple(corner_from_centre(result.targets[0].centre_box))
         assert tracker.score == result.targets[0].score
         assert tuple(e for e in tracker.events if isinstance(e, Decision)) == result.decisions
+
+
+# ------------------------------------------------------------------------------- frames of one kind
+
+
+@pytest.mark.parametrize(
+    ("other", "found"),
+    [
+        (altered(2, image=np.zeros((40, 64, 3), np.uint8)), "64x40 colour"),
+        (altered(2, image=np.zeros((48, 64, 3))), "64x48 colour with 3 channels of float64"),
+        (altered(2, image=np.zeros((48, 64, 4), np.uint8)), "64x48 colour with 4 channels of uint8"),
+        (altered(2, has_color=False), "64x48 gray"),
+    ],
+)
+def test_frames_of_ones_own_are_all_of_one_kind(general, other, found):
+    results, summary = [], Summary()
+    with pytest.raises(ValueError, match=f"frame 2 is {found}, the frames before it are 64x48 colour; "):
+        source = Listed([frame(0), frame(1), other, frame(3)])
+        results.extend(run(general, source, [Start(SQUARE)], summary=summary))
+    assert summary.frames == 2 and not summary.complete
+
+
+def test_a_source_that_says_so_may_turn_gray(general):
+    items = [
+        frame(0),
+        frame(1),
+        FrameSizeChanged(2, 64, 48, "rescale"),
+        altered(2, has_color=False),
+        frame(3),
+    ]
+    assert len(list(run(general, Listed(items), [Start(SQUARE)]))) == 4
 
 
 # ------------------------------------------------------------------------------------ the journal
