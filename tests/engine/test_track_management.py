@@ -316,6 +316,23 @@ def test_of_two_nets_that_hold_one_object_the_younger_ends():
     assert outcomes[-1].state.history.overlaps == {}
 
 
+def test_the_overlap_of_two_nets_is_forgotten_when_both_end():
+    """Both end in one frame and return: the younger ends after as many frames as a new one would."""
+    detected = ((50, 40), (53, 40, 0.5))
+    engine = engine_of(
+        lambda n: detected if n < 5 or n >= 12 else (),
+        birth={"confirm": {"hits": 1, "of": 1}, "min_distance_box": 0.1, "max_overlap": 1, "detector": RAW},
+        death={"unseen_frames": 2},
+        reidentify={"lost": False, "min_probability": 0.01, "frames": 300},
+        merge_duplicates={"overlap": 0.01, "frames": 8},
+    )
+    outcomes = play(engine, still(24, (50, 40, 200)))
+    assert [(e.frame, e.target) for e in events_of(outcomes, TargetDied)] == [(6, "1"), (6, "2")]
+    assert outcomes[5].state.history.overlaps and not outcomes[6].state.history.overlaps
+    assert {(e.frame, e.target) for e in events_of(outcomes, Returned)} == {(12, "1"), (12, "2")}
+    assert events_of(outcomes, DuplicateEnded)[0].frame == 19
+
+
 # ------------------------------------------------------------------------------------ as a whole
 
 

@@ -62,6 +62,11 @@ def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> No
         if gone:
             left = tuple(one for one in tracks.history.dead if one.target not in gone)
             tracks.history = changed(tracks.history, dead=left)
+    # A target that returns starts its overlaps anew.
+    before, live = tracks.history.overlaps, tracks.net.targets.keys()
+    overlaps = {pair: streak for pair, streak in before.items() if live >= {*pair}}
+    if len(overlaps) < len(before):
+        tracks.history = changed(tracks.history, overlaps=overlaps)
 
 
 def _end_vanishing(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
