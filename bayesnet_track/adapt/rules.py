@@ -294,8 +294,13 @@ def _choose_drop(
 def _wake(now: Situation, decisions: list[Decision]) -> None:
     """With no agent active, switch on all that may be: nothing else could bring the net back."""
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped | Deactivated)}
-    started = any(isinstance(d, Activated) or (isinstance(d, Readmitted) and d.on) for d in decisions)
-    if now.net.active - stopped or started:
+    readmitted = any(isinstance(d, Readmitted) and d.on for d in decisions)
+    if now.net.active - stopped or readmitted:
+        return
+    governors = {d.governor for d in decisions if isinstance(d, Activated)}
+    if len(governors) == 1:  # at no level would its agents have stayed off: they would have been woken
+        decisions[:] = [changed(d, cause=None) if isinstance(d, Activated) else d for d in decisions]
+    if governors:
         return
     for agent in _eligible(now):
         governor = now.plate.governor[agent] or now.plate.root

@@ -411,6 +411,15 @@ def test_with_no_agent_active_all_that_may_work_wake(drive):
     assert dead.of(Activated) == []
 
 
+def test_no_level_is_named_for_agents_that_would_have_been_woken(drive):
+    nobody = TargetNet("plate", frozenset(), rests_until={"a": 9, "b": 3})
+    (woken,) = drive(net(on_off(on_frames=1)), [300.0] * 3, net=nobody).of(Activated)
+    assert woken.cause is None
+    assert explain(woken) == "frame 2: no agent was active → b on"
+    (beside,) = drive(net(on_off(on_frames=1)), [300.0] * 3, active="a").of(Activated)
+    assert beside.cause is not None
+
+
 # ------------------------------------------------------------------------------------ lost and found
 
 LOST = {"above": {"ud_px2": 100.0}, "fit_below": 0.05, "frames": 3}
