@@ -92,6 +92,23 @@ def test_rows_and_single_targets_agree(associate, found, monkeypatch, unlike):
     assert_alike(rows, outcomes(own, found), unlike)
 
 
+def test_an_end_names_every_rule_that_holds():
+    says = {k: seen_at([100 + k, 200, 40, 80]) for k in range(10)}
+
+    def death(**rules):
+        return events_of(outcomes(jpda(death=rules), says, 20), TargetDied)[0]
+
+    alone, last = death(lost_frames=2), death(lost_frames=100)
+    assert alone.describe().endswith("would have continued at lost_frames ≥ 3"), "it still exists"
+    assert last.reason == "existence" and last.describe().endswith("continued at existence.end ≤ 0.0124")
+    both = death(lost_frames=3)
+    assert both.frame == last.frame and both.describe().startswith("lost for 3 frames")
+    assert both.describe().endswith("continued at lost_frames ≥ 4 and existence.end ≤ 0.0124")
+    unseen = death(lost_frames=3, unseen_frames=5)
+    assert unseen.frame == last.frame and unseen.reason == "lost"
+    assert "lost_frames ≥ 4 and unseen_frames ≥ 6 and existence.end ≤ 0.0124" in unseen.describe()
+
+
 def test_births_statuses_and_ends_are_levels_of_existence(graph):
     says = {k: seen_at([100 + 2 * k, 100, 30, 60]) for k in range(20)}
     done = outcomes(graph, says, 40)

@@ -436,6 +436,16 @@ GOLDEN = [
         "frame 80: not detected for 9 frames → target 3 ends; would have continued at unseen_frames ≥ 10",
     ),
     (
+        TargetDied(80, "3", "lost", 13, 13, False, unseen_frames=15),
+        "frame 80: lost for 13 frames → target 3 ends; would have continued at lost_frames ≥ 14 and "
+        "unseen_frames ≥ 16",
+    ),
+    (
+        TargetDied(80, "3", "unseen", 9, 9, False, existence=0.0124, end=0.05),
+        "frame 80: not detected for 9 frames → target 3 ends; would have continued at unseen_frames ≥ 10 and "
+        "existence.end ≤ 0.0124",
+    ),
+    (
         DuplicateEnded(9, "3", "1", 0.8349, 0.7, 5),
         "frame 9: its belief overlaps that of target 1 by 0.834 ≥ 0.7 for 5 frames → target 3, the younger, "
         "ends; would have continued at overlap > 0.835 or frames > 5",

@@ -45,14 +45,42 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
 
 
 def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
-    """Nets of targets that were lost for too long end; what they knew is kept for a while."""
-    for target, why in [] if rule.death is None else tracks.ending(plate, rule.death):
-        if rule.reidentify is not None:
-            tracks.history = changed(
-                tracks.history, dead=(*tracks.history.dead, remember(tracks, target, plate))
-            )
-        tracks.end(TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
-    _end_vanishing(tracks, plate, rule, frame)
+    """Nets of targets that were lost for too long, or hardly exist, end; what they knew is kept a while."""
+    least = None if rule.existence is None else rule.existence.end
+    vanishing = {} if least is None else dict(tracks.vanishing(plate, least))
+    causes = {} if rule.death is None else dict(tracks.ending(plate, rule.death))
+    for target in (*causes, *(one for one in vanishing if one not in causes)):
+        unseen = tracks.record(target).unseen_frames
+        why = causes.get(target, ("existence", unseen, 0))
+        enough = None if rule.death is None else rule.death.unseen_frames
+        is_too_long = why[0] == "lost" and enough is not None and unseen >= enough
+        existence = vanishing.get(target)
+        _end(
+            tracks,
+            plate,
+            TargetDied(
+                frame.index,
+                target,
+                *why,
+                remembered=rule.reidentify is not None,
+                existence=existence,
+                end=None if existence is None else least,
+                unseen_frames=unseen if is_too_long else 0,
+            ),
+        )
+    _forget(tracks, plate, rule, frame)
+
+
+def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:
+    """A net ends, and is remembered where the graph says so."""
+    if died.remembered:
+        remembered = remember(tracks, died.target, plate)
+        tracks.history = changed(tracks.history, dead=(*tracks.history.dead, remembered))
+    tracks.end(died)
+
+
+def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
+    """Targets that ended long ago or are too many are forgotten, and overlaps of all that ended."""
     if rule.reidentify is not None and rule.birth is not None:
         own = [one for one in tracks.history.dead if one.template == plate]
         kept = [one for one in own if frame.time - one.time <= rule.reidentify.frames]
@@ -67,29 +95,6 @@ def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> No
     overlaps = {pair: streak for pair, streak in before.items() if live >= {*pair}}
     if len(overlaps) < len(before):
         tracks.history = changed(tracks.history, overlaps=overlaps)
-
-
-def _end_vanishing(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
-    """Nets of targets that hardly exist end."""
-    if rule.existence is None:
-        return
-    for target, value in tracks.vanishing(plate, rule.existence.end):
-        if rule.reidentify is not None:
-            remembered = remember(tracks, target, plate)
-            tracks.history = changed(tracks.history, dead=(*tracks.history.dead, remembered))
-        unseen = tracks.record(target).unseen_frames
-        tracks.end(
-            TargetDied(
-                frame.index,
-                target,
-                "existence",
-                unseen,
-                0,
-                rule.reidentify is not None,
-                value,
-                rule.existence.end,
-            )
-        )
 
 
 def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:

@@ -18,8 +18,10 @@ class TargetDied:
         frames: for how many consecutive frames; without a detection of its own where the reason is existence.
         limit: the rule's number of frames; 0 where the reason is existence.
         remembered: whether the target can be recognised later.
-        existence: probability that it exists, where that is the reason.
-        end: the rule's least probability.
+        existence: probability that it exists, where it is too small.
+        end: the rule's least probability, then.
+        unseen_frames: for how many frames it was not detected, where it is lost and that would have been
+            enough; else 0.
     """
 
     frame: int
@@ -30,24 +32,34 @@ class TargetDied:
     remembered: bool
     existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
     end: float | None = field(default=None, metadata={"left_out_when_empty": True})
+    unseen_frames: int = field(default=0, metadata={"left_out_when_empty": True})
 
     def describe(self) -> str:
         """`lost for 30 frames → target 3 ends`."""
         kept = ", remembered" if self.remembered else ""
-        if self.existence is not None and self.end is not None:
+        if self.reason == "existence" and self.existence is not None and self.end is not None:
             value, level = distinct_texts(self.existence, self.end)
-            turning = round_away(self.existence, decimals(self.existence, self.end), up=False)
             unseen = f" after {plural(self.frames, 'frame')} without a detection" if self.frames else ""
-            return (
-                f"existence {value} < {level}{unseen} → target {self.target} ends{kept}; "
-                f"would have continued at existence.end ≤ {turning}"
-            )
-        how = "lost" if self.reason == "lost" else "not detected"
-        key = "lost_frames" if self.reason == "lost" else "unseen_frames"
+            why = f"existence {value} < {level}{unseen}"
+        else:
+            how = "lost" if self.reason == "lost" else "not detected"
+            why = f"{how} for {plural(self.frames, 'frame')}"
         return (
-            f"{how} for {plural(self.frames, 'frame')} → target {self.target} ends{kept}; "
-            f"would have continued at {key} ≥ {self.frames + 1}"
+            f"{why} → target {self.target} ends{kept}; would have continued at {' and '.join(self._needs())}"
         )
+
+    def _needs(self) -> list[str]:
+        """What all would have had to be otherwise: of several rules that hold, each would have ended it."""
+        needs = []
+        if self.reason != "existence":
+            key = "lost_frames" if self.reason == "lost" else "unseen_frames"
+            needs.append(f"{key} ≥ {self.frames + 1}")
+        if self.unseen_frames:
+            needs.append(f"unseen_frames ≥ {self.unseen_frames + 1}")
+        if self.existence is not None and self.end is not None:
+            turning = round_away(self.existence, decimals(self.existence, self.end), up=False)
+            needs.append(f"existence.end ≤ {turning}")
+        return needs
 
 
 @dataclass(frozen=True)
