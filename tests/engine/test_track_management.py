@@ -171,6 +171,17 @@ def test_a_detector_that_fires_everywhere_gives_no_more_nets_than_the_graph_allo
     assert [e.refused for e in refused] == sorted(e.refused for e in refused)
 
 
+def test_an_object_that_is_detected_twice_is_refused_once():
+    birth = {"confirm": {"hits": 1, "of": 1}, "detector": RAW}
+    says = lambda n: ((90, 70), *(((30, 40, 0.8), (33, 40, 0.5)) if n else ()))  # noqa: E731
+    frames = still(3, (90, 70, 200), (30, 40, 200))
+    refused = events_of(play(engine_of(says, birth={**birth, "max_targets": 1}), frames), BirthsRefused)
+    assert (refused[0].frame, refused[0].waiting) == (1, 1)
+    assert refused[0].describe().endswith("would have started at max_targets ≥ 2")
+    enough = play(engine_of(says, birth={**birth, "max_targets": 2}), frames)
+    assert events_of(enough, BirthsRefused) == [] and len(enough[-1].state.targets) == 2
+
+
 def test_detections_beyond_the_number_that_is_used_are_told_of_by_powers_of_ten():
     birth = {"detector": {"detections": {"max_count": 4, "max_overlap": 1}}, "max_targets": 9}
     crowded = tuple((20 + 14 * number, 40, 0.9 - 0.01 * number) for number in range(6))

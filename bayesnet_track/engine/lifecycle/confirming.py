@@ -53,19 +53,24 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
     boxes = np.array([one.box for one in ready[:TESTED]]).reshape(-1, 4)
     nearest = {one.detection: one for one in match_known(now, dead, boxes, found.boxes)}
     done: list[Candidate] = []
-    refused = 0
+    refused: list[Floats] = []
     for number, candidate in enumerate(ready):
-        others = tracks.boxes(tracks.held(now.plate))
-        if alike(candidate.box[None], others, now.birth.min_distance_box, now.birth.covered).any():
+        if _is_one_of(now, candidate, tracks.boxes(tracks.held(now.plate))):
             done.append(candidate)
         elif len(tracks.of_plate(now.plate)) >= most:
-            refused += 1
+            if not _is_one_of(now, candidate, np.array(refused).reshape(-1, 4)):
+                refused.append(candidate.box)
         else:
             _start(now, candidate, nearest.get(number))
             done.append(candidate)
     if refused:
-        _refuse(now, refused)
+        _refuse(now, len(refused))
     return done
+
+
+def _is_one_of(now: Births, candidate: Candidate, boxes: Floats) -> bool:
+    """Whether a candidate is the object in one of the boxes (K, 4)."""
+    return bool(alike(candidate.box[None], boxes, now.birth.min_distance_box, now.birth.covered).any())
 
 
 def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:

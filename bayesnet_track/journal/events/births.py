@@ -103,7 +103,7 @@ class BirthsRefused:
         live: live targets of the plate.
         max_targets: the rule's number.
         refused: confirmed detections refused so far; one that persists counts in every run of the detector.
-        waiting: confirmed detections refused in this frame.
+        waiting: confirmed detections refused in this frame; several of one object count once.
     """
 
     frame: int
