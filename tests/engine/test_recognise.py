@@ -110,3 +110,35 @@ def test_a_target_is_taken_once_and_what_is_left_is_new():
     # Target 1 is taken: the other detection is 2 with odds of 1 to 2, and so more probably new.
     assert (second.detection, second.recognition.target, second.is_sure) == (1, "2", False)
     assert second.recognition.probability == pytest.approx(1 / 3) and second.recognition.rival == "new"
+
+
+def test_what_is_not_contested_turns_at_its_probability():
+    """Any odds of three targets in three detections, matched again at levels beyond each probability."""
+    rng, free = np.random.default_rng(0), 0
+    for _ in range(300):
+        known = [compared(str(k), odds) for k, odds in enumerate(np.exp(rng.normal(0.0, 2.5, (3, 3))))]
+        level = float(rng.uniform(0.1, 0.9))
+        for one in match(known, 3, Reidentify(min_probability=level)):
+            by = one.recognition
+            if by.contested:
+                continue
+            free += 1
+            high = by.probability + 1e-9
+            levels = np.linspace(high, 1.0, 5) if one.is_sure else np.linspace(by.probability, 1e-3, 5)
+            for other in levels[levels > 0.0]:
+                again = match(known, 3, Reidentify(min_probability=min(float(other), 1.0)))
+                sure = {(two.detection, two.recognition.target) for two in again if two.is_sure}
+                assert ((one.detection, by.target) in sure) != one.is_sure
+                if one.is_sure:
+                    assert one.detection not in dict(sure) and by.target not in dict(sure).values()
+    assert free > 300
+
+
+def test_a_match_is_contested_where_a_better_one_would_come_first():
+    """At no level is the second detection target 1: the first one, which has better odds, takes it."""
+    first, second = match([compared("1", [9.0, 3.0])], 2, Reidentify(min_probability=0.95))
+    assert (first.recognition.contested, second.recognition.contested) == (False, True)
+    # Since target 1 is taken, the second is target 2 with a probability of 9 in 10, else of 9 in 18.
+    both = [compared("1", [20.0, 8.0]), compared("2", [1.0, 9.0])]
+    first, second = match(both, 2, Reidentify(min_probability=0.3))
+    assert (first.recognition.contested, second.recognition.contested) == (False, True)

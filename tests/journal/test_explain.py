@@ -413,6 +413,14 @@ GOLDEN = [
         "nats); would have been target 1 at min_probability ≤ 0.123",
     ),
     (
+        CandidateConfirmed(
+            3, "2", "square", "gray_level", 3, 1, 1, 0.8214, replace(UNLIKELY, contested=True)
+        ),
+        "frame 3: gray_level detected it in 1 of 1 run, mean score 0.82 → target 2 is new: it is target 1 "
+        "with probability 0.123 < 0.5 (unseen for 41 frames -0.14, 235 px off -1.20, appearance by color, "
+        "intensity -0.70 nats)",
+    ),
+    (
         Returned(60, "3", "square", BORN.box, ("color",), LIKELY),
         "frame 60: a detection is target 3 with probability 0.931 ≥ 0.5 (unseen for 41 frames "
         "-0.14, 35 px off "
@@ -426,6 +434,12 @@ GOLDEN = [
         "+2.13, appearance by color, intensity +7.40 nats; next target 1, 2e-12) → target 3 found "
         "again, centre "
         "270, 190, 40 x 40 px",
+    ),
+    (
+        Reacquired(60, "3", BORN.box, replace(LIKELY, contested=True)),
+        "frame 60: a detection is target 3 with probability 0.931 ≥ 0.5 (unseen for 41 frames -0.14, 35 px "
+        "off +2.13, appearance by color, intensity +7.40 nats; next a new target, 0.069) → target 3 found "
+        "again, centre 270, 190, 40 x 40 px",
     ),
     (
         TargetDied(80, "3", "lost", 30, 30, True),

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -152,11 +152,30 @@ def match(compared: Sequence[Compared], detections: int, rule: Reidentify) -> tu
             break
         i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(left), left, -np.inf))), left.shape)
         k, m = rows[int(i)], columns[int(j)]
-        matches.append(Match(m, _recognition(compared, rows, probability[:, int(j)], int(i), m, rule)))
+        one = Match(m, _recognition(compared, rows, probability[:, int(j)], int(i), m, rule))
         columns.remove(m)
+        if _is_contested(odds, k, columns, one):
+            one = replace(one, recognition=replace(one.recognition, contested=True))
+        matches.append(one)
         if matches[-1].is_sure:
             rows.remove(k)
     return tuple(matches)
+
+
+def _is_contested(odds: Floats, k: int, others: Sequence[int], match: Match) -> bool:
+    """Whether another pair has a say in what would have become of this one at another `min_probability`.
+
+    At a lower one, a detection with better odds may take the target first. At a higher one, targets may be
+    left that were taken before, or one of the `others`, the detections left, may take target k.
+    """
+    m = match.detection
+    if not match.is_sure:
+        return int(np.argmax(odds[k])) != m
+    found = match.recognition.probability
+    among_all = math.exp(odds[k, m] - np.logaddexp(0.0, np.logaddexp.reduce(odds[:, m])))
+    is_freed = found - among_all > 0.1 * min(found, 1.0 - found) + 1e-9
+    rivals = odds[k, list(others)]
+    return is_freed or bool((np.exp(rivals - np.logaddexp(0.0, rivals)) > found).any())
 
 
 def _recognition(

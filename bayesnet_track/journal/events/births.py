@@ -85,11 +85,11 @@ class CandidateConfirmed:
         value, level = distinct_texts(near.probability, near.min_probability)
         if near.probability >= near.min_probability:
             return f"{found} (target {near.target} is taken for another detection)"
+        found += f": it is target {near.target} with probability {value} < {level} ({explain_odds(near)})"
+        if near.contested:
+            return found
         turning = round_away(near.probability, decimals(near.probability, near.min_probability), up=False)
-        return (
-            f"{found}: it is target {near.target} with probability {value} < {level} ({explain_odds(near)}); "
-            f"would have been target {near.target} at min_probability ≤ {turning}"
-        )
+        return f"{found}; would have been target {near.target} at min_probability ≤ {turning}"
 
 
 @dataclass(frozen=True)

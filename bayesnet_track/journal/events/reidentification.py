@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away
@@ -29,6 +29,8 @@ class Recognition:
         agents: agents that scored its appearance.
         rival: what else it most probably is: another target's id, or new.
         rival_probability: the probability of that.
+        contested: whether another detection or target has a say in what would have become of it at another
+            level, so that no level is named.
     """
 
     target: str
@@ -42,6 +44,7 @@ class Recognition:
     agents: tuple[str, ...]
     rival: str
     rival_probability: float
+    contested: bool = field(default=False, metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,8 @@ def _describe_recognition(by: Recognition, then: str, otherwise: str) -> str:
     # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.
     digits = max(2, math.ceil(-math.log10(max(1.0 - by.probability, 1e-7))))
     turning = float(round_away(by.probability, digits, up=True))
-    but = f"; would have been {otherwise} at min_probability ≥ {turning:.9g}" if turning < 1 else ""
+    would = f"; would have been {otherwise} at min_probability ≥ {turning:.9g}"
+    but = "" if turning >= 1 or by.contested else would
     relation = "≥" if by.probability > by.min_probability else "="
     rival = "a new target" if by.rival == "new" else f"target {by.rival}"
     return (
