@@ -290,6 +290,9 @@ def test_screenshots_light_dark_phone_and_print(browser, demo):
 
 def test_paper_has_plots_of_its_own_width_and_colours(browser, demo):
     browser.open(demo("two_squares"), PHONE, dark=True)
+    # What is still to be drawn in the next frame would be drawn for the phone.
+    browser.run("requestAnimationFrame(() => requestAnimationFrame(() => (window.rested = true)))")
+    browser.wait("return window.rested")
     browser.run(
         "window.seen = []; addEventListener('beforeprint', () => queueMicrotask(() => seen.push("
         "document.querySelector('.plot-ud .u-wrap').clientWidth,"
