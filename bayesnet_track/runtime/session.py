@@ -136,8 +136,7 @@ def track(
         StartError: no target can start from the box, or no agent of any target in the first frame.
         DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
         OSError: the file of detections or of inputs cannot be read.
-        ValueError: it is malformed; says file and line. Or an argument out of its range, or several that do
-            not go together.
+        ValueError: it is malformed (file and line); an argument is out of range, or does not fit another.
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
 
