@@ -26,7 +26,14 @@ from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.capabilities import METHODS
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses, Reference, blend_arrays
+from bayesnet_track.observation.cue import (
+    CueDeclaration,
+    CueParameters,
+    Hypotheses,
+    Measurement,
+    Reference,
+    blend_arrays,
+)
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 
 # No property depends on how fast the machine is. Those that say no number of examples take more of them with
@@ -179,6 +186,26 @@ class Oracle:
 
 
 @dataclass(frozen=True)
+class Measuring:
+    """A cue that measures a place with a covariance, and writes down in which frames it is asked."""
+
+    place: tuple[float, float]
+    variance: float
+    needs: tuple[FakePlane, ...] = ()
+    asked: list[int] = field(default_factory=list)
+
+    def learn(self, planes: Any, box: Any) -> Reference:
+        return {"box": box}
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        return new
+
+    def measure(self, planes: Any, hypotheses: Any, weights: Any, reference: Reference) -> Measurement:
+        self.asked.append(planes.frame.index)
+        return Measurement(("x", "y"), np.array(self.place), self.variance * np.eye(2))
+
+
+@dataclass(frozen=True)
 class AdaptableOracle(Oracle):
     tune: Callable[[Reference, int], Reference | None] = lambda reference, attempt: reference
 
@@ -276,6 +303,7 @@ def fakes() -> SimpleNamespace:
         START=START,
         AdaptableOracle=AdaptableOracle,
         BrokenPlane=BrokenPlane,
+        Measuring=Measuring,
         Oracle=Oracle,
         Plan=Plan,
         Plane=FakePlane,

@@ -96,7 +96,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     It is weighed anew, without them, when agents fail that have answered before in the same frame.
     """
     live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
-    before = with_agents(compiled, before, live.looking(frame.index))
+    before = with_agents(compiled, before, live.looking(frame.ordinal))
     stream = work.stream(target, compiled.plate.root)
     started = work.engine.clock()
     dt = frame.time - before.time

@@ -197,7 +197,7 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     held = held and measured.scored.missing is None
     live = work.net.targets[filtered.target]
     every = frames_between(rule, live.sampled)
-    rests = (work.frame.index if live.sampled else work.frame.turn) % every > 0
+    rests = work.frame.ordinal % every > 0
     if filtered.call is not None and live.turn is not None:  # without a call none of them rests
         every, rests = live.turn.since(work.frame.index, work.frame.stride), not filtered.call.ran
     if not held or not net.active or filtered.step.degenerate is not None or rests:

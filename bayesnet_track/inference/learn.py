@@ -120,9 +120,9 @@ def largest_rate(rule: Learn | None, own: float, frames: int) -> float:
 
 
 def frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
-    """Learning takes place in frames whose number this divides.
+    """Learning takes place in one of so many tracked frames.
 
-    `sampled`: agent that is evaluated now and then -> in frames whose number this divides. Between samples
+    `sampled`: agent that is evaluated now and then -> in one of so many tracked frames. Between samples
     the others are less sure alone, and what is learnt then would be their errors.
 
     >>> from bayesnet_track.graph.spec import Learn, Level

@@ -48,7 +48,7 @@ class Frame:
         object.__setattr__(self, "image", read_only(self.image))
 
     @property
-    def turn(self) -> int:
+    def ordinal(self) -> int:
         """Its number among the frames that are tracked: what is done in every n-th frame goes by it."""
         return self.index // self.stride
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import pytest
 
 from bayesnet_track.inference.learn import over_frames
@@ -49,6 +52,18 @@ def test_the_dearest_goes_and_looks_at_every_third_frame(fakes):
         assert (line.learn_rate > 0.0) == looks
     assert explain(off).endswith("stayed on at deactivate ≤ " + explain(off).rsplit(" ", 1)[1])
     assert "→ dear off (most expensive cue: 9 ms), still evaluated every 3 frames; would have" in explain(off)
+
+
+@pytest.mark.parametrize(("first", "stride"), [(1, 2), (2, 3), (4, 5)])
+def test_with_a_stride_it_looks_at_every_third_tracked_frame(fakes, first, stride):
+    numbers = [first + stride * n for n in range(15)]
+    frames = [replace(fakes.frame(k, time=float(n)), stride=stride) for n, k in enumerate(numbers)]
+    outcomes = played(fakes, 3.0, frames)
+    (off,) = [event for one in outcomes for event in one.events if isinstance(event, Deactivated)]
+    after = [one.metrics[0] for one in outcomes if one.metrics[0].frame > off.frame]
+    looks = [line.frame // stride for line in after if "dear" in line.active]
+    assert len(looks) >= 3 and {b - a for a, b in pairwise(looks)} == {3}
+    assert looks == [line.frame // stride for line in after if line.learn_rate > 0.0]
 
 
 def test_it_comes_back_as_soon_as_the_others_are_unsure(fakes):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.sources.scenes import make_scene
 
 SEEN = DistractorSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
@@ -265,24 +264,8 @@ def test_it_takes_all_agents_to_tell_things_apart(fakes):
     assert doubted(watch(fakes, tells, nodes={"a": "root", "b": "root"})) == []
 
 
-@dataclass(frozen=True)
-class Anywhere:
-    """Measures a place so badly that it says nothing."""
-
-    needs: tuple = ()
-
-    def learn(self, planes, box):
-        return {"box": box}
-
-    def blend(self, old, new, rate):
-        return new
-
-    def measure(self, planes, hypotheses, weights, reference):
-        return Measurement(("x", "y"), np.array([58.0, 40.0]), 1e4 * np.eye(2))
-
-
 def test_frames_in_which_an_agent_on_call_rests_do_not_count(fakes):
-    """Of every third frame alone, two in a row raise the doubt."""
+    """Of every third frame alone, two in a row raise the doubt; what is on call says nothing of the place."""
     root = {
         "motion": {"random_walk": {"sd_px": {"x": 8.0, "y": 8.0}}},
         "fuse": "product",
@@ -292,7 +275,7 @@ def test_frames_in_which_an_agent_on_call_rests_do_not_count(fakes):
         "lost": NEVER_LOST,
         "distractors": {"frames": 2, "hold": 4},
     }
-    cues = {"cheap": fakes.Oracle(twins(fakes, frames=range(40))), "dear": Anywhere()}
+    cues = {"cheap": fakes.Oracle(twins(fakes, frames=range(40))), "dear": fakes.Measuring((58.0, 40.0), 1e4)}
     declared = {name: fakes.declare(cue) for name, cue in cues.items()}
     graph = fakes.graph({"root": root, "cheap": "root", "dear": "root"}, declared)
     outcomes = fakes.play(make_engine(graph, 0, declared), 14)[1:]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ from bayesnet_track.engine.step import first_look, step
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.switches import Scheduled
-from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.sources.detection_files import FileDetector
 
@@ -43,24 +42,6 @@ def test_references_learn_in_every_second_frame(fakes, first, stride):
     assert cues["a"].blended == pytest.approx(same[1]["a"].blended)
 
 
-@dataclass(frozen=True)
-class Sure:
-    """Measures the place (50, 40), and writes down when it is asked."""
-
-    needs: tuple = ()
-    asked: list = field(default_factory=list)
-
-    def learn(self, planes, box):
-        return {"box": box}
-
-    def blend(self, old, new, rate):
-        return new
-
-    def measure(self, planes, hypotheses, weights, reference):
-        self.asked.append(planes.frame.index)
-        return Measurement(("x", "y"), np.array([50.0, 40.0]), 4.0 * np.eye(2))
-
-
 @NUMBERS
 def test_agents_on_call_rest_for_as_many_frames(fakes, first, stride):
     root = {
@@ -71,7 +52,7 @@ def test_agents_on_call_rest_for_as_many_frames(fakes, first, stride):
         "ud_fields": ["x", "y"],
         "adapt": {"agents": ["dear"], "on_call": {"every": 3, "agree": 0.5, "above": {"ud_px2": 1e6}}},
     }
-    cues = {"cheap": Sure(), "dear": Sure()}
+    cues = {name: fakes.Measuring((50.0, 40.0), 4.0) for name in ("cheap", "dear")}
     declared = {name: fakes.declare(cue) for name, cue in cues.items()}
     graph = fakes.graph({"root": root, "cheap": "root", "dear": "root"}, declared)
     outcomes = fakes.play(make_engine(graph, 0, declared), frames(fakes, first, stride, 10))

@@ -46,7 +46,7 @@ def test_numbers_and_times_are_those_of_the_source(folder, window, expected):
     items = frames_of(source)
     assert [item.index for item in items] == expected and all(isinstance(item, Frame) for item in items)
     assert {item.stride for item in items} == {3}
-    assert [item.turn - items[0].turn for item in items] == list(range(len(items)))
+    assert [item.ordinal - items[0].ordinal for item in items] == list(range(len(items)))
     assert [(item.time, item.time_s, item.image[0, 0, 0]) for item in items] == [
         (float(n), pytest.approx(n / 25), n) for n in expected
     ]

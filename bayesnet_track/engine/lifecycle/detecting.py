@@ -63,7 +63,7 @@ def look(
         birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
         if (
             birth is not None
-            and frame.turn % birth.every == 0
+            and frame.ordinal % birth.every == 0
             and _is_in(history, compiled.detector, frame.index)
         ):
             due[plate] = compiled.detector

@@ -57,7 +57,7 @@ def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[Particle
         live, compiled = work.net.targets[target], work.plate_of(target)
         if not plate_fits(compiled) or live.most_particles is not None:
             continue
-        own = with_agents(compiled, state, live.looking(work.frame.index))
+        own = with_agents(compiled, state, live.looking(work.frame.ordinal))
         agents = [one.agent for one in own.plan.observations if one.agent in own.references]
         if own.plan.factors or len(agents) < len(own.plan.observations):
             continue

@@ -217,7 +217,7 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
     memories, stays = table.columns().then(plate, seen)
     started = work.charge("measure", started)
     rule = plate.inference(plate.root).learn
-    rests = work.frame.turn % frames_between(rule, {}) > 0
+    rests = work.frame.ordinal % frames_between(rule, {}) > 0
     rates = [
         learning_rate(rule, ud, area, memories.median(row)) * max(1.0 - 2.0 * share, 0.0)
         if stay and not rests

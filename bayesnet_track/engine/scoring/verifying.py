@@ -131,9 +131,9 @@ class Verification:
         yet learns its first one here.
         """
         values, kept, faults = dict[str, float](), dict(references), dict[str, str]()
-        turn = self.cache.frames.current.turn
+        ordinal = self.cache.frames.current.ordinal
         for place, (name, one) in enumerate(self.verifiers.items()):
-            if (turn + place) % one.every and not everyone:
+            if (ordinal + place) % one.every and not everyone:
                 continue
             known = kept[name] if name in kept else one.first_reference(self.cache, self.box)
             if not known:  # it failed before

@@ -93,7 +93,7 @@ class Deactivate(Model):
     )
     sample_every: Annotated[Whole, Field(ge=2, le=1000)] | None = Field(
         default=None,
-        description="evaluate the agent that is switched off in frames whose number this divides; references "
+        description="evaluate the agent that is switched off in one of so many tracked frames; references "
         "then learn in these frames only, as much as they would in all of them; default: not evaluated",
     )
 

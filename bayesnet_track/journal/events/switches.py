@@ -70,7 +70,7 @@ class Deactivated:
         drop: which index chose it: largest_kl, min_contribution_per_ms, min_information_per_ms,
             most_expensive_redundant or most_expensive.
         index: agent -> that index, for every active agent it was chosen among.
-        sample_every: it is still evaluated in frames whose number this divides; 0 when it is not.
+        sample_every: it is still evaluated in one of so many tracked frames; 0 when it is not.
     """
 
     frame: int

@@ -58,7 +58,7 @@ class TargetNet:
         shed: agents that were switched off for want of time, in this order.
         most_particles: most hypotheses for want of time; None without such a limit.
         faults: agent that failed, whether it is still out or not -> its last failure.
-        sampled: agent that is switched off but still evaluated -> in frames whose number this divides.
+        sampled: agent that is switched off but still evaluated -> in one of so many tracked frames.
         turn: when its agents on call run next; None while they run in every frame.
         status: tracking, uncertain or lost.
     """
@@ -76,11 +76,11 @@ class TargetNet:
     sampled: Mapping[str, int] = field(default_factory=dict)
     turn: Turn | None = None
 
-    def looking(self, frame: int) -> frozenset[str]:
-        """The agents that look at a frame: those switched on, and those whose sample is due."""
+    def looking(self, ordinal: int) -> frozenset[str]:
+        """The agents that look at this tracked frame: those switched on, and those whose sample is due."""
         if not self.sampled:
             return self.active
-        return self.active | {agent for agent, every in self.sampled.items() if frame % every == 0}
+        return self.active | {agent for agent, every in self.sampled.items() if ordinal % every == 0}
 
     def shed_without(self, agent: str) -> tuple[str, ...]:
         """The agents that are shed, but for one."""

@@ -133,7 +133,7 @@ def _run_ahead(
     """Track on from the last answer until a frame is to be asked about: the last one, if none before it.
 
     What follows the last answer is tracked in one direction alone: a sure run may be wrong, and only one back
-    from the end of the video tells.
+    from the end of the video shows it.
     """
     doubtful = 0
     mark: Mark | None = None
