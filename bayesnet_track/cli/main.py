@@ -61,8 +61,11 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
 
             return doctor(options)
         from bayesnet_track.cli import dispatch as commands
+        from bayesnet_track.cli.commands.answer import complain
+        from bayesnet_track.sources.entrances.notices import heard
 
-        code = commands.call(options)
+        with heard(complain):
+            code = commands.call(options)
         sys.stdout.flush()
         return code
     except BrokenPipeError:

@@ -1,0 +1,71 @@
+"""Notices: what of an input is not used, or not as it stands there."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+PACKAGE = str(Path(__file__).resolve().parents[2])
+SHOWN = 5
+
+
+class InputNotice(UserWarning):
+    """Part of an input is not used, or not as it stands there. The command line prints the sentence."""
+
+
+def notice(text: str) -> None:
+    """Warn of `text` at the line outside of this package that led here.
+
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     notice("tracks.csv: 2 of 30 boxes are left out")
+    >>> print(caught[0].message)
+    tracks.csv: 2 of 30 boxes are left out
+    """
+    depth = 1
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
+        frame, depth = frame.f_back, depth + 1
+    warnings.warn(text, InputNotice, stacklevel=depth + 1)
+
+
+@contextmanager
+def heard(hear: Callable[[str], object]) -> Iterator[None]:
+    """Hand each notice given inside to `hear`, once for each text, instead of warning of it."""
+    said: set[str] = set()
+    former = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if not issubclass(category, InputNotice):
+            former(message, category, filename, lineno, file, line)
+        elif str(message) not in said:
+            said.add(str(message))
+            hear(str(message))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputNotice)
+        warnings.showwarning = show
+        yield
+
+
+def few(values: Sequence[object]) -> str:
+    """The first values, and how many more there are, for messages.
+
+    >>> few([3, 4, 9])
+    '3, 4, 9'
+    >>> few(range(100))
+    '0, 1, 2, 3, 4 and 95 more'
+    """
+    shown = ", ".join(map(str, values[:SHOWN]))
+    return shown if len(values) <= SHOWN else f"{shown} and {len(values) - SHOWN} more"
