@@ -37,9 +37,29 @@ def is_broken_link(path: Path) -> bool:
     return path.is_symlink() and not path.exists()
 
 
+JUNK_FOLDERS = frozenset({"__MACOSX", "@eaDir", "#recycle", "$RECYCLE.BIN"})
+"""What archivers, network drives and bins put beside the files of a user, with names of images in it."""
+
+
+def is_junk(path: Path) -> bool:
+    """True for what systems put beside the files of a user: names with a dot, and all in `JUNK_FOLDERS`.
+
+    >>> [is_junk(Path(name)) for name in ("a/._1.png", "a/__MACOSX/1.png", ".hidden/1.png", "a/1.png")]
+    [True, True, False, False]
+    """
+    return path.name.startswith(".") or not JUNK_FOLDERS.isdisjoint(path.parts)
+
+
 def _keeps_number(path: Path) -> bool:
     """True for a file, or a broken link, which has a place among the frames; not for a pipe: it may hang."""
-    return path.is_file() or is_broken_link(path)
+    return not is_junk(path) and (path.is_file() or is_broken_link(path))
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The images directly in a folder, in no order; junk is none of them. Raises OSError."""
+    return [
+        path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(path)
+    ]
 
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
@@ -119,7 +139,7 @@ def _matching(text: str) -> list[Path]:
 def _in_folder(text: str, folder: Path) -> list[Path]:
     for place in (folder, *(folder / name for name in SEQUENCE_FOLDERS)):
         if place.is_dir():
-            found = [p for p in place.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(p)]
+            found = images_in(place)
             if found:
                 return found
     raise SourceError(
@@ -145,6 +165,8 @@ def _nearest(path: Path) -> str:
 
 def _could_be_read(path: Path) -> bool:
     """True for videos, images and folders of images, by their names."""
+    if is_junk(path):
+        return False
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_SUFFIXES | IMAGE_SUFFIXES
     try:

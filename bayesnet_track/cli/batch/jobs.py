@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.sources.mot_lines import read_text
+from bayesnet_track.sources.paths import is_junk
 
 COLUMNS = ("source", "name", "init", "init_from", "truth")
 """Columns of a list; only the source is needed."""
@@ -111,7 +112,8 @@ def videos_of(sources: Sequence[str], init_from: str | None = None, truth: str |
     found = []
     for pattern in sources:
         is_pattern = glob.has_magic(pattern)
-        names = sorted(glob.glob(pattern, recursive=True)) if is_pattern else [pattern]  # noqa: PTH207
+        matching = glob.glob(pattern, recursive=True) if is_pattern else [pattern]  # noqa: PTH207
+        names = sorted(name for name in matching if not (is_pattern and is_junk(Path(name))))
         if not names:
             raise BatchError(f"--source {pattern!r} matches nothing")
         found += names

@@ -59,13 +59,12 @@ def learn_shape(options: argparse.Namespace) -> int:
 
 def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.sources.images import read_image
-    from bayesnet_track.sources.paths import IMAGE_SUFFIXES, natural_key
+    from bayesnet_track.sources.paths import images_in, natural_key
     from bayesnet_track.vision.shape.shape_examples import mask_example
 
     folder, found = Path(options.masks), []
     with users_mistake():
-        images = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-        paths = sorted(images, key=natural_key)
+        paths = sorted(images_in(folder), key=natural_key)
         if not paths:
             raise UsageError(f"{folder}: holds no images")
         for path in paths:
