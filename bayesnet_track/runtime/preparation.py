@@ -11,7 +11,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.journal.writer import LineFile, writing
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoints
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
@@ -67,6 +67,23 @@ def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -
     """What is asked for, as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
     texts = {"graph": graph.text, "truth": truth, "recipe": recipe.text()}
     return {key: text.encode("utf-8") for key, text in texts.items() if text is not None}
+
+
+def held_files(directory: RunDirectory, truth: str | None) -> dict[str, bytes]:
+    """The same of a run that goes on, as they are now, but for the scene's `truth`.
+
+    Raises:
+        OutputError: one cannot be read or written.
+    """
+    found = {} if truth is None else {"truth": truth.encode("utf-8")}
+    for key, data in found.items():  # earlier versions wrote it in the end
+        write_atomically(directory.path / FILES[key], data)
+    for key in ("graph", "truth", "recipe"):
+        path = directory.path / FILES[key]
+        with writing(path):
+            if path.exists():
+                found[key] = path.read_bytes()
+    return found
 
 
 def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:

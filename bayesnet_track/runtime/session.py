@@ -189,6 +189,7 @@ def track(
         all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None
+        files: dict[str, bytes] = {}
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
             stack.enter_context(lock_run(directory))
@@ -238,7 +239,7 @@ def track(
             max_side=max_side,
         )
         if recorder is not None and totals.frames:
-            finish(directory, recorder.finish())
+            finish(directory, recorder.finish(), files)
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:

@@ -8,12 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from bayesnet_track import track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError
+from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
+from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.recording.manifest import FOREIGN
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.sources.scene_source import SceneSource
@@ -123,3 +128,86 @@ def test_it_is_exit_code_6(
     assert main(["demo", "--end", "4", "--quiet", "--out", str(tmp_path / "run")]) == 6
     _, err = capsys.readouterr()
     assert "tracks.txt: it was removed or renamed while it was being written" in err
+
+
+SMALL = ("run.json", "graph.yaml", "truth.txt")
+
+
+@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("edit", [edited, grown, truncated, renamed, Path.unlink])
+def test_what_was_written_at_the_start_is_not_vouched_for_as_something_else_left_it(
+    tmp_path: Path, name: str, edit: Callable[[Path], None]
+) -> None:
+    source, path = SceneSource.named("two_squares", 0, 3), tmp_path / "run" / name
+    results = track("two_squares", source, [Start(source.scene.start_box)], out=path.parent)
+    next(results)
+    own = path.read_bytes()
+    edit(path)
+    foreign = path.read_bytes() if path.exists() else None
+    with pytest.raises(OutputError, match=rf"{name}: .* during the run, which wrote") as failed:
+        list(results)
+    assert path.read_bytes() == own
+    aside = path.with_name(name + FOREIGN)
+    if foreign is not None:
+        assert f"the changed one is now {aside.name}" in str(failed.value)
+        assert aside.read_bytes() == foreign
+        assert verify(path.parent).outputs[aside.name] == "extra"
+        aside.unlink()
+    if edit is not renamed:
+        assert verify(path.parent).status == "verified"
+
+
+def test_an_edited_graph_is_exit_code_6(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frame = Recorder.frame
+
+    def then_edited(recorder: Recorder, result: Result) -> None:
+        frame(recorder, result)
+        edited(tmp_path / "run" / "graph.yaml")
+
+    monkeypatch.setattr(Recorder, "frame", then_edited)
+    assert main(["demo", "--end", "3", "--quiet", "--out", str(tmp_path / "run")]) == 6
+    _, err = capsys.readouterr()
+    assert "run/graph.yaml: something else changed it during the run, which wrote its own again" in err
+    assert main(["verify", str(tmp_path / "run")]) == 4
+
+
+def test_a_link_in_the_place_of_a_file_is_not_written_through(tmp_path: Path) -> None:
+    source, path = SceneSource.named("two_squares", 0, 3), tmp_path / "run" / "graph.yaml"
+    results = track("two_squares", source, [Start(source.scene.start_box)], out=path.parent)
+    next(results)
+    path.rename(tmp_path / "graph.yaml")
+    path.symlink_to(tmp_path / "graph.yaml")
+    with pytest.raises(OutputError, match="something else changed it"):
+        list(results)
+    assert not path.is_symlink() and path.read_bytes() == (tmp_path / "graph.yaml").read_bytes()
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_a_run_that_goes_on_vouches_for_what_it_found(tmp_path: Path, name: str) -> None:
+    source, path = SceneSource.named("two_squares", 0, 4), tmp_path / "run" / name
+    results = track(
+        "two_squares", source, [Start(source.scene.start_box)], out=path.parent, checkpoint_every=1e-9
+    )
+    next(results), next(results)
+    results.close()
+    again = resume(path.parent)
+    next(again)
+    grown(path)
+    with pytest.raises(OutputError, match="something else changed it during the run"):
+        list(again)
+    path.with_name(name + FOREIGN).unlink()
+    assert verify(path.parent).status == "verified"
+
+
+def test_a_recipe_with_another_blank_is_not_that_of_the_checkpoint(tmp_path: Path) -> None:
+    source, path = SceneSource.named("two_squares", 0, 4), tmp_path / "run" / "run.json"
+    results = track(
+        "two_squares", source, [Start(source.scene.start_box)], out=path.parent, checkpoint_every=1e-9
+    )
+    next(results), next(results)
+    results.close()
+    path.write_text(path.read_text() + " ")
+    with pytest.raises(CheckpointError, match="another recipe than that of the checkpoint"):
+        list(resume(path.parent))

@@ -28,6 +28,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint_file import (
     newest_checkpoint,
     remove,
 )
+from bayesnet_track.runtime.checkpoints.given_files import file_sha256
 from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before, keep_pending
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.standing import standing
@@ -44,6 +45,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
 from bayesnet_track.runtime.preparation import (
+    held_files,
     make_checkpointer,
     opaque_agents,
     place_cues,
@@ -129,7 +131,7 @@ def resume(
         check_files(recipe)
         graph = recipe.load_graph(directory, cues)
         check_same(recipe, source, motion)
-        checkpoint = _checkpoint(directory, recipe, say)
+        checkpoint = _checkpoint(directory, say)
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         detections = None if recipe.detections is None else recipe.detections.place
@@ -155,9 +157,7 @@ def resume(
         # From here on files are changed.
         keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
-        truth = getattr(opened, "truth_text", None)
-        if truth is not None and not directory.truth.exists():  # earlier versions wrote it in the end
-            directory.write_text(directory.truth, truth)
+        own = held_files(directory, getattr(opened, "truth_text", None))
         recorder = stack.enter_context(
             Recorder(
                 directory,
@@ -199,7 +199,7 @@ def resume(
         )
         yield from results if after is None else _first_guarded(results, after.reached.frame.index)
         if totals.frames:
-            finish(directory, recorder.finish())
+            finish(directory, recorder.finish(), own)
 
 
 def _first_guarded(results: Generator[Result, None, None], frame: int) -> Generator[Result, None, None]:
@@ -235,9 +235,9 @@ def _why_anew(checkpoint: Checkpoint | None, engine: Engine) -> str:
     return "there is no checkpoint" if checkpoint is None else ""
 
 
-def _checkpoint(directory: RunDirectory, recipe: Recipe, say: Notice) -> Checkpoint | None:
+def _checkpoint(directory: RunDirectory, say: Notice) -> Checkpoint | None:
     checkpoint = newest_checkpoint(directory, say)
-    if checkpoint is not None and checkpoint.recipe != recipe.sha256:
+    if checkpoint is not None and checkpoint.recipe != file_sha256(directory.recipe):
         raise CheckpointError(f"{directory.recipe}: another recipe than that of the checkpoint beside it")
     return checkpoint
 

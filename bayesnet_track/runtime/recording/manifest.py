@@ -15,7 +15,7 @@ from typing import Any
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
-from bayesnet_track.journal.writer import Position, read_position, writing
+from bayesnet_track.journal.writer import OutputError, Position, read_position, writing
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 
@@ -27,6 +27,8 @@ VARIES = {"recipe": "machine", "video": "machine", "mp4": "machine", "timings": 
 """What the bytes of the others depend on, besides: paths and codecs of the machine, or the clock."""
 PASSING = ("checkpoint", "previous", "ahead")
 """Files that a run needs only until it is finished."""
+FOREIGN = ".foreign"
+"""What the name of a file ends in that something else put in the place of one of the run's own."""
 
 
 class ManifestError(ValueError):
@@ -89,25 +91,45 @@ def read_manifest(path: Path) -> Manifest | None:
     return found
 
 
-def finish(directory: RunDirectory, written: Mapping[str, Position]) -> None:
+def finish(directory: RunDirectory, written: Mapping[str, Position], own: Mapping[str, bytes]) -> None:
     """Write the manifest, by which the run is finished, and remove what it needed only until then.
+
+    It vouches for what the run wrote. A file of `own` that something else changed or removed meanwhile is
+    written again; what stood in its place is kept beside it (`FOREIGN`).
 
     Args:
         directory: of the run; every file of it is closed.
         written: key -> how far it was written, for the outputs that the disk has.
+        own: key -> contents of the small files that were written when the run began.
 
     Raises:
-        OutputError: it cannot be written, or an output cannot be read.
+        OutputError: it cannot be written, an output cannot be read, or, once the run is finished, a file of
+            `own` was changed.
     """
-    held = dict(written)
-    for key in ("recipe", "graph", "truth"):
-        path = directory.path / FILES[key]
-        with writing(path):
-            if path.exists():
-                held[key] = read_position(path)
+    changed = [found for key, data in own.items() if (found := _restore(directory.path / FILES[key], data))]
+    positions = {key: Position(len(data), hashlib.sha256(data).hexdigest()) for key, data in own.items()}
     # With it the disk has the entries of the folder, too.
-    write_atomically(directory.manifest, Manifest(held).text().encode("ascii"))
+    write_atomically(directory.manifest, Manifest({**written, **positions}).text().encode("ascii"))
     tidy(directory)
+    if changed:
+        raise OutputError("; ".join(changed))
+
+
+def _restore(path: Path, data: bytes) -> str | None:
+    """Write a file again that does not hold `data` any more; what happened to it, in words."""
+    with writing(path):
+        if path.is_file() and not path.is_symlink() and path.read_bytes() == data:
+            return None
+        if not path.is_symlink() and not path.exists():
+            write_atomically(path, data)
+            return f"{path}: it was removed or renamed during the run, which wrote it again"
+        foreign = path.with_name(path.name + FOREIGN)
+        disk.replace(path, foreign)
+        write_atomically(path, data)
+    return (
+        f"{path}: something else changed it during the run, which wrote its own again; the changed one is "
+        f"now {foreign.name}"
+    )
 
 
 def add_output(directory: RunDirectory, key: str) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.journal.writer import JournalWriter, LineFile, Position, read_position
+from bayesnet_track.journal.writer import JournalWriter, LineFile, Position
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.replace import replace_run, settle
@@ -37,7 +36,7 @@ def write_smoothed(run: Run, smoothed: SmoothedRun, out: Path, overwrite: bool =
         held = {key: path.read_bytes() for key, path in files.items() if path.is_file()}
         # Empty, a journal makes the folder a run, which may be overwritten.
         replace_run(directory, {"journal": b"", **held})
-        finish(directory, _write_lines(directory, smoothed, run.spec) | _positions(directory, held))
+        finish(directory, _write_lines(directory, smoothed, run.spec), held)
 
 
 def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpec) -> dict[str, Position]:
@@ -58,7 +57,3 @@ def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpe
             file.flush()
             file.sync()
         return {key: file.position for key, file in written.items()}
-
-
-def _positions(directory: RunDirectory, keys: Iterable[str]) -> dict[str, Position]:
-    return {key: read_position(directory.path / FILES[key]) for key in keys}
