@@ -20,7 +20,7 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.runtime.arguments import check_video, longest_side, milliseconds, whole
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
-from bayesnet_track.runtime.checkpoints.given_files import file_sha256
+from bayesnet_track.runtime.checkpoints.given_files import file_sha256, model_files, steady
 from bayesnet_track.runtime.checkpoints.recipe import make_recipe
 from bayesnet_track.runtime.checkpoints.recipe_options import options_of
 from bayesnet_track.runtime.deadline import Deadline
@@ -159,11 +159,13 @@ def track(
     if keep_beliefs:
         check_kept(checked.spec)
     starts = _starts(box)
-    read = {} if detections is None else {str(detections): file_sha256(detections)}
-    external_inputs = as_inputs(inputs)
     if budget_ms is not None and inputs is not None and not callable(inputs):
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
+        again = None if callable(inputs) else inputs
+        check_steady = stack.enter_context(steady([*model_files(checked), detections, again]))
+        read = {} if detections is None else {str(detections): file_sha256(detections)}
+        external_inputs = as_inputs(inputs)
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(
                 open_source(str(source), isolate_decoder=isolate_decoder, stride=stride)
@@ -203,9 +205,10 @@ def track(
                 detections=detections,
                 has_video=bool(video),
                 own_motion=motion is not None,
-                inputs=None if callable(inputs) else inputs,
+                inputs=again,
                 options=options_of(engine, budget_ms, keep_beliefs, video == "mp4", horizon, max_side),
             )
+            check_steady()
             files = small_files(checked, recipe, getattr(opened, "truth_text", None))
             take_place: Callable[[], None] | None = None
             if directory.holds_run:

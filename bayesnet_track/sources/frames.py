@@ -30,6 +30,8 @@ from bayesnet_track.journal.events.sources import (
 from bayesnet_track.observation.depth import Depth
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.entrances.notices import few
+from bayesnet_track.sources.entrances.stamps import changed_since, stamps
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Dropped, Reader, Stalled
@@ -79,6 +81,7 @@ class Source:
         self.end_reason: EndReason = "end_of_source"
         self._reader = reader
         self._start, self._end, self._on_resize = start or 0, end, on_resize
+        self._stamps = {} if origin is None else stamps(origin.files())
         self._items = self._read()
         self._ahead: list[SourceItem] = []
         try:
@@ -139,6 +142,16 @@ class Source:
         )
 
     def _read(self) -> Any:
+        last = self._start - 1
+        for item in self._read_frames():
+            last = item.index if isinstance(item, Frame) else last
+            yield item
+        changed = changed_since(self._stamps)
+        if changed:
+            names = few([path.name for path in changed])
+            yield self._report_damage(last + 1, f"changed while it was read: {names}")
+
+    def _read_frames(self) -> Any:
         first: Frame | None = None
         last: Frame | None = None
         shape: tuple[int, int, bool] | None = None

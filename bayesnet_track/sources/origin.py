@@ -135,15 +135,20 @@ class Origin:
             found[text] = then if has_magic(text) or os.path.exists(then) else text  # noqa: PTH110
         return found
 
-    def _fingerprints(self, at: Mapping[str, str]) -> dict[str, Fingerprint]:
+    def files(self) -> list[Path]:
+        """Every file that it is read from, as given."""
+        parts = {part: text for part, text in self.parts().items() if is_file(text)}
+        return [path for part, text in parts.items() for path in _files(part, text)]
 
-        found = {}
-        for part, text in self.parts().items():
-            if is_file(text):
-                where = at[text]
-                several = depth_files(where) if part == "depth" else files_of(where)
-                found[part] = fingerprint([Path(where)] if part == "calibration" else several)
-        return found
+    def _fingerprints(self, at: Mapping[str, str]) -> dict[str, Fingerprint]:
+        parts = {part: text for part, text in self.parts().items() if is_file(text)}
+        return {part: fingerprint(_files(part, at[text])) for part, text in parts.items()}
+
+
+def _files(part: str, text: str) -> Sequence[Path]:
+    if part == "calibration":
+        return [Path(text)]
+    return depth_files(text) if part == "depth" else files_of(text)
 
 
 def fingerprint(files: Sequence[Path]) -> Fingerprint:

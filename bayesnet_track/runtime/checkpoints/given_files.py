@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from errno import EINVAL
 from os import PathLike
@@ -12,6 +14,11 @@ from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue_files import CueFile
 from bayesnet_track.observation.detector import detectors_of_graphs
+from bayesnet_track.sources.entrances.notices import few, notice
+from bayesnet_track.sources.entrances.stamps import changed_since, stamps
+from bayesnet_track.sources.paths import SourceError
+
+AGAIN = "start again once nothing writes it"
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,29 @@ def model_files(graph: CheckedGraph) -> list[str]:
             if declaration.files is not None:
                 found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
     return sorted(found)
+
+
+@contextmanager
+def steady(paths: Iterable[str | PathLike[str] | None]) -> Iterator[Callable[[], None]]:
+    """Files that are read whole before the first frame; gives what to call once that is done.
+
+    Raises:
+        SourceError: when that is called, if a file changed since: what was read may not be what it holds.
+    """
+    before = stamps(Path(path) for path in paths if path is not None)
+
+    def check() -> None:
+        changed = changed_since(before)
+        if changed:
+            raise SourceError(few(changed), "changed while it was read", "files that stay as they are", AGAIN)
+
+    yield check
+    changed = changed_since(before)
+    if changed:
+        notice(
+            f"{few(changed)}: changed during the run, which used what it held at the start; run.json has the "
+            "SHA-256 of that"
+        )
 
 
 def given_file(path: str | PathLike[str]) -> GivenFile:

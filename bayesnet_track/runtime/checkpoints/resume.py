@@ -28,7 +28,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint_file import (
     newest_checkpoint,
     remove,
 )
-from bayesnet_track.runtime.checkpoints.given_files import file_sha256
+from bayesnet_track.runtime.checkpoints.given_files import file_sha256, steady
 from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before, keep_pending
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.standing import standing
@@ -128,6 +128,8 @@ def resume(
         check_plain(directory)
         cues = tuple(cues)
         check_cues(recipe, cues)
+        read_whole = (recipe.detections, recipe.inputs, *recipe.models.values())
+        check_steady = stack.enter_context(steady([file.place for file in read_whole if file is not None]))
         check_files(recipe)
         graph = recipe.load_graph(directory, cues)
         check_same(recipe, source, motion)
@@ -145,6 +147,7 @@ def resume(
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = inputs_before(directory)
         external_inputs = _external_inputs(before, as_inputs(asked))
+        check_steady()
         anew = _why_anew(checkpoint, engine)
         if anew:
             say(f"it begins anew: {anew}")
