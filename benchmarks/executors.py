@@ -28,7 +28,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.executors import make_executor
 
 Floats = NDArray[np.float64]
-KINDS = ("serial", "threads", "processes")
+KINDS = ("serial", "processes")
 SIZE = (480, 640)
 BOX = np.array([200.0, 150.0, 60.0, 60.0])
 WARM = 10

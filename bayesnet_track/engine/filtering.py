@@ -114,7 +114,6 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
             work.engine.clock,
             work.seconds,
             faults=failed,
-            executor=work.engine.executor,
             availability=work.availability_of(target, "observing"),
         )
         see = partial(_evaluation, work, compiled.modes, observer)

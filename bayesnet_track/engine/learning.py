@@ -22,7 +22,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, inside_frame
-from bayesnet_track.inference.executor import Serial, is_elsewhere
+from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.guard import guard, judge, judge_nothing, watch
 from bayesnet_track.inference.learn import (
     Lesson,
@@ -89,7 +89,6 @@ def _learns_plainly(work: FrameWork, filtered: Filtered, decided: Decided) -> bo
         plate_learns(work.plate_of(filtered.target))
         and not decided.chosen
         and not work.availability.known
-        and isinstance(work.engine.executor, Serial)
         and ANGLE not in filtered.step.posterior.fields
         and filtered.before.references.keys() == work.plate_of(filtered.target).cues.keys()
     )
@@ -158,7 +157,6 @@ def learn_target(
         work.cache,
         hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
         {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
-        work.engine.executor,
         work.availability,
         filtered.target,
     )

@@ -163,9 +163,7 @@ def _first_lesson(
     """What agents learn their first references from: planes of its own, on this target's region."""
     own = {agent: parts[part] for agent, part in compiled.part_of.items()}
     cache = PlaneCache(work.cache.frames)
-    return Lesson(
-        compiled.cues, cache, Hypotheses(box[None]), own, work.engine.executor, work.availability, target
-    )
+    return Lesson(compiled.cues, cache, Hypotheses(box[None]), own, work.availability, target)
 
 
 def _start_belief(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:

@@ -1,13 +1,13 @@
-"""How the independent work of one frame is carried out: one piece after the other, or side by side.
+"""How agents elsewhere are asked: all first, then those here, then the answers from elsewhere are collected.
 
 The engine hands over work whose pieces do not depend on each other (the agents that observe, those that
-learn) and takes back the results in the order of the pieces, so that an executor changes no result. One piece
-is never split: an agent sees all its hypotheses at once.
+learn), so that where an agent runs changes no result. One piece is never split: an agent sees all its
+hypotheses at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from operator import call
 from typing import Any, Protocol, TypeVar
@@ -29,32 +29,12 @@ class AgentUnavailable(Exception):
     """
 
 
-class Executor(Protocol):
-    """Carries out independent pieces of work."""
-
-    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> Iterable[Made]:
-        """`work` done for every piece, at the latest when it is collected; in the order of the pieces."""
-
-
-class Serial:
-    """One piece after the other, in the caller's thread."""
-
-    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> Iterable[Made]:
-        """`work` done for every piece, in order, each when it is collected.
-
-        >>> list(Serial().each(abs, [1, -2]))
-        [1, 2]
-        """
-        return map(work, pieces)
-
-
 def is_elsewhere(cue: Any) -> bool:
     """Whether a cue is at work in another process, and can be asked now and answer later (`ask_ahead`)."""
     return hasattr(cue, "ask_ahead")
 
 
 def each_at_once(
-    executor: Executor,
     ask_ahead: Callable[[Piece], Wait[Made] | None],
     work: Callable[[Piece], Made],
     pieces: Iterable[Piece],
@@ -66,7 +46,7 @@ def each_at_once(
     pairs are collected, in the caller's frame, so that a stack shows who asks and who answers, and nothing
     between.
 
-    >>> dict(each_at_once(Serial(), lambda n: (lambda: -n) if n > 1 else None, lambda n: n, [1, 2, 0]))
+    >>> dict(each_at_once(lambda n: (lambda: -n) if n > 1 else None, lambda n: n, [1, 2, 0]))
     {1: 1, 0: 0, 2: -2}
     """
     waits: dict[Piece, Wait[Made]] = {}
@@ -78,7 +58,7 @@ def each_at_once(
         else:
             waits[piece] = wait
     return chain(
-        zip(here, executor.each(work, here), strict=True),
+        zip(here, map(work, here), strict=True),
         zip(waits, map(call, waits.values()), strict=True),
     )
 

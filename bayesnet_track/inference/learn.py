@@ -17,8 +17,6 @@ from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
-    Executor,
-    Serial,
     Wait,
     defer_faults,
     each_at_once,
@@ -49,7 +47,6 @@ class Lesson:
         cache: the planes of the frame.
         at: the estimate, one hypothesis.
         own_boxes: agent that looks at a part -> the centre box (4,) of that part.
-        executor: how the agents are asked.
         availability: agents that give no answer for a reason outside of them.
         target: target id.
     """
@@ -58,7 +55,6 @@ class Lesson:
     cache: PlaneCache
     at: Hypotheses
     own_boxes: Mapping[str, Floats] = field(default_factory=dict)
-    executor: Executor = field(default_factory=Serial)
     availability: Availability = field(default_factory=Availability)
     target: str = ""
 
@@ -196,7 +192,7 @@ def _all_learnt(
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """What the agents learn, blended into their old references where they have one; and what went wrong."""
     ahead, here = partial(_learn_ahead, lesson, old, rates), partial(_learnt, lesson, old, rates)
-    outcomes = dict(each_at_once(lesson.executor, ahead, here, agents))
+    outcomes = dict(each_at_once(ahead, here, agents))
     return _split_faults({agent: outcomes[agent] for agent in agents}, availability)
 
 

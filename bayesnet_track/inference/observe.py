@@ -17,8 +17,6 @@ from bayesnet_track.inference.availability import Missing, TargetAvailability
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
-    Executor,
-    Serial,
     Wait,
     defer_faults,
     each_at_once,
@@ -61,7 +59,6 @@ class Observer:
         measured: (agent, node) -> what an agent that measures answered at the hypotheses of the node: it is
             asked once a frame, however often the net is evaluated.
         faults: agent -> what was wrong with it in any evaluation of the frame; it is not asked again.
-        executor: how the agents are asked, which do not depend on each other.
         availability: agents that give no answer for a reason outside of them.
         missed: those of them that were to be asked -> the reason; they are not asked again.
         answered: agents that gave an answer in an evaluation of the frame.
@@ -79,7 +76,6 @@ class Observer:
     passes: Iterator[int] = field(default_factory=count)
     measured: MutableMapping[tuple[str, str], Answer] = field(default_factory=dict)
     faults: MutableMapping[str, str] = field(default_factory=dict)
-    executor: Executor = field(default_factory=Serial)
     availability: TargetAvailability = field(default_factory=TargetAvailability)
     missed: MutableMapping[str, str] = field(default_factory=dict)
     answered: set[str] = field(default_factory=set)
@@ -121,7 +117,7 @@ def ask_each(
 ) -> Iterator[tuple[Observe, Answer]]:
     """Each of `steps` with its agent's answer, found as the pairs are collected (`each_at_once`)."""
     ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
-    return each_at_once(observer.executor, ahead, here, steps)
+    return each_at_once(ahead, here, steps)
 
 
 def find_known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:

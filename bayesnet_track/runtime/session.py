@@ -109,9 +109,9 @@ def track(
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
         horizon: frames ahead for which forecasts of every target are written into `out`; 0 for none.
-        executor: how agents are asked, which changes no result: serial, threads, processes, or what
+        executor: how agents are asked, which changes no result: serial, processes, or what
             `make_executor` made.
-        workers: threads or processes at work at a time; as many as there are processors when None.
+        workers: processes at work at a time; as many as there are processors when None.
         allow_plugins: cues and detectors of other packages that may be loaded, in this process from now on,
             where graphs name them.
         cues: cues of one's own that the graph may name: declarations, or paths of Python files with a

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 
 TESTED = ("Linux", "x86_64")
 NO_WORKERS = (
-    "this system cannot start worker processes (it has no fork); take --executor threads or serial, and no "
+    "this system cannot start worker processes (it has no fork); take --executor serial, and no "
     "--place AGENT=process"
 )
 

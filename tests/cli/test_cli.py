@@ -733,7 +733,7 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
             "demo two words",
             "demo: nothing takes 'words'; a value with spaces is written in quotes",
         ),
-        ("run g --source x --out y --executor ray --ray-address auto", "use --executor processes"),
+        ("run g --source x --out y --executor ray --ray-address auto", "use processes, and"),
         ("run g --source x --out y --executor ray", "`bayesnet-track batch --on ray` for whole videos"),
         ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
         (
@@ -788,7 +788,7 @@ def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_pat
     assert (ended.frames, ended.complete, ended.reason) == (read, False, "source_truncated")
 
 
-@pytest.mark.parametrize("first", ["run {graph}", "run {graph} --executor threads"])
+@pytest.mark.parametrize("first", ["run {graph}", "run {graph} --executor processes"])
 def test_a_run_in_which_no_agent_can_start_is_an_error_that_names_the_cause(cli, images, tmp_path, first):
     """Color alone, on a gray source: it was lost in every frame, and ended with 0."""
     graph = yaml.safe_load(find_graph("two_squares").read_text())

@@ -105,7 +105,7 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
     "kills",
     [pytest.param(12, marks=pytest.mark.reliability), pytest.param(200, marks=pytest.mark.endurance)],
 )
-@pytest.mark.parametrize("executor", ["serial", "threads", "processes"])
+@pytest.mark.parametrize("executor", ["serial", "processes"])
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no fork and no kill -9")
 def test_kills_leave_the_bytes_of_unbroken_runs(
     tmp_path: Path, given: Path, executor: str, kills: int

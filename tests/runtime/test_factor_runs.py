@@ -43,9 +43,9 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, whole: Path) -> None:
     assert written(run) == written(whole)
 
 
-@pytest.mark.parametrize("kind", ["threads", pytest.param("processes", marks=pytest.mark.slow)])
-def test_every_executor_writes_the_same(tmp_path: Path, whole: Path, kind: str) -> None:
-    assert written(begun(tmp_path / "run", executor=make_executor(kind, workers=2))) == written(whole)
+@pytest.mark.slow
+def test_every_executor_writes_the_same(tmp_path: Path, whole: Path) -> None:
+    assert written(begun(tmp_path / "run", executor=make_executor("processes", workers=2))) == written(whole)
 
 
 def test_the_recorded_graph_has_the_factor_and_runs_the_same(tmp_path: Path, whole: Path) -> None:

@@ -109,5 +109,5 @@ def check_worker() -> Iterator[Finding]:
     """Four frames with the agents in a worker process give what they give without."""
     trial = try_code(_WORKER, timeout_s=300.0)
     works = f"{trial.out} frames, the same with agents in a process of their own"
-    cure = "mend what is above; `--executor threads` does without"
+    cure = "mend what is above; `--executor serial` does without"
     yield judge("worker", trial, works, cure, "agents cannot work in processes: ")

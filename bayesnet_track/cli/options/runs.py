@@ -58,15 +58,15 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--executor",
         type=_executor,
-        choices=["serial", "threads", "processes"],
+        choices=["serial", "processes"],
         default="serial",
-        help="one after the other, in parallel threads, or in supervised worker processes (default serial)",
+        help="one after the other, or in supervised worker processes (default serial)",
     )
     group.add_argument(
         "--workers",
         type=whole_number(1),
         metavar="N",
-        help="threads or worker processes (default: as many as there are processors)",
+        help="worker processes (default: as many as there are processors)",
     )
     group.add_argument(
         "--place",
@@ -91,11 +91,10 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _executor(text: str) -> str:
-    if text == "ray":
-        raise argparse.ArgumentTypeError(
-            "ray is no longer an executor; use --executor processes on one machine, and "
-            "`bayesnet-track batch --on ray` for whole videos on a cluster"
-        )
+    from bayesnet_track.runtime.executors.factory import GONE
+
+    if text in GONE:
+        raise argparse.ArgumentTypeError(GONE[text])
     return text
 
 

@@ -27,7 +27,7 @@ from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.rows.particle_table import ParticleStates, ParticleTable
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.state import TargetState, with_agents
-from bayesnet_track.inference.executor import Serial, is_elsewhere
+from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.inference.observe import ROUNDING, ZERO_BELOW
@@ -137,7 +137,6 @@ def asks_together(work: FrameWork, compiled: CompiledPlate, agents: Sequence[str
     """Whether agents, one at least, score hypotheses of several targets of a plate at once."""
     return (
         not work.availability.known
-        and isinstance(work.engine.executor, Serial)
         and len(agents) > 0
         and all(_scores_crowds(compiled, agent) for agent in agents)
     )

@@ -26,7 +26,6 @@ from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.rows.row_learning import follow_rows
 from bayesnet_track.engine.state import inside_frame_all
 from bayesnet_track.engine.summaries import Summary
-from bayesnet_track.inference.executor import Serial
 from bayesnet_track.inference.guard import judge_nothing
 from bayesnet_track.inference.learn import frames_between, learning_rate
 from bayesnet_track.inference.measure_rows import RowMeasures, is_flat, measure_rows
@@ -164,7 +163,7 @@ def _see_nothing() -> Situation:
 
 def finish_rows(work: FrameWork, group: FilteredRows, described: Described) -> FinishedRows | None:
     """What the frame gave for those of the targets that fit; None where none do."""
-    if work.by_hand or work.availability.known or not isinstance(work.engine.executor, Serial):
+    if work.by_hand or work.availability.known:
         return None
     plan = group.plan
     if plan.draws or group.messages.keys() != plan.active or not plate_is_plain(group.before.compiled):

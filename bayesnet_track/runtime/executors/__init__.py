@@ -1,7 +1,6 @@
 """Executors: how and where the agents of a frame are asked. None changes a result.
 
-`serial` asks one after the other, `threads` side by side in the engine's process, `processes` in supervised
-worker processes.
+`serial` asks one after the other in the engine's process, `processes` in supervised worker processes.
 """
 
 from __future__ import annotations

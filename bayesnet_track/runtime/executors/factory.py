@@ -11,7 +11,6 @@ from typing import Self
 
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.inference.executor import Executor, Serial
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.placing import (
     Place,
@@ -24,17 +23,18 @@ from bayesnet_track.runtime.executors.placing import (
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.target_executor import ProcessTargetExecutor
-from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
 from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
 """How often an agent whose worker was lost is asked again, where frames wait for it."""
-GONE = (
-    "ray is no longer an executor: agents on a cluster were slower than processes on one machine; "
-    "use processes, and `bayesnet-track batch --on ray` for whole videos on a cluster"
-)
+GONE = {
+    "ray": "ray is no longer an executor: agents on a cluster were slower than processes on one machine; "
+    "use processes, and `bayesnet-track batch --on ray` for whole videos on a cluster",
+    "threads": "threads are no longer an executor: no installed graph gained more than 11 % from them; use "
+    "serial, or processes to isolate agents, and `bayesnet-track batch` for videos side by side",
+}
 
 
 class Executing:
@@ -42,7 +42,7 @@ class Executing:
 
     Attributes:
         kind: its name.
-        workers: threads or processes at work at a time.
+        workers: processes at work at a time.
         processes: the worker processes, when the engine has agents in some.
     """
 
@@ -71,7 +71,7 @@ class Executing:
 
     @property
     def _is_serial(self) -> bool:
-        return self.kind == "serial" or (self.kind == "threads" and self.workers == 1)
+        return self.kind == "serial"
 
     def engine(self, engine: Engine, graph: CheckedGraph | None = None, retries: int = RETRIES) -> Engine:
         """`engine` with its agents placed, to be run while this is entered; once.
@@ -95,20 +95,10 @@ class Executing:
             engine = with_proxies(engine, places, transport)
             if hosts:
                 engine = replace(engine, target_executor=ProcessTargetExecutor(transport, tuple(hosts), nets))
-        return replace(engine, executor=self._pool())
-
-    def _pool(self) -> Executor:
-        """For the agents in the engine's process."""
-        if self._is_serial:
-            return Serial()
-        pool = Threads(self.workers)
-        self._open.callback(pool.close)
-        return pool
+        return engine
 
 
-EXECUTORS: Mapping[str, Place] = MappingProxyType(
-    {"serial": "engine", "threads": "engine", "processes": "process"}
-)
+EXECUTORS: Mapping[str, Place] = MappingProxyType({"serial": "engine", "processes": "process"})
 """Name of an executor -> where agents work that are put nowhere."""
 
 
@@ -123,12 +113,12 @@ def make_executor(
 ) -> Executing:
     """An executor by name, a context manager::
 
-        with make_executor("threads", workers=2) as executor:
+        with make_executor("processes", workers=2) as executor:
             engine = executor.engine(make_engine(graph))
 
     Args:
-        kind: serial, threads or processes.
-        workers: threads or processes at work at a time; as many as the machine has processors when None.
+        kind: serial or processes.
+        workers: processes at work at a time; as many as the machine has processors when None.
         places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`; PLATE ->
             "process" for the whole nets of its targets.
         limits: what a worker process may take.
@@ -139,8 +129,8 @@ def make_executor(
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.
     """
-    if kind == "ray":
-        raise ValueError(GONE)
+    if kind in GONE:
+        raise ValueError(GONE[kind])
     if kind not in EXECUTORS:
         raise ValueError(f"executor {kind!r}; there are {', '.join(EXECUTORS)}")
     number = os.cpu_count() or 1 if workers is None else workers

@@ -41,8 +41,10 @@ def test_what_cannot_be_is_refused_with_the_reason(places, placed):
     for text in ("a", "a=cloud", "=engine"):
         with pytest.raises(PlacingError, match="AGENT=WHERE is needed, WHERE one of engine, process"):
             parse_places([text])
-    with pytest.raises(ValueError, match="executor 'thread'; there are serial, threads, processes"):
+    with pytest.raises(ValueError, match="executor 'thread'; there are serial, processes"):
         make_executor("thread")
+    with pytest.raises(ValueError, match="threads are no longer an executor"):
+        make_executor("threads")
 
 
 def test_a_cue_that_no_other_process_can_make_is_refused(placed):

@@ -125,7 +125,7 @@ def test_a_cue_that_writes_into_what_others_see_is_out_on_every_executor(placed,
     expected = placed.run(agents)
     (out,) = [event for outcome in expected for event in outcome.events if hasattr(event, "reason")]
     assert (out.node, out.frame) == ("c", 3)
-    for kind, workers in (("threads", 2), ("processes", 1), ("processes", 2)):
+    for kind, workers in (("processes", 1), ("processes", 2)):
         assert reports_of(placed.run(agents, kind, workers=workers)) == reports_of(expected)
 
 
