@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
+from sys import maxsize
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -28,6 +30,8 @@ from bayesnet_track.observation.planes import Plane, Planes
 
 MAX_BYTES = 1 << 26
 FRAME = "frame"
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+"""A whole number with its digits in groups, or a number with three decimals."""
 
 
 class ReadingsParameters(CueParameters):
@@ -47,54 +51,158 @@ class ReadingsError(ValueError):
     """A file of readings that cannot be used; says file, line, what was found and what is allowed."""
 
 
-Rows = Mapping[int, Mapping[str, float]]
+Values = Mapping[str, float]
 
 
-@lru_cache(maxsize=16)
-def read_readings(path: str, quantities: tuple[str, ...]) -> Rows:
-    """Frame -> quantity -> value; an empty cell is none.
+@dataclass(frozen=True)
+class ReadingsFile:
+    """What a file holds.
+
+    Attributes:
+        rows: frame -> quantity -> value.
+        not_finite: frames of rows with a cell that is no finite number, such as `nan`: no reading.
+        repeated: frames that come more than once, with the same values.
+    """
+
+    rows: Mapping[int, Values]
+    not_finite: tuple[int, ...] = ()
+    repeated: tuple[int, ...] = ()
+
+
+NO_FILE = ReadingsFile({})
+
+
+def read_readings(path: str, quantities: Sequence[str]) -> ReadingsFile:
+    """The readings of a CSV file as it is now; an empty cell is none.
+
+    Cells are separated by commas, semicolons or tabs, as those of the header are. Between semicolons or tabs
+    a comma may stand for the decimal point.
 
     Raises:
-        ReadingsError: it cannot be read, a column is missing, a cell is no number, or a frame comes twice.
+        ReadingsError: it cannot be read, a column is missing or comes twice, a row has more cells than the
+            header, a cell is no number, or a frame comes twice with different values.
     """
+    header, rows, decimal = _cells(path, quantities)
+    found: dict[int, Values] = {}
+    not_finite, repeated = list[int](), list[int]()
+    for line, row in rows:
+        cells = dict(zip(header, row, strict=False))
+        given = {name: cells[name].replace(decimal, ".") for name in (FRAME, *quantities) if cells.get(name)}
+        numbers = {name: _number(path, line, name, cell) for name, cell in given.items()}
+        at = numbers.pop(FRAME, math.nan)
+        if not (math.isfinite(at) and at >= 0 and at == int(at)):
+            raise ReadingsError(f"{path}:{line}: frame {cells.get(FRAME, '')!r}; a whole number from 0 on")
+        frame, values = int(at), {name: value for name, value in numbers.items() if math.isfinite(value)}
+        if len(values) < len(numbers):
+            not_finite.append(frame)
+        if found.get(frame, values) != values:
+            raise ReadingsError(
+                f"{path}:{line}: frame {frame} again, with {_shown(values)} after {_shown(found[frame])}; "
+                "one row a frame"
+            )
+        if frame in found:
+            repeated.append(frame)
+        found[frame] = values
+    return ReadingsFile(found, tuple(not_finite), tuple(repeated))
+
+
+def _cells(path: str, quantities: Sequence[str]) -> tuple[list[str], list[tuple[int, list[str]]], str]:
+    """The header; each row that is not empty with its line; what stands for the decimal point."""
+    text = _text(path)
+    try:
+        lines = list(csv.reader(text, delimiter=_separator(text)))
+    except csv.Error as error:
+        raise ReadingsError(f"{path}: cannot be read: {error}") from error
+    header = [name.strip("# ") for name in lines[0]] if lines else []  # NumPy writes it as a comment
+    for name in (FRAME, *quantities):
+        if header.count(name) != 1:
+            what = f"no column {name!r}" if name not in header else f"{header.count(name)} columns {name!r}"
+            raise ReadingsError(f"{path}:1: {what}; there are {', '.join(header) or 'none'}")
+    rows = [(number, [cell.strip() for cell in row]) for number, row in enumerate(lines[1:], 2)]
+    rows = [(number, row) for number, row in rows if any(row)]
+    for number, row in rows:
+        if any(row[len(header) :]):
+            raise ReadingsError(
+                f"{path}:{number}: {len(row)} cells under {len(header)} columns; between commas, numbers "
+                "have a decimal point: separate the cells by semicolons if they have a decimal comma"
+            )
+    wanted = [k for k, name in enumerate(header) if name in quantities]
+    numbers = [(number, row[k]) for number, row in rows for k in wanted if k < len(row)]
+    commas = [one for one in numbers if "," in one[1]]
+    points = any("." in cell for _, cell in numbers)
+    if commas and (points or all(GROUPED.fullmatch(cell) for _, cell in commas)):
+        line, cell = commas[0]
+        raise ReadingsError(
+            f"{path}:{line}: {cell!r}: the comma may be a decimal point or group digits; write numbers with "
+            "a decimal point and without groups"
+        )
+    return header, rows, "," if commas else "."
+
+
+def _text(path: str) -> list[str]:
     try:
         if not Path(path).is_file():
             raise ReadingsError(f"{path}: no such file of readings")
         if Path(path).stat().st_size > MAX_BYTES:
             raise ReadingsError(f"{path}: larger than {MAX_BYTES >> 20} MB")
-        with Path(path).open(encoding="utf-8", newline="") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        return Path(path).read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
         raise ReadingsError(f"{path}: cannot be read: {error}") from error
-    header = [name.strip() for name in rows[0]] if rows else []
-    missing = [name for name in (FRAME, *quantities) if name not in header]
-    if missing:
-        raise ReadingsError(f"{path}:1: no column {missing[0]!r}; there are {', '.join(header) or 'none'}")
-    found: dict[int, dict[str, float]] = {}
-    for number, row in enumerate(rows[1:], 2):
-        if not any(cell.strip() for cell in row):
-            continue
-        cells = dict(zip(header, (cell.strip() for cell in row), strict=False))
-        values = {name: _number(path, number, name, cells.get(name, "")) for name in (FRAME, *quantities)}
-        frame = values.pop(FRAME)
-        if frame is None or frame < 0 or frame != int(frame):
-            raise ReadingsError(f"{path}:{number}: frame {cells.get(FRAME, '')!r}; a whole number from 0 on")
-        if int(frame) in found:
-            raise ReadingsError(f"{path}:{number}: frame {int(frame)} again; one row a frame")
-        found[int(frame)] = {name: value for name, value in values.items() if value is not None}
-    return found
 
 
-def _number(path: str, line: int, name: str, cell: str) -> float | None:
-    if not cell:
-        return None
+def _separator(lines: Sequence[str]) -> str:
+    """What separates the cells of the header: what is in it most often."""
+    return max(",;\t", key=lines[0].count) if lines else ","
+
+
+def _number(path: str, line: int, name: str, cell: str) -> float:
     try:
-        value = float(cell)
+        return float(cell)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ReadingsError(f"{path}:{line}: {name} {cell!r}; a finite number, or nothing")
-    return value
+        raise ReadingsError(f"{path}:{line}: {name} {cell!r}; a number, or nothing") from None
+
+
+def _shown(values: Values) -> str:
+    return ", ".join(f"{name} {value:g}" for name, value in values.items()) or "no reading"
+
+
+def describe_unused(path: str, file: ReadingsFile, frames: range) -> Iterator[str]:
+    """A sentence for each thing that a file holds and a run through `frames` does not use, or lacks in it.
+
+    >>> file = ReadingsFile({frame: {"range": 1.0} for frame in range(60)})
+    >>> list(describe_unused("radar.csv", file, range(30)))
+    ['radar.csv: 30 of 60 readings are of frames that are not read (30 to 59); frames count from 0']
+    """
+    with_values = sorted(frame for frame, values in file.rows.items() if values)
+    outside = [frame for frame in with_values if frame not in frames]
+    if not with_values:
+        yield f"{path}: no reading in it"
+    if outside:
+        yield (
+            f"{path}: {len(outside)} of {len(with_values)} readings are of frames that are not read "
+            f"({_span(outside)}); frames count from 0"
+        )
+    if file.not_finite:
+        count = len(file.not_finite)
+        yield f"{path}: {count} rows with numbers that are not finite ({_span(file.not_finite)}): no reading"
+    if file.repeated:
+        yield f"{path}: {len(file.repeated)} rows repeat a frame and its values ({_span(file.repeated)})"
+    yield from _describe_rest(path, [frame for frame in with_values if frame in frames], frames)
+
+
+def _describe_rest(path: str, used: Sequence[int], frames: range) -> Iterator[str]:
+    """Where the readings end long before the frames do, by twice the largest gap between two of them."""
+    if not used or frames.stop == maxsize:
+        return
+    gap = max((after - before for before, after in pairwise(used)), default=frames.step)
+    if frames[-1] - used[-1] > 2 * gap:
+        yield f"{path}: the readings end at frame {used[-1]}; the run goes on to {frames[-1]} without any"
+
+
+def _span(frames: Sequence[int]) -> str:
+    """First and last of some frames."""
+    low, high = min(frames), max(frames)
+    return f"frame {low}" if low == high else f"{low} to {high}"
 
 
 @dataclass(frozen=True)
@@ -102,7 +210,7 @@ class Readings:
     """The readings at work. They have no reference."""
 
     parameters: ReadingsParameters
-    rows: Rows
+    rows: Mapping[int, Values]
     needs: ClassVar[tuple[Plane, ...]] = ()
     context: ClassVar[float] = 0.0
 
@@ -126,8 +234,8 @@ class Readings:
         return Measurement(names, np.array([row[name] for name in names]), np.diag(variance), p.floor)
 
 
-def _read(parameters: ReadingsParameters) -> Rows:
-    return read_readings(parameters.file, tuple(parameters.sd)) if parameters.file else {}
+def _read(parameters: ReadingsParameters) -> ReadingsFile:
+    return read_readings(parameters.file, tuple(parameters.sd)) if parameters.file else NO_FILE
 
 
 def _missing(parameters: ReadingsParameters) -> str | None:
@@ -139,7 +247,13 @@ def _missing(parameters: ReadingsParameters) -> str | None:
 
 
 def _make(parameters: ReadingsParameters) -> Readings:
-    return Readings(parameters, _read(parameters))
+    return Readings(parameters, _read(parameters).rows)
+
+
+def _unused(parameters: ReadingsParameters, frames: range) -> tuple[str, ...]:
+    if not parameters.file:
+        return ()
+    return tuple(describe_unused(parameters.file, _read(parameters), frames))
 
 
 CUE = CueDeclaration(
@@ -151,6 +265,7 @@ CUE = CueDeclaration(
     is_appearance=False,
     missing=_missing,
     files=lambda parameters: (parameters.file,) if parameters.file else (),
+    unused=_unused,
     gives=lambda parameters: tuple(parameters.sd),
     measures=True,
 )

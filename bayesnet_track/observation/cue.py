@@ -134,6 +134,8 @@ class CueDeclaration:
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
         files: parameters -> paths of the files that it reads, such as a network's; runs record their SHA-256.
+        unused: parameters, numbers of the frames that a run reads (from 0; up to `sys.maxsize` where their
+            number is not known) -> a sentence for each thing in its files that the run does not use.
         gives: parameters -> what it measures, of one whose quantities need not be fields of the state: the
             agent's `measures` says what they would be of a state.
         is_confident: parameters -> whether its measurements have a `confidence`; left out, they have none.
@@ -168,6 +170,7 @@ class CueDeclaration:
     has_residuals: bool = False
     reads: Callable[[Any], tuple[str, ...]] | None = None
     files: Callable[[Any], tuple[str, ...]] | None = None
+    unused: Callable[[Any, range], tuple[str, ...]] | None = None
     gives: Callable[[Any], tuple[str, ...]] | None = None
     is_confident: Callable[[Any], bool] | None = None
 

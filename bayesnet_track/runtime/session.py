@@ -43,6 +43,7 @@ from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import run
+from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
 from bayesnet_track.runtime.unused_detections import warn_unused
 from bayesnet_track.sources.sources import open_source
 
@@ -185,6 +186,7 @@ def track(
             end = getattr(opened, "declared_frames", None)
             frames = range(0, sys.maxsize if end is None else end, stride)
             warn_unused(seen, Path(detections), resizing, frames)
+        say_unused_by_cues(seen, opened)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         engine = place_cues(stack, executing, engine, None if motion is not None else seen, opened, budget_ms)

@@ -34,6 +34,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frame_kind import FrameKind
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
+from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
 from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.view.overlay import draw_targets
 
@@ -88,6 +89,7 @@ class Tracker(Boxed):
         plugins.allow(allow_plugins)
         self._whole_px, self._copy_frames = whole_px, copy_frames
         self._graph = load_graph(graph, tuple(cues))
+        say_unused_by_cues(self._graph)
         plate = next(iter(self._graph.targets))
         own = None if motion is None else {plate: motion}
         self._make = partial(make_engine, seed=seed, motion=own)

@@ -14,6 +14,7 @@ events about the source. The rules, the same for every kind of source:
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import Any, Literal, Self
 
@@ -99,6 +100,12 @@ class Source:
             return None if self._end is None else -(-(self._end - self._start) // self.stride)
         last = self.declared_frames if self._end is None else min(self._end, self.declared_frames)
         return max(-(-(last - self._start) // self.stride), 0)
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the frames between `start` and `end`; up to `sys.maxsize` where it declares no end."""
+        ends = [end for end in (self._end, self.declared_frames) if end is not None]
+        return range(self._start, max(min(ends, default=sys.maxsize), self._start), self.stride)
 
     @property
     def first_frame(self) -> Frame | None:
