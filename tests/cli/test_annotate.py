@@ -1,11 +1,13 @@
 """The command `annotate` without its page: imports, files, resuming, and what it refuses."""
 
+import errno
 import json
 
 import cv2
 import pytest
 
 from bayesnet_track.cli.main import main
+from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.scenes import make_scene
@@ -75,3 +77,17 @@ def test_two_commands_never_write_the_same_folder(video, tmp_path, capsys):
     with lock_run(RunDirectory(tmp_path)):
         assert annotate(folder, tmp_path) == 6
     assert "another process is writing" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_for_an_answer_is_an_output_that_cannot_be_written(
+    video, tmp_path, capsys, monkeypatch
+):
+    folder, boxes = video
+    assert annotate(folder, tmp_path / "a") == 0
+
+    def full(self):
+        raise OutputError(errno.ENOSPC, "cannot write: No space left on device", str(self.path))
+
+    monkeypatch.setattr(LineFile, "flush", full)
+    assert annotate(folder, tmp_path / "a", "--import", str(boxes)) == 6
+    assert "answers.jsonl: cannot write: No space left" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,7 +66,7 @@ def _work(options: argparse.Namespace, folder: Path) -> Session:
 
     kept = None
     if (folder / NAME).is_file() and (folder / NAME).stat().st_size:
-        kept = read_answers(folder / NAME)[0]
+        kept = read_answers(folder / NAME).header
     graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
     _warn_of_score(graph)
     with open_source(options.video) as source:
@@ -78,16 +79,18 @@ def _work(options: argparse.Namespace, folder: Path) -> Session:
         session, difference = open_session(folder, header)
         if difference:
             complain(f"{folder}: {difference}; boxes between answers may differ from before")
-        for file in options.imports:
-            with users_mistake():
-                session.give_new(read_annotations(Path(file), header.video))
-        runs = TrackerRuns(graph, store, session.header.seed, session.header.max_side)
-        if options.no_view:
-            session.update(runs)
-        else:
-            _show(options, session, store, runs)
-        options.stop.is_patient = True
-        write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
+        with closing(session):
+            for file in options.imports:
+                with users_mistake():
+                    answers = read_annotations(Path(file), header.video)
+                session.give_new(answers, file)
+            runs = TrackerRuns(graph, store, session.header.seed, session.header.max_side)
+            if options.no_view:
+                session.update(runs)
+            else:
+                _show(options, session, store, runs)
+            options.stop.is_patient = True
+            write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
     return session
 
 

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from bayesnet_track.runtime.annotation.names import describe_fault
+
 Box = tuple[float, float, float, float]
 """Top-left corner x, y, width and height, px."""
 
 Kind = Literal["box", "correct", "gone", "undo"]
 KINDS: tuple[Kind, ...] = ("box", "correct", "gone", "undo")
-LONGEST_NAME = 80
 
 
 class AnswerError(ValueError):
@@ -61,10 +62,10 @@ def read_answer(given: Mapping[str, Any], frames: int, width: int, height: int) 
     frame, target = given.get("frame"), given.get("target")
     if type(frame) is not int or not 0 <= frame < frames:
         raise AnswerError(f"frame {frame!r}: the video has frames 0 to {frames - 1}")
-    if not isinstance(target, str) or not target.strip() or len(target) > LONGEST_NAME:
-        raise AnswerError(f"a target needs a name of 1 to {LONGEST_NAME} characters")
-    if not target.isprintable():
-        raise AnswerError(f"target {target!r}: a name is printable, on one line")
+    fault = describe_fault(target)
+    if fault is not None:
+        raise AnswerError(fault)
+    assert isinstance(target, str)
     if kind == "gone":
         return Answer("gone", frame, target)
     return Answer(kind, frame, target, read_box(given.get("box"), width, height))

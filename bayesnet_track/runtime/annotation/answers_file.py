@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.journal.writer import output_error
+from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, read_answer
 from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.runtime.annotation.names import describe_mended, mend_names
+from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE
 
 FORMAT = "bayesnet_track answers"
 VERSION = 1
 NAME = "answers.jsonl"
+BEFORE = "answers.before.jsonl"
+"""The file as it was before something in it was mended."""
 
 
 class AnswersFileError(ValueError):
@@ -43,51 +47,95 @@ class Header:
     max_side: int | None = None
 
 
-def write_header(path: Path, header: Header) -> None:
-    """Begin a file; raises OutputError."""
+@dataclass(frozen=True)
+class AnswersFile:
+    """What a file holds.
+
+    Attributes:
+        mended: a sentence for each thing that was not read as it stands there.
+        is_whole: whether it ends as every file of answers does, in a newline.
+    """
+
+    header: Header
+    answers: tuple[Answer, ...]
+    mended: tuple[str, ...] = ()
+    is_whole: bool = True
+
+
+def write_answers(path: Path, header: Header, answers: Iterable[Answer] = ()) -> None:
+    """Write a file anew, whole or not at all; raises OutputError."""
     line = {"format": FORMAT, "format_version": VERSION, **asdict(header)}
     if header.max_side is None:
         del line["max_side"]
-    _append(path, [line])
+    text = "".join(f"{one}\n" for one in [json.dumps(line, allow_nan=False), *map(_line, answers)])
+    write_atomically(path, text.encode())
 
 
-def append_answers(path: Path, answers: Iterable[Answer]) -> None:
-    """Add answers behind the others, on the disk when it returns; raises OutputError."""
-    _append(path, [one.as_dict() for one in answers])
-
-
-def _append(path: Path, lines: Iterable[dict[str, Any]]) -> None:
-    text = "".join(json.dumps(line, allow_nan=False) + "\n" for line in lines)
-    try:
-        with path.open("ab") as file:
-            file.write(text.encode())
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise output_error(path, error) from error
-
-
-def read_answers(path: Path) -> tuple[Header, list[Answer]]:
-    """The header and all answers; a last line that was torn by a crash is cut off the file.
+def append_answers(file: LineFile, answers: Iterable[Answer]) -> None:
+    """Add answers behind the others, on the disk when it returns.
 
     Raises:
-        AnswersFileError: it is no such file, or a line of it is damaged.
-        OSError: it cannot be read.
+        OutputError: they cannot be written, or something else changed the file; nothing is added then.
     """
-    data = path.read_bytes()
-    whole = data[: data.rfind(b"\n") + 1]
-    if whole != data:
-        os.truncate(path, len(whole))
-    first, *rest = whole.splitlines() or [b""]
-    header = _read_header(path, first)
-    video = header.video
-    answers = []
-    for number, line in enumerate(rest, 2):
+    for one in answers:
+        file.append(_line(one))
+    try:
+        file.flush()
+    except OutputError as error:
+        if error.errno is not None:
+            raise
+        raise OutputError(f"{error}; end this command and start it again: it reads the file anew") from error
+    file.sync()
+
+
+def _line(answer: Answer) -> str:
+    return json.dumps(answer.as_dict(), allow_nan=False)
+
+
+def read_answers(path: Path) -> AnswersFile:
+    """The header and all answers; changes nothing on the disk.
+
+    A last line that was torn by a crash is left out, and names that no target can have are mended.
+
+    Raises:
+        AnswersFileError: it is no such file, or a line of it is damaged or cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise AnswersFileError(f"{path}: {error.strerror}") from error
+    is_whole = data.endswith(b"\n")
+    lines = [(number, line) for number, line in enumerate(data.splitlines(), 1) if line.strip()]
+    header = _read_header(path, lines[0][1] if lines else b"")
+    given = []
+    torn = []
+    for number, line in lines[1:]:
         try:
-            answers.append(read_answer(_object(line), video.frames, video.width, video.height))
+            given.append((number, _object(line)))
+        except AnswerError as error:
+            if is_whole or number != lines[-1][0]:
+                raise AnswersFileError(f"{path}, line {number}: {error}") from error
+            torn = [f"{path}: the last line, {number}, is unfinished and is left out: {line[:60]!r}"]
+    answers, renamed = _read(path, header.video, given)
+    mended = [f"{path}: {describe_mended(renamed)}"] if renamed else []
+    return AnswersFile(header, answers, (*mended, *torn), is_whole)
+
+
+def _read(
+    path: Path, video: Video, given: Sequence[tuple[int, dict[str, Any]]]
+) -> tuple[tuple[Answer, ...], dict[str, str]]:
+    names = (line["target"] for _, line in given if isinstance(line.get("target"), str))
+    renamed = mend_names(names)
+    answers = []
+    for number, line in given:
+        target = line.get("target")
+        if isinstance(target, str):
+            line = {**line, "target": renamed.get(target, target)}
+        try:
+            answers.append(read_answer(line, video.frames, video.width, video.height))
         except AnswerError as error:
             raise AnswersFileError(f"{path}, line {number}: {error}") from error
-    return header, answers
+    return tuple(answers), renamed
 
 
 def _read_header(path: Path, line: bytes) -> Header:
@@ -98,15 +146,31 @@ def _read_header(path: Path, line: bytes) -> Header:
         if given.get("format_version") != VERSION:
             raise AnswerError(f"format version {given.get('format_version')!r}; this program reads {VERSION}")
         del given["format"], given["format_version"]
-        return Header(**{**given, "video": Video(**given["video"])})
+        header = Header(**{**given, "video": Video(**given["video"])})
     except (AnswerError, TypeError, KeyError) as error:
         raise AnswersFileError(f"{path}, line 1: {error}") from error
+    for name, (value, kinds, least) in {
+        "video.frames": (header.video.frames, (int,), 1),
+        "video.width": (header.video.width, (int,), 1),
+        "video.height": (header.video.height, (int,), 1),
+        "graph_name": (header.graph_name, (str,), None),
+        "seed": (header.seed, (int,), 0),
+        "threshold": (header.threshold, (int, float), 0),
+        "patience": (header.patience, (int,), 1),
+        "max_side": (header.max_side, (int, type(None)), LEAST_MAX_SIDE),
+    }.items():
+        is_low = least is not None and isinstance(value, int | float) and not value >= least
+        if type(value) not in kinds or is_low:
+            needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
+            at_least = "" if least is None else f" of at least {least}"
+            raise AnswersFileError(f"{path}, line 1: {name} {value!r}; {needed}{at_least} is needed")
+    return header
 
 
 def _object(line: bytes) -> dict[str, Any]:
     try:
         given = json.loads(line)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise AnswerError("it is no JSON") from error
     if not isinstance(given, dict):
         raise AnswerError("an object is needed")

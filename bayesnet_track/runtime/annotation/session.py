@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.journal.writer import output_error
+from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.writer import LineFile, output_error
 from bayesnet_track.runtime.annotation.answers import (
     UNDO,
     Answer,
@@ -20,17 +21,20 @@ from bayesnet_track.runtime.annotation.answers import (
     read_answer,
 )
 from bayesnet_track.runtime.annotation.answers_file import (
+    BEFORE,
     NAME,
     AnswersFileError,
     Header,
     append_answers,
     first_difference,
     read_answers,
-    write_header,
+    write_answers,
 )
 from bayesnet_track.runtime.annotation.asking import Annotations, Asking, annotate
 from bayesnet_track.runtime.annotation.formats.document import Document
+from bayesnet_track.runtime.annotation.names import describe_mended, find_alike, mend_names
 from bayesnet_track.runtime.annotation.tracked import Found, Runs
+from bayesnet_track.sources.entrances.notices import few, notice
 
 
 @dataclass
@@ -47,6 +51,7 @@ class Session:
 
     path: Path
     header: Header
+    file: LineFile
     answers: list[Answer] = field(default_factory=list)
     annotations: Annotations = field(default_factory=Annotations)
     version: int = 0
@@ -66,16 +71,27 @@ class Session:
                 raise AnswerError(f"{answer.target} has no box yet")
             self._keep([answer])
 
-    def give_new(self, answers: Iterable[Answer]) -> None:
-        """Take answers of another tool's file, where nobody has answered before; raises OutputError."""
-        with self._lock:
-            known = {(one.target, one.frame) for one in self.answers}
-            self._keep([one for one in answers if (one.target, one.frame) not in known])
+    def give_new(self, answers: Iterable[Answer], place: str) -> None:
+        """Take answers of another tool's file, `place`, where nobody has answered before; raises OutputError.
 
-    def update(self, runs: Runs, notice: Callable[[str, int], None] = lambda target, frame: None) -> bool:
+        Names that no target can have are mended. What is not used, or not as it stands there, is said.
+        """
+        given = list(answers)
+        mended = mend_names(one.target for one in given)
+        if mended:
+            notice(f"{place}: {describe_mended(mended)}")
+        given = [replace(one, target=mended.get(one.target, one.target)) for one in given]
+        with self._lock:
+            known = {(one.target, one.frame): one for one in self.answers if one != UNDO}
+            _notice_unused(place, given, known)
+            for one, other in find_alike([*(key[0] for key in known), *(one.target for one in given)]):
+                notice(f"{place}: {one!r} and {other!r} look alike and are two targets")
+            self._keep([one for one in given if (one.target, one.frame) not in known])
+
+    def update(self, runs: Runs, hear: Callable[[str, int], None] = lambda target, frame: None) -> bool:
         """Track what the answers ask for; False where another answer came meanwhile: then nothing changed.
 
-        `notice` is told target and frame while it tracks.
+        `hear` is told target and frame while it tracks.
         """
         with self._lock:
             version, answers = self.version, by_target(in_force(self.answers))
@@ -87,7 +103,7 @@ class Session:
             asking = Asking(self.header.threshold, self.header.patience)
             found = []
             for target, own in answers.items():
-                watched = _Watched(runs, is_stale, partial(notice, target))
+                watched = _Watched(runs, is_stale, partial(hear, target))
                 found.append(annotate({target: own}, watched, self.frames, asking))
         except _StaleError:
             return False
@@ -97,6 +113,10 @@ class Session:
             marks = {target: own for one in found for target, own in one.marks.items()}
             self.annotations = Annotations(marks, tuple(q for one in found for q in one.questions))
             return True
+
+    def close(self) -> None:
+        """Write no more."""
+        self.file.close()
 
     @property
     def frames(self) -> int:
@@ -115,13 +135,16 @@ class Session:
         return mark.box
 
     def _keep(self, answers: list[Answer]) -> None:
-        append_answers(self.path, answers)
+        append_answers(self.file, answers)
         self.answers += answers
         self.version += 1
 
 
 def open_session(folder: Path, header: Header) -> tuple[Session, str | None]:
     """The session of a folder: a new one, or the one that it holds, and what was different when it began.
+
+    What was torn by a crash, or cannot be the name of a target, is mended in the file and said; the file as
+    it was stays beside it.
 
     Raises:
         AnswersFileError: the answers were given to another video, or are damaged.
@@ -134,13 +157,35 @@ def open_session(folder: Path, header: Header) -> tuple[Session, str | None]:
     except OSError as error:
         raise output_error(folder, error) from error
     if not is_there:
-        write_header(path, header)
-        return Session(path, header), None
-    kept, answers = read_answers(path)
-    difference = first_difference(kept, header)
+        write_answers(path, header)
+        return Session(path, header, LineFile(path, after=path.stat().st_size)), None
+    found = read_answers(path)
+    difference = first_difference(found.header, header)
     if difference is not None and difference.startswith("another video"):
         raise AnswersFileError(f"{path}: {difference}; give the video of these answers, or another folder")
-    return Session(path, header, answers, version=1), difference
+    if found.mended:
+        write_atomically(folder / BEFORE, path.read_bytes())
+        for sentence in found.mended:
+            notice(f"{sentence}; the file as it was is {folder / BEFORE}")
+    if found.mended or not found.is_whole:
+        write_answers(path, found.header, found.answers)
+    file = LineFile(path, after=path.stat().st_size)
+    return Session(path, header, file, list(found.answers), version=1), difference
+
+
+def _notice_unused(place: str, given: Sequence[Answer], known: Mapping[tuple[str, int], Answer]) -> None:
+    """Say what of an import is not used: other boxes where there is an answer, all but the last of two."""
+    old = [one for one in given if (one.target, one.frame) in known and known[one.target, one.frame] != one]
+    if old:
+        places = few([f"{one.target} in frame {one.frame}" for one in old])
+        notice(
+            f"{place}: {len(old)} of {len(given)} boxes are not used, the session has other answers: {places}"
+        )
+    last = {(one.target, one.frame): one for one in given if one.box is not None}
+    twice = [one for one in given if one.box is not None and last[one.target, one.frame].box != one.box]
+    if twice:
+        places = few([f"{one.target} in frame {one.frame}" for one in twice])
+        notice(f"{place}: {len(twice)} of {len(given)} boxes are not used, another one follows: {places}")
 
 
 class _StaleError(Exception):
@@ -151,10 +196,10 @@ class _StaleError(Exception):
 class _Watched:
     runs: Runs
     is_stale: Callable[[], bool]
-    notice: Callable[[int], None]
+    hear: Callable[[int], None]
 
     def at(self, start: int, box: Box, frame: int) -> Found:
         if self.is_stale():
             raise _StaleError
-        self.notice(frame)
+        self.hear(frame)
         return self.runs.at(start, box, frame)
