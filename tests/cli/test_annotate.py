@@ -2,6 +2,7 @@
 
 import errno
 import json
+import shutil
 
 import cv2
 import pytest
@@ -10,6 +11,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.tracker import Tracker
 from bayesnet_track.sources.scenes import make_scene
 
 FRAMES = 8
@@ -77,6 +79,75 @@ def test_two_commands_never_write_the_same_folder(video, tmp_path, capsys):
     with lock_run(RunDirectory(tmp_path)):
         assert annotate(folder, tmp_path) == 6
     assert "another process is writing" in capsys.readouterr().err
+
+
+BAD_BOXES = {
+    "0.5,20": "width and height must be at least 1 px",
+    "20,2401": "at most 10 times the 320x240 frame is allowed",
+}
+
+
+@pytest.mark.parametrize("size", BAD_BOXES)
+def test_a_target_that_cannot_be_tracked_stops_no_other_and_is_named_until_it_is_corrected(
+    video, tmp_path, capsys, size
+):
+    folder, boxes = video
+    mot = tmp_path / "boxes.txt"
+    good = boxes.read_text()
+    mot.write_text(f"1,2,150,100,20,20,1\n4,2,150,100,{size},1\n{good}")
+    options = ("--threshold", "0.01", "--format", "coco")
+    assert annotate(folder, tmp_path / "a", *options, "--import", str(mot)) == 5
+    said = f"open: target 2, frame 3: not tracked: start box 150,100,{size}: {BAD_BOXES[size]}"
+    assert said in capsys.readouterr().out
+    content = json.loads((tmp_path / "a/coco.json").read_text())
+    names = {one["id"]: one["name"] for one in content["tracks"]}
+    hows = [(names[one["track_id"]], one["attributes"]["how"]) for one in content["annotations"]]
+    assert hows.count(("target 1", "tracked")) == 7 and hows.count(("target 2", "given")) == 2
+    # It stays in the session, the answers as they were: whoever corrects it has all of them.
+    assert annotate(folder, tmp_path / "a", *options) == 5
+    capsys.readouterr()
+    with (tmp_path / "a/answers.jsonl").open("a") as file:
+        file.write(json.dumps({"kind": "box", "frame": 3, "target": "target 2", "box": [150, 100, 20, 20]}))
+    assert annotate(folder, tmp_path / "a", *options) == 0
+    assert "2 targets, 8 frames: 3 given, 13 tracked\n" in capsys.readouterr().out
+
+
+def test_a_box_too_small_for_the_frames_that_are_tracked_in_is_named(video, tmp_path, capsys):
+    folder, boxes = video
+    mot = tmp_path / "boxes.txt"
+    mot.write_text("1,2,150,100,8,8,1\n" + boxes.read_text())
+    assert annotate(folder, tmp_path / "a", "--max-side", "32", "--import", str(mot)) == 5
+    out = capsys.readouterr().out
+    assert "open: target 2, frame 0: not tracked" in out and "0.8x0.8 px" in out
+
+
+def test_a_failure_of_the_tracker_concerns_one_target(video, tmp_path, capsys, monkeypatch):
+    folder, boxes = video
+    mot = tmp_path / "boxes.txt"
+    mot.write_text("1,2,150,100,21,20,1\n" + boxes.read_text())
+    init = Tracker.init
+
+    def fail(self, frame, box):
+        init(self, frame, box)
+        if box[2] == 21:
+            monkeypatch.setattr(self, "update", lambda frame: 1 / 0, raising=False)
+
+    monkeypatch.setattr(Tracker, "init", fail)
+    assert annotate(folder, tmp_path / "a", "--threshold", "0.01", "--import", str(mot)) == 5
+    out = capsys.readouterr().out
+    assert "open: target 2, frame 1: not tracked: ZeroDivisionError" in out
+    assert "2 given, 7 tracked" in out
+
+
+def test_a_damaged_source_is_annotated_as_far_as_it_goes_and_is_no_success(video, tmp_path, capsys):
+    folder, boxes = video
+    copy = tmp_path / "video"
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("*.txt"))
+    (copy / "5.png").write_bytes((copy / "5.png").read_bytes()[:200])
+    assert annotate(copy, tmp_path / "a", "--import", str(boxes)) == 5
+    err = capsys.readouterr().err
+    assert "source damaged after 7 frames" in err
+    assert "frames cannot be read and are left out: 5; those behind them are counted without them" in err
 
 
 def test_a_disk_that_is_full_for_an_answer_is_an_output_that_cannot_be_written(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import (
+    INCOMPLETE,
     OK,
     UsageError,
     complain,
@@ -46,16 +47,17 @@ def annotate(options: argparse.Namespace) -> int:
         folder.mkdir(parents=True, exist_ok=True)
     try:
         with lock_run(RunDirectory(folder)):
-            session = _work(options, folder)
+            session, is_complete = _work(options, folder)
     except AnswersFileError as error:
         raise UsageError(str(error)) from error
     say(describe(folder, session))
     if stop.between_frames():
         stop.signal = None  # what was closed is the view; every answer is kept
-    return OK
+    return OK if is_complete else INCOMPLETE
 
 
-def _work(options: argparse.Namespace, folder: Path) -> Session:
+def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
+    """The session, and whether the whole video was read and every answer is tracked."""
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.runtime.annotation.answers_file import NAME, read_answers
     from bayesnet_track.runtime.annotation.formats.formats import read_annotations, write_formats
@@ -72,7 +74,8 @@ def _work(options: argparse.Namespace, folder: Path) -> Session:
     with open_source(options.video) as source:
         store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
     run_silently(lambda: sys.stderr.write("\n"))
-    if source.end_reason != "end_of_source":
+    is_whole = source.end_reason == "end_of_source"
+    if not is_whole:
         complain(f"{options.video}: {source.end_reason.replace('_', ' ')} after {len(store)} frames")
     with store:
         header = make_header(options, graph, store, kept)
@@ -85,13 +88,10 @@ def _work(options: argparse.Namespace, folder: Path) -> Session:
                     answers = read_annotations(Path(file), header.video)
                 session.give_new(answers, file)
             runs = TrackerRuns(graph, store, session.header.seed, session.header.max_side)
-            if options.no_view:
-                session.update(runs)
-            else:
-                _show(options, session, store, runs)
+            is_tracked = session.update(runs) if options.no_view else _show(options, session, store, runs)
             options.stop.is_patient = True
             write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
-    return session
+    return session, is_whole and is_tracked and not session.annotations.failures
 
 
 def make_header(
@@ -140,7 +140,8 @@ def describe(folder: Path, session: Session) -> str:
     return text if session.annotations.questions or missing or not said else f"{text}; nothing to ask"
 
 
-def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> None:
+def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> bool:
+    """Open the page until the person leaves; whether every answer is tracked then."""
     from bayesnet_track.cli.commands.viewing import announce
     from bayesnet_track.runtime.annotation.desk import Desk
 
@@ -156,6 +157,7 @@ def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs
         desk.wait(lambda: stop.signal is not None)
         if desk.is_behind:
             complain("the last answers are not tracked yet; the same command goes on from them")
+        return desk.is_tracked
 
 
 def _progress(count: int) -> None:
@@ -196,7 +198,7 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         "--patience",
         type=whole_number(1),
         metavar="N",
-        help="frames in a row that may be below (default 10)",
+        help="frames in a row that may be below (default 20)",
     )
     add_size_option(annotate)
     annotate.add_argument("--seed", type=whole_number(0), metavar="N", help="seed of all randomness (0)")

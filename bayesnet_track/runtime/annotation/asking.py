@@ -35,12 +35,14 @@ class Question:
     Attributes:
         shown: what the tracker would say.
         reason: why it is asked, with numbers.
+        is_failure: the target cannot be tracked until it is answered.
     """
 
     target: str
     frame: int
     shown: Mark
     reason: str
+    is_failure: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,11 @@ class Annotations:
 
     marks: Mapping[str, Mapping[int, Mark]] = field(default_factory=dict)
     questions: tuple[Question, ...] = ()
+
+    @property
+    def failures(self) -> tuple[Question, ...]:
+        """Those questions because of which a target is not tracked."""
+        return tuple(one for one in self.questions if one.is_failure)
 
 
 def annotate(
@@ -85,6 +92,13 @@ def annotate_target(
         question = _run_ahead(target, answers[-1], runs, ahead, marks, asking)
         questions += [] if question is None else [question]
     return dict(sorted(marks.items())), next(iter(questions), None)
+
+
+def fail(target: str, answers: Sequence[Answer], frame: int, reason: str) -> tuple[dict[int, Mark], Question]:
+    """The marks of a target that cannot be tracked, the given ones, and the question that says why."""
+    marks = {one.frame: _given(one) for one in answers}
+    shown = marks.get(frame, Mark(frame, None, "gone", 0.0))
+    return marks, Question(target, frame, shown, f"not tracked: {reason}", True)
 
 
 def _given(answer: Answer) -> Mark:

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.tracker import Tracker
+from bayesnet_track.sources.entrances.notices import notice
 
 THRESHOLD = 0.5
 RECTANGLE = "rectangle"
@@ -37,15 +39,24 @@ class CvatTracking:
         """The PIL image as an array (H, W, 3) uint8, BGR."""
         return np.ascontiguousarray(np.asarray(image.convert("RGB"))[:, :, ::-1])
 
-    def init_tracking_state(self, context: object, pp_image: Any, shape: Any) -> Tracker:
-        """A tracker that has started on the rectangle."""
+    def init_tracking_state(self, context: object, pp_image: Any, shape: Any) -> Tracker | None:
+        """A tracker that has started on the rectangle; None, with a notice, where none can.
+
+        CVAT asks for all rectangles of a frame together: the others are tracked.
+        """
         left, top, right, bottom = (float(value) for value in shape.points)
         tracker = Tracker(self._graph, self._seed)
-        tracker.init(pp_image, (left, top, right - left, bottom - top))
+        try:
+            tracker.init(pp_image, (left, top, right - left, bottom - top))
+        except StartError as error:
+            notice(f"a rectangle is not tracked: {error}")
+            return None
         return tracker
 
-    def track(self, context: object, pp_image: Any, state: Tracker) -> Any:
+    def track(self, context: object, pp_image: Any, state: Tracker | None) -> Any:
         """The rectangle in the next image; None where the probability of being on target is too low."""
+        if state is None:
+            return None
         state.update(pp_image)
         if state.score < self._threshold:
             return None

@@ -156,6 +156,11 @@ class Desk:
         self._tell()
 
     @property
+    def is_tracked(self) -> bool:
+        """Whether every answer is tracked."""
+        return not (self.is_behind or self._trouble)
+
+    @property
     def is_behind(self) -> bool:
         """Whether an answer is not tracked yet."""
         return self._done != self._session.version
@@ -174,6 +179,8 @@ class Desk:
                 version, self._trouble = self._session.version, ""
             try:
                 is_done: bool | None = self._session.update(self._runs, self._notice)
+                failed = self._session.annotations.failures if is_done else ()
+                self._trouble = "; ".join(f"{one.target}, frame {one.frame}: {one.reason}" for one in failed)
             except Exception as error:
                 self._trouble = f"tracking failed: {type(error).__name__}: {error}"
                 is_done = None

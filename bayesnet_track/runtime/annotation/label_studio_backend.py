@@ -15,6 +15,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.annotation.answers import by_target
@@ -24,6 +25,7 @@ from bayesnet_track.runtime.annotation.formats.label_studio import key_frames, r
 from bayesnet_track.runtime.annotation.frame_store import FrameStore, Video
 from bayesnet_track.runtime.annotation.fusing import How, Mark
 from bayesnet_track.runtime.annotation.tracked import TrackerRuns
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.sources import open_source
 
 Json = Mapping[str, Any]
@@ -96,7 +98,8 @@ class Predictor:
     def predict(self, path: str, task: str, drawn: Sequence[Json]) -> dict[str, Any]:
         """A prediction of Label Studio: the regions drawn in the video of a task, with key frames added.
 
-        Key frames that an earlier prediction made are tracked anew, unless somebody has changed them since.
+        Key frames that an earlier prediction made are tracked anew, unless somebody has changed them since. A
+        region from which no tracker can start stays as it was drawn, with a notice; the others are tracked.
 
         Raises:
             MismatchError: a region does not fit the video.
@@ -107,8 +110,14 @@ class Predictor:
             regions, sure = [], list[float]()
             for number, region in enumerate(drawn):
                 if region.get("type") == "videorectangle":
-                    marks = self._track(region, (task, str(region.get("id", number))), video, runs)
-                    regions.append(self._region(region, (task, str(region.get("id", number))), video, marks))
+                    key = task, str(region.get("id", number))
+                    try:
+                        marks = self._track(region, key, video, runs)
+                    except StartError as error:
+                        notice(f"{path}, region {key[1]}: it stays as drawn: {error}")
+                        regions.append(dict(region))
+                        continue
+                    regions.append(self._region(region, key, video, marks))
                     sure += [mark.probability for mark in marks.values() if mark.how != "given"]
         score = round(fmean(sure), 4) if sure else 1.0
         return {
@@ -120,7 +129,7 @@ class Predictor:
     def close(self) -> None:
         """Let go of the decoded video."""
         if self._store is not None:
-            self._store.__exit__()
+            self._store.close()
         self._video = self._store = self._runs = None
 
     def _opened(self, path: str) -> tuple[Video, TrackerRuns]:

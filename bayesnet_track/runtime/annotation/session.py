@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bayesnet_track.engine.starts import StartError
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import LineFile, output_error
 from bayesnet_track.runtime.annotation.answers import (
@@ -30,8 +31,10 @@ from bayesnet_track.runtime.annotation.answers_file import (
     read_answers,
     write_answers,
 )
-from bayesnet_track.runtime.annotation.asking import Annotations, Asking, annotate
+from bayesnet_track.runtime.annotation.asking import Annotations, Asking, Question, annotate_target, fail
+from bayesnet_track.runtime.annotation.bounds import describe_untrackable
 from bayesnet_track.runtime.annotation.formats.document import Document
+from bayesnet_track.runtime.annotation.fusing import Mark
 from bayesnet_track.runtime.annotation.names import describe_mended, find_alike, mend_names
 from bayesnet_track.runtime.annotation.tracked import Found, Runs
 from bayesnet_track.sources.entrances.notices import few, notice
@@ -67,6 +70,11 @@ class Session:
             kept = in_force(self.answers)
             if answer == UNDO and not kept:
                 raise AnswerError("there is no answer to take back")
+            fault = (
+                None if answer.box is None else describe_untrackable(answer.box, video, self.header.max_side)
+            )
+            if fault is not None:
+                raise AnswerError(fault)
             if answer.kind == "gone" and not any(one.target == answer.target for one in kept):
                 raise AnswerError(f"{answer.target} has no box yet")
             self._keep([answer])
@@ -91,7 +99,8 @@ class Session:
     def update(self, runs: Runs, hear: Callable[[str, int], None] = lambda target, frame: None) -> bool:
         """Track what the answers ask for; False where another answer came meanwhile: then nothing changed.
 
-        `hear` is told target and frame while it tracks.
+        A target that cannot be tracked is asked about, and the others are tracked. `hear` is told target and
+        frame while it tracks.
         """
         with self._lock:
             version, answers = self.version, by_target(in_force(self.answers))
@@ -99,20 +108,38 @@ class Session:
         def is_stale() -> bool:
             return self.version != version
 
+        marks: dict[str, Mapping[int, Mark]] = {}
+        questions = []
         try:
-            asking = Asking(self.header.threshold, self.header.patience)
-            found = []
             for target, own in answers.items():
-                watched = _Watched(runs, is_stale, partial(hear, target))
-                found.append(annotate({target: own}, watched, self.frames, asking))
+                watched = _Watched(runs, is_stale, partial(hear, target), own[0].frame)
+                marks[target], question = self._track(target, own, watched)
+                questions += [] if question is None else [question]
         except _StaleError:
             return False
         with self._lock:
             if is_stale():
                 return False
-            marks = {target: own for one in found for target, own in one.marks.items()}
-            self.annotations = Annotations(marks, tuple(q for one in found for q in one.questions))
+            self.annotations = Annotations(marks, tuple(questions))
             return True
+
+    def _track(
+        self, target: str, own: Sequence[Answer], watched: _Watched
+    ) -> tuple[Mapping[int, Mark], Question | None]:
+        """The marks of a target and what is asked about it: where it fails, the given ones, and why."""
+        video, max_side = self.header.video, self.header.max_side
+        for one in own:
+            fault = None if one.box is None else describe_untrackable(one.box, video, max_side)
+            if fault is not None:
+                return fail(target, own, one.frame, f"{fault}; give another box here")
+        try:
+            asking = Asking(self.header.threshold, self.header.patience)
+            return annotate_target(target, own, watched, self.frames, asking)
+        except _StaleError:
+            raise
+        except Exception as error:
+            said = str(error) if isinstance(error, StartError) else f"{type(error).__name__}: {error}"
+            return fail(target, own, watched.frame, said)
 
     def close(self) -> None:
         """Write no more."""
@@ -129,9 +156,12 @@ class Session:
         return Document(self.header.video, self.annotations.marks)
 
     def _shown(self, given: Mapping[str, Any]) -> Box:
-        mark = self.annotations.marks.get(str(given.get("target")), {}).get(given.get("frame", -1))
+        target, frame = given.get("target"), given.get("frame")
+        mark: Mark | None = None
+        if isinstance(target, str) and isinstance(frame, int):
+            mark = self.annotations.marks.get(target, {}).get(frame)
         if mark is None or mark.box is None:
-            raise AnswerError(f"frame {given.get('frame')} shows no box of {given.get('target')} to confirm")
+            raise AnswerError(f"frame {frame} shows no box of {target} to confirm")
         return mark.box
 
     def _keep(self, answers: list[Answer]) -> None:
@@ -192,14 +222,22 @@ class _StaleError(Exception):
     pass
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Watched:
+    """Runs that say how far they are.
+
+    Attributes:
+        frame: the one that was asked for last.
+    """
+
     runs: Runs
     is_stale: Callable[[], bool]
     hear: Callable[[int], None]
+    frame: int
 
     def at(self, start: int, box: Box, frame: int) -> Found:
         if self.is_stale():
             raise _StaleError
+        self.frame = frame
         self.hear(frame)
         return self.runs.at(start, box, frame)

@@ -110,8 +110,12 @@ class _Run:
     def at(self, number: int) -> Found:
         if self._ahead is None and not self.reaches(number):
             self._ahead = islice(self._begin(), len(self._found), None)
-        while self._ahead is not None and not self.reaches(number):
-            self._found.append(next(self._ahead))
+        try:
+            while self._ahead is not None and not self.reaches(number):
+                self._found.append(next(self._ahead))
+        except BaseException:
+            self.rest()  # an iterator that raised gives nothing more
+            raise
         return self._found[number]
 
     def rest(self) -> None:

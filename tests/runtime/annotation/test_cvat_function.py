@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.runtime.annotation.cvat_function import create
+from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scenes import make_scene
 
 
@@ -64,3 +65,12 @@ def test_it_tracks_a_rectangle_and_gives_up_where_it_is_unsure(sdk):
     unsure = create("gray_square", threshold=1.1)
     state = unsure.init_tracking_state(None, pictures[0], shape)
     assert unsure.track(None, pictures[1], state) is None
+
+
+def test_a_rectangle_without_a_width_is_left_to_the_person_and_stops_no_other(sdk):
+    scene = make_scene("two_squares", seed=0)
+    function = create("gray_square")
+    flat = sdk.TrackableShape(type="rectangle", points=[10, 10, 10, 40])
+    with pytest.warns(InputNotice, match=r"not tracked: start box 10,10,0,30: width and height"):
+        state = function.init_tracking_state(None, scene.frames[0], flat)
+    assert function.track(None, scene.frames[1], state) is None

@@ -96,6 +96,47 @@ def test_a_picture_is_of_the_frame_and_not_too_large(desk):
 
 def test_a_tracker_that_fails_is_told_and_the_answers_are_kept(desk):
     do(desk, do="answer", kind="box", frame=0, target="ball 1", box=[99, 5, 20, 20])
-    assert "RuntimeError: no cue" in told(desk)["trouble"]
+    do(desk, do="answer", kind="box", frame=3, target="ball 2", box=[5, 5, 20, 20])
+    found = told(desk)
+    assert "ball 1, frame 1: not tracked: RuntimeError: no cue" in found["trouble"]
+    assert ("ball 1", 1) in [(one["target"], one["frame"]) for one in found["questions"]]
+    assert [one["how"].count("t") for one in found["targets"]] == [0, 17]
+    assert not desk.is_tracked
     do(desk, do="answer", kind="undo")
-    assert told(desk)["trouble"] == ""
+    do(desk, do="answer", kind="undo")
+    assert told(desk)["trouble"] == "" and desk.is_tracked
+
+
+def test_the_page_is_refused_a_box_from_which_no_tracker_starts(desk):
+    for box, words in [
+        ([5, 5, 0.5, 20], "width and height must be at least 1 px"),
+        ([5, 5, 20, 2401], "at most 10 times the 320x240 frame"),
+        ([5, 5, -20, 20], "width and height above 0"),
+        ([1e308, 5, 1e308, 20], "outside"),
+        (["5", 5, 20, 20], "four numbers"),
+        ([True, 5, 20, 20], "four numbers"),
+    ]:
+        for kind in ("box", "correct"):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                do(desk, do="answer", kind=kind, frame=0, target="ball 1", box=box)
+            assert refused.value.code == 400 and words in json.loads(refused.value.read())["error"]
+    assert told(desk)["answers"] == 0
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        {"kind": ["box"], "frame": 0, "target": "a", "box": [5, 5, 20, 20]},
+        {"kind": "correct", "frame": [0], "target": "a"},
+        {"kind": "correct", "frame": {}, "target": ["a"]},
+        {"kind": "gone", "frame": 0, "target": {}},
+        {"kind": "box", "frame": True, "target": "a", "box": [5, 5, 20, 20]},
+        {"kind": "box", "frame": 0, "target": "a", "box": {"x": 5}},
+        {"kind": "box", "frame": 0, "target": "a", "box": [10**400, 5, 20, 20]},
+        {},
+    ],
+)
+def test_a_message_of_other_types_is_refused_with_words(desk, what):
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        do(desk, do="answer", **what)
+    assert refused.value.code == 400 and len(json.loads(refused.value.read())["error"]) > 10

@@ -13,6 +13,7 @@ from bayesnet_track.runtime.annotation import label_studio_backend
 from bayesnet_track.runtime.annotation.asking import Asking
 from bayesnet_track.runtime.annotation.formats.document import MismatchError
 from bayesnet_track.runtime.annotation.label_studio_backend import Predictor, create_app
+from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scenes import make_scene
 
 FRAMES = 8
@@ -185,3 +186,13 @@ def test_the_video_stays_decoded_until_another_is_asked_for(predictor, video, mo
     for _ in range(2):
         predictor.predict(video, "1", [region(key_frame(0, SCENE.truth[0]))])
     assert opened == [video]
+
+
+def test_a_region_that_cannot_be_tracked_stays_as_drawn_and_the_others_are_tracked(predictor, video):
+    bad = region(key_frame(0, (20, 20, 0.5, 30)), name="bad")
+    with pytest.warns(InputNotice, match=r"region bad: it stays as drawn: start box .* at least 1 px"):
+        first, second = predictor.predict(
+            video, "1", [bad, region(key_frame(0, SCENE.truth[0]), name="good")]
+        )["result"]
+    assert first == bad
+    assert len(second["value"]["sequence"]) == FRAMES
