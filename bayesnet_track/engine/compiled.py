@@ -26,7 +26,6 @@ from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.text.write import as_plain, flow_text
-from bayesnet_track.inference.executor import TargetExecutor
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
@@ -113,7 +112,6 @@ class Engine:
         clock: seconds, for timings only.
         joins: how targets depend on each other.
         constants: numbers that their factors use by name.
-        target_executor: who advances whole nets elsewhere, which changes no result; None for nobody.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -122,7 +120,6 @@ class Engine:
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
-    target_executor: TargetExecutor | None = None
 
 
 def make_engine(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Generic, TypeVar, overload
+from typing import TypeVar, overload
 
 import numpy as np
 
@@ -74,17 +73,6 @@ class Lines(Sequence[FrameMetrics]):
 
     def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
         return tuple, (self._lines(),)
-
-
-@dataclass(frozen=True, eq=False)
-class Made(Generic[Value]):
-    """Gives what is made already, such as a line from another process."""
-
-    value: Value
-
-    def __call__(self) -> Value:
-        """The value."""
-        return self.value
 
 
 class WhenAsked(Mapping[str, Value]):

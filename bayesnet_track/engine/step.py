@@ -29,11 +29,9 @@ from bayesnet_track.engine.rows.advancing import advance_rows
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.finding import find_rows
 from bayesnet_track.engine.rows.particle_rows import filter_rows
-from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.scoring.scene_cuts import find_cuts
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.statuses import SceneCut
@@ -80,13 +78,12 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     before = state.targets if associated is None else associated.targets
 
     # Predict and update: by each target's own agents, then together where targets are joined
-    elsewhere = start_elsewhere(work, before)
     rides = Rides.of(work, state.joins)
-    apart = elsewhere.targets | rides.carriers.keys()
-    near = {name: one for name, one in before.items() if name not in apart} if apart else before
+    carriers = rides.carriers.keys()
+    near = {name: one for name, one in before.items() if name not in carriers} if carriers else before
     alone: dict[str, Filtered] = {}
     filtered = Together(filter_rows(work, near), alone, [*before])
-    for target in rides.carriers_first(filtered.missing(elsewhere.targets)):
+    for target in rides.carriers_first(filtered.missing()):
         if target not in filtered:
             ride = rides.ride(target, before[target], filtered)
             alone[target] = filter_target(work, target, before[target], ride)
@@ -94,10 +91,6 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
 
     # Measure, decide, learn, describe
     results = finish_targets(work, joint.filtered)
-    if elsewhere.targets:
-        others = {**results.others, **collect_elsewhere(work, elsewhere, before)}
-        others = {target: others[target] for target in before if target in others}
-        results = Results(results.groups, others, [*before])
     outcome = carry_out(work, state, results, joint)
     return _manage(work, outcome, associated, given, cuts)
 

@@ -7,13 +7,10 @@ hypotheses at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from operator import call
-from typing import Any, Protocol, TypeVar
-
-from bayesnet_track.journal.net.net import Net
-from bayesnet_track.observation.planes import FramePair
+from typing import Any, TypeVar
 
 Piece = TypeVar("Piece")
 Made = TypeVar("Made")
@@ -74,21 +71,3 @@ def defer_faults(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException
         raise found
 
     return raised
-
-
-class TargetExecutor(Protocol):
-    """Advances whole nets elsewhere, those of targets that depend on no other, while the engine goes on."""
-
-    @property
-    def plates(self) -> frozenset[str]:
-        """The plates whose targets it takes."""
-
-    def start(
-        self, net: Net, targets: Mapping[str, Any], frames: FramePair
-    ) -> Callable[[], Mapping[str, Any]]:
-        """Take the frame of these targets (id -> `TargetState`) in hand.
-
-        Returns:
-            What waits for the outcome: target -> `engine.target_execution.Advanced`. Those that nobody
-            advanced are missing, and are left to the engine.
-        """

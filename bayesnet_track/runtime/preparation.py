@@ -27,7 +27,6 @@ def place_cues(
     stack: ExitStack,
     executing: Executing,
     engine: Engine,
-    graph: CheckedGraph | None,
     source: FrameSource,
     budget_ms: float | None,
 ) -> Engine:
@@ -39,7 +38,7 @@ def place_cues(
         PlacingError: an agent cannot be where it was put.
     """
     waits = budget_ms is None and not getattr(source, "is_live", False)
-    return stack.enter_context(executing).engine(engine, graph, RETRIES if waits else 0)
+    return stack.enter_context(executing).engine(engine, RETRIES if waits else 0)
 
 
 def prepare_engine(

@@ -189,7 +189,7 @@ def track(
         say_unused_by_cues(seen, opened)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = place_cues(stack, executing, engine, None if motion is not None else seen, opened, budget_ms)
+        engine = place_cues(stack, executing, engine, opened, budget_ms)
         all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None

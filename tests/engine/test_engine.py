@@ -531,18 +531,8 @@ def test_metrics_hold_what_was_measured(fakes):
     assert metrics == replace(metrics)
 
 
-class Nobody:
-    """Has whole nets at work elsewhere, and loses them all: they are advanced here, one by one."""
-
-    plates = frozenset({"plate"})
-
-    def start(self, net, targets, frames):
-        return lambda: {}
-
-
-def test_the_order_of_the_targets_does_not_depend_on_who_advances_them(fakes):
+def test_targets_keep_the_order_in_which_they_started(fakes):
     starts = {str(n): (50.0, 40.0, 20.0, 20.0) for n in range(1, 12)}  # "10" comes before "2" in a dictionary
     engine, _ = fakes.engine({"root": {}, "a": "root"}, {"a": fakes.gaussian(50.0, 40.0, 3.0)})
-    for executor in (None, Nobody()):
-        outcomes = fakes.play(replace(engine, target_executor=executor), 3, starts)
-        assert [[line.target for line in one.metrics] for one in outcomes] == [[*starts]] * 4
+    outcomes = fakes.play(engine, 3, starts)
+    assert [[line.target for line in one.metrics] for one in outcomes] == [[*starts]] * 4

@@ -73,8 +73,8 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="AGENT=WHERE",
-        help="put an agent into the engine or a process: flow=process, person.flow=engine; or the whole "
-        "nets of a plate: person=process; goes before `on` in the graph",
+        help="put an agent into the engine or a process: flow=process, person.flow=engine; goes before `on` "
+        "in the graph",
     )
     group.add_argument(
         "--agent-timeout",

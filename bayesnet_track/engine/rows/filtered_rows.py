@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -252,6 +251,6 @@ class Together(Mapping[str, Filtered]):
     def __len__(self) -> int:
         return len(self.others) + len(self._group)
 
-    def missing(self, apart: AbstractSet[str]) -> list[str]:
-        """Targets in neither, but for those `apart`."""
-        return [target for target in self.order if target not in self and target not in apart]
+    def missing(self) -> list[str]:
+        """Targets in neither."""
+        return [target for target in self.order if target not in self]

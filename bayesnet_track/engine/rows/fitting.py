@@ -79,7 +79,7 @@ def row_rule(engine: Engine, plate: str) -> RowRule | None:
     """What the rows of a plate have in common; None where its targets have to go one by one."""
     compiled = engine.plates[plate]
     agents, motion = compiled.plate.agents, compiled.motion
-    if engine.joins or engine.target_executor is not None or len(compiled.association_rules) != 1:
+    if engine.joins or len(compiled.association_rules) != 1:
         return None
     if compiled.plate.factors:
         return None

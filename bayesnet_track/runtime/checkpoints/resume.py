@@ -143,7 +143,7 @@ def resume(
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms
-        engine = place_cues(stack, executing, engine, None if motion is not None else seen, opened, budget_ms)
+        engine = place_cues(stack, executing, engine, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = inputs_before(directory)
         external_inputs = _external_inputs(before, as_inputs(asked))

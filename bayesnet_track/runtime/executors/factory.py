@@ -5,24 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Self
 
 from bayesnet_track.engine.step import Engine
-from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.placing import (
     Place,
     agent_specs,
-    hosts_of,
     places_of,
-    plates_elsewhere,
     with_proxies,
 )
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
-from bayesnet_track.runtime.executors.target_executor import ProcessTargetExecutor
 from bayesnet_track.runtime.executors.workers import Limits
 from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 
@@ -73,28 +68,23 @@ class Executing:
     def _is_serial(self) -> bool:
         return self.kind == "serial"
 
-    def engine(self, engine: Engine, graph: CheckedGraph | None = None, retries: int = RETRIES) -> Engine:
+    def engine(self, engine: Engine, retries: int = RETRIES) -> Engine:
         """`engine` with its agents placed, to be run while this is entered; once.
 
-        `graph` is what it was made from, which whole nets elsewhere are made from as well. `retries` holds
-        where the executor was made without a number of its own.
+        `retries` holds where the executor was made without a number of its own.
 
         Raises:
             PlacingError: an agent cannot be where it was put.
         """
-        nets = plates_elsewhere(engine, graph, self._places, self._cues)
-        places = places_of(engine, self._default, self._places, self._cues, nets)
+        places = places_of(engine, self._default, self._places, self._cues)
         specs = agent_specs(engine, places, self._cues)
-        hosts = dict(hosts_of(graph, engine.streams.seed, self.workers)) if nets and graph is not None else {}
-        if specs or hosts:
+        if specs:
             if not has_workers():
                 raise PlacingError(NO_WORKERS)
             again = retries if self._retries is None else self._retries
-            transport = self.processes = Processes({**specs, **hosts}, self.workers, self._limits, again)
+            transport = self.processes = Processes(specs, self.workers, self._limits, again)
             self._open.callback(transport.close)
             engine = with_proxies(engine, places, transport)
-            if hosts:
-                engine = replace(engine, target_executor=ProcessTargetExecutor(transport, tuple(hosts), nets))
         return engine
 
 
@@ -119,8 +109,7 @@ def make_executor(
     Args:
         kind: serial or processes.
         workers: processes at work at a time; as many as the machine has processors when None.
-        places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`; PLATE ->
-            "process" for the whole nets of its targets.
+        places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`.
         limits: what a worker process may take.
         retries: how often an agent whose worker was lost is asked again. None for 2, or 0 where frames do
             not wait for it: those of a camera, or with a budget.

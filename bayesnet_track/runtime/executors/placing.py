@@ -6,13 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Literal
 
-from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.engine.step import Engine
-from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.runtime.executors.proxy import SentFrames, Transport, make_proxy
-from bayesnet_track.runtime.executors.target_host import make_net_host
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 
 Place = Literal["engine", "process"]
@@ -43,12 +40,10 @@ def places_of(
     default: Place,
     wanted: Mapping[str, Place],
     cues: Mapping[str, CueDeclaration] | None = None,
-    nets: frozenset[str] = frozenset(),
 ) -> dict[tuple[str, str], Place]:
     """(plate, agent) -> where it works: as `wanted`, else as the graph says, else by `default`.
 
-    `wanted` names an agent as AGENT, in every plate, or as PLATE.AGENT. Those of the plates `nets` are where
-    their net is, and in the engine's process for what it does itself. Agents that keep what cannot be sent
+    `wanted` names an agent as AGENT, in every plate, or as PLATE.AGENT. Agents that keep what cannot be sent
     (`opaque`) are in the engine's process unless they are put elsewhere, which is refused.
 
     Raises:
@@ -56,7 +51,7 @@ def places_of(
     """
     declarations = _declarations(engine, cues)
     found: dict[tuple[str, str], Place] = {}
-    unused = set(wanted) - nets
+    unused = set(wanted)
     for plate, compiled in engine.plates.items():
         for agent in compiled.cues:
             node = compiled.plate.agent(agent)
@@ -69,52 +64,11 @@ def places_of(
                         f"agent {agent} cannot be in a process: {node.agent.cue} keeps what cannot be sent"
                     )
                 place = "engine"
-            found[plate, agent] = "engine" if plate in nets else place or default
+            found[plate, agent] = place or default
     if unused:
         agents = dict.fromkeys(agent for _, agent in found)
-        raise PlacingError(
-            f"no agent {sorted(unused)[0]!r}; the graph has {', '.join(agents)}, and the plates "
-            f"{', '.join(engine.plates)}"
-        )
+        raise PlacingError(f"no agent {sorted(unused)[0]!r}; the graph has {', '.join(agents)}")
     return found
-
-
-def plates_elsewhere(
-    engine: Engine,
-    graph: CheckedGraph | None,
-    wanted: Mapping[str, Place],
-    cues: Mapping[str, CueDeclaration] | None = None,
-) -> frozenset[str]:
-    """The plates whose whole nets are `wanted` in processes.
-
-    Raises:
-        PlacingError: one of them cannot be there.
-    """
-    agents = {agent for compiled in engine.plates.values() for agent in compiled.cues}
-    nets = {name for name in engine.plates if name not in agents and wanted.get(name) == "process"}
-    declarations = _declarations(engine, cues)
-    for name in sorted(nets):
-        compiled = engine.plates[name]
-        opaque = [a for a in compiled.cues if declarations[compiled.plate.agent(a).agent.cue].opaque]
-        reason = (
-            "the graph has `joins`: what one net sees depends on the others"
-            if engine.joins
-            else f"agent {opaque[0]} keeps what cannot be sent"
-            if opaque
-            else "its motion is a function of your own, which cannot be sent"
-            if graph is None or isinstance(compiled.motion, FunctionMotion)
-            else ""
-        )
-        if reason:
-            raise PlacingError(f"the nets of {name} cannot be in processes: {reason}")
-    return frozenset(nets)
-
-
-def hosts_of(graph: CheckedGraph, seed: int, workers: int) -> dict[str, AgentSpec]:
-    """Name of every worker for whole nets -> how it is made."""
-    return {
-        f"nets {number}": AgentSpec(make_net_host, (graph, seed), 1.0) for number in range(1, workers + 1)
-    }
 
 
 def agent_specs(

@@ -17,7 +17,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.pending import Pending
-from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Call, Foreign
+from bayesnet_track.runtime.executors.questions import Answer, Call, Foreign
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
 
@@ -72,9 +72,7 @@ class Processes:
 
     def begin(self, call: Call) -> Callable[[], Any]:
         """`ask`, in two halves: what waits for the answer is returned, while the agent is at work."""
-        # Whole nets that nobody waited for would have to be advanced here.
-        patience = None if call.method == ADVANCE else self.patience
-        pending = Pending(call, patience)
+        pending = Pending(call, self.patience)
         with self._asking:
             if not self._forward(pending):
                 self._unsent.append(pending)

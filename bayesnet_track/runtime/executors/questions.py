@@ -15,8 +15,6 @@ from bayesnet_track.observation.shared import read_only
 
 LEARN_AND_BLEND = "learn and blend"
 """A question for a reference: what learns, the old one, the rate, and the arguments of what learns."""
-ADVANCE = "advance"
-"""A question for whole nets, which takes as long as it takes."""
 LEAST_BYTES = 2048
 """Smaller arrays are sent whenever they are needed."""
 MOST_BYTES = 256 << 20
