@@ -1,4 +1,4 @@
-"""Motion and measurement by functions of one's own, in Python: the language has linear ones only."""
+"""Motion and measurement by functions of one's own, in Python; a graph writes them as expressions."""
 
 from __future__ import annotations
 
