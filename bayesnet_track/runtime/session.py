@@ -26,6 +26,7 @@ from bayesnet_track.runtime.checkpoints.recipe_options import options_of
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
+from bayesnet_track.runtime.open_runs import closed_at_exit
 from bayesnet_track.runtime.preparation import (
     begin,
     make_checkpointer,
@@ -68,6 +69,7 @@ def prepare_at_call(
 
 
 @prepare_at_call
+@closed_at_exit
 def track(
     graph: str | PathLike[str] | GraphSpec | CheckedGraph,
     source: str | PathLike[str] | FrameSource,

@@ -95,8 +95,9 @@ class Checkpoints:
         """Make one of the last frame; where that fails, the one before it is good enough."""
         if self._due is not None and self._last is not None:
             with suppress(OutputError):
-                self._make(self._last)
-                self._written()
+                made = self._made(self._last)
+                if made is not None:
+                    self._write(made)  # here: an interpreter that ends starts no thread any more
 
     def ended(self) -> None:
         """Wait for the last one; it stays until the run is finished.
@@ -123,17 +124,22 @@ class Checkpoints:
             writing.result()
 
     def _make(self, now: RunPosition) -> None:
-        self._written()
         began = self._clock()
+        made = self._made(now)
+        if made is not None:
+            self._writing = self._writer.submit(self._write, made)
+            self._due = began + self._every_s
+
+    def _made(self, now: RunPosition) -> Checkpoint | None:
+        """The checkpoint of a frame, once the last one is written; None where the state cannot be stored."""
+        self._written()
         try:
-            made = checkpoint_of(now, self._recorder.written, self._recipe)
+            return checkpoint_of(now, self._recorder.written, self._recipe)
         except StateError as error:
             self._due = None
             if self._notice is not None:
                 self._notice(f"no checkpoints: {error}; if it is broken off, this run repeats from its start")
-            return
-        self._writing = self._writer.submit(self._write, made)
-        self._due = began + self._every_s
+            return None
 
     def _write(self, made: Checkpoint) -> None:
         self._recorder.sync()

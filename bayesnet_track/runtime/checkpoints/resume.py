@@ -44,6 +44,7 @@ from bayesnet_track.runtime.checkpoints.unchanged import (
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
+from bayesnet_track.runtime.open_runs import closed_at_exit
 from bayesnet_track.runtime.preparation import (
     held_files,
     make_checkpointer,
@@ -65,6 +66,7 @@ from bayesnet_track.runtime.run import Resumed, RunPosition, run
 __all__ = ["ResumeError", "resume"]
 
 
+@closed_at_exit
 def resume(
     path: str | PathLike[str],
     *,

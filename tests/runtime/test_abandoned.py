@@ -1,0 +1,52 @@
+"""A program that ends while a generator of `track` is open: its run is closed in order, and goes on later."""
+
+import subprocess
+import sys
+
+import cv2
+import pytest
+
+from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
+
+PROGRAM = """
+import sys
+from bayesnet_track import track
+
+results = track("two_squares", "frames", (250, 170, 40, 40), out="run")
+for result in results:
+    if result.frame.index == 3:
+        break
+if "raise" in sys.argv:
+    raise RuntimeError("of the program itself")
+"""
+
+
+@pytest.fixture
+def frames(tmp_path):
+    (tmp_path / "frames").mkdir()
+    for frame in SceneSource(make_scene("two_squares", seed=0), "scene", 6):
+        cv2.imwrite(str(tmp_path / f"frames/{frame.index}.png"), frame.image)
+    return tmp_path
+
+
+def run_program(code, *words):
+    call = [sys.executable, "-c", code, *words]
+    return subprocess.run(call, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize("how", ["ends", "raise"])
+def test_it_goes_on_behind_the_last_frame_that_the_program_saw(frames, monkeypatch, how):
+    monkeypatch.chdir(frames)
+    done = run_program(PROGRAM, how)
+    last = done.stderr.strip().splitlines()[-1:]
+    assert last == ([] if how == "ends" else ["RuntimeError: of the program itself"])
+    assert "Exception ignored" not in done.stderr
+    # Going on is broken off in the same way.
+    again = "from bayesnet_track.runtime.checkpoints.resume import resume; r = resume('run'); next(r)"
+    done = subprocess.run(
+        [sys.executable, "-c", again], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [result.frame.index for result in resume("run")] == [5]
