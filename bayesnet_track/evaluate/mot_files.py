@@ -11,18 +11,6 @@ IGNORED = 0.0
 """The confidence of a true box that says: not to be scored."""
 
 
-def is_mot(path: str | Path) -> bool:
-    """True when the first line is of MOT's form: 6, 7, 9 or 10 values. (4 are a box, 8 a polygon.)
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not text.
-    """
-    lines = read_text(path).split("\n")
-    first = next((line for line in lines if line.strip()), "")
-    return len(first.strip().rstrip(",").replace(",", " ").split()) in (6, 7, 9, 10)
-
-
 def read_mot_truth(path: str | Path) -> Tracks:
     """The true boxes that are to be scored: all but those of confidence 0 (column 7).
 

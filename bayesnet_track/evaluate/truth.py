@@ -1,66 +1,210 @@
-"""Ground-truth files: one box a line, as the tracking benchmarks publish them."""
+"""Ground-truth files of one target: one box a line, as the tracking benchmarks publish them, or MOT."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.sources.mot_lines import read_text
+from bayesnet_track.sources.entrances.column_names import CORNERS, is_kitti, layout_of, plain
+from bayesnet_track.sources.entrances.line_forms import (
+    count_up,
+    is_mot_of_8,
+    refuse_corners,
+    refuse_shares,
+)
+from bayesnet_track.sources.entrances.notices import few, notice
+from bayesnet_track.sources.entrances.text_lines import Lines, explain_word, is_number, split_lines
+from bayesnet_track.sources.mot_lines import LARGEST_FRAME, MotLines, parse_mot, read_text
+
+TruthForm = Literal["mot", "boxes", "corners", "polygons"]
+"""What a line holds: MOT, x,y,w,h, left,top,right,bottom, or the four corners of a polygon."""
+
+FORMS: tuple[TruthForm, ...] = get_args(TruthForm)
+EXPECTED = "expected 4 (x,y,w,h) or 8 (a polygon), 5 (frame,x,y,w,h), or MOT lines"
+IGNORED = 0.0
+"""The confidence of a true box that says: not to be scored."""
 
 
-def read_truth(path: str | Path) -> Floats:
+def read_truth(path: str | Path, form: TruthForm | None = None) -> Floats:
     """(n, 4) corner boxes x, y, w, h in px, row i for frame i; values are taken as they stand in the file.
 
-    Numbers are separated by commas, tabs or spaces. Lines of 8 numbers are polygons (x1, y1, .. x4, y4),
-    reduced to their axis-aligned bounding box. A row is all NaN where the target is absent: a value that is
-    not finite, or a width or height of 0 or less.
+    Numbers are separated by commas, semicolons, tabs or spaces. Lines of 8 numbers are polygons (x1, y1, ..
+    x4, y4), reduced to their axis-aligned bounding box, or MOT: what they hold decides, or `form`. MOT of
+    one target, `frame,x,y,w,h`, and a header line that names the columns are read, too. A row is all NaN
+    where the target is absent: a value that is not finite, a width or height of 0 or less, no line in a file
+    with frames, or a confidence of 0 in MOT.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is not text, a line is not 4 or 8 numbers, or the file holds no line; says file and
-            line.
+        ValueError: it is not text, a line is not of these forms, the lines can be read in two ways, or the
+            file holds no line, or several targets; says file and line.
     """
-    return parse_truth(read_text(path), str(path))
+    return parse_truth(read_text(path), str(path), form)
 
 
-def parse_truth(text: str, name: str = "<truth>") -> Floats:
+def parse_truth(text: str, name: str = "<truth>", form: TruthForm | None = None) -> Floats:
     """`read_truth` of a text; `name` stands in error messages.
 
     >>> parse_truth("1,2,3,4\\nNaN,NaN,NaN,NaN").tolist()
     [[1.0, 2.0, 3.0, 4.0], [nan, nan, nan, nan]]
     """
-    lines = text.rstrip().splitlines()
-    if not lines:
+    lines = split_lines(text, name)
+    if form == "mot" or (form is None and has_frames_and_ids(lines)):
+        return _of_one_target(parse_mot(text, name, is_given=form is not None))
+    if lines.header is not None:
+        form = _form_of_header(lines)
+        if form is None:
+            return _of_one_target(parse_mot(text, name))
+    rows = _rows(lines)
+    if not rows:
         raise ValueError(f"{name}: no boxes; expected one x,y,w,h per line")
-    boxes = np.array([_box(line, f"{name}:{number}") for number, line in enumerate(lines, start=1)])
+    boxes = _framed(rows, lines) if len(rows[0]) == 5 else np.array([_box(row, form) for row in rows])
+    if form is None:
+        _refuse_other_readings(boxes, rows, name)
     absent = ~np.isfinite(boxes).all(axis=1) | (boxes[:, 2:] <= 0).any(axis=1)
     boxes[absent] = np.nan
     return boxes
 
 
-def _box(line: str, place: str) -> list[float]:
-    words = line.replace(",", " ").split()
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        wrong = next(word for word in words if not _is_number(word))
-        raise ValueError(f"{place}: {wrong[:40]!r} is not a number; expected x,y,w,h") from None
-    if len(values) == 8:
-        if not all(map(math.isfinite, values)):
+def is_mot(path: str | Path, form: TruthForm | None = None) -> bool:
+    """True for a file with frames and identities: MOT lines or a header that names both; `form` decides.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not text, or can be MOT as well as something else.
+    """
+    text = read_text(path)
+    return has_frames_and_ids(split_lines(text, str(path))) if form is None else form == "mot"
+
+
+def has_frames_and_ids(lines: Lines) -> bool:
+    """Whether lines are those of several targets; by the first one, or by all if they have 8 numbers.
+
+    Raises:
+        ValueError: they can be MOT as well as polygons.
+    """
+    if lines.header is not None:
+        names = {plain(word) for word in lines.header[1]}
+        if names >= set(CORNERS):
+            return False
+        columns = layout_of(lines.header, lines.name).columns
+        return "id" in columns and bool(columns.keys() & {"frame", "index"})
+    number, first = next(iter(lines), (0, []))
+    if len(first) != 8:
+        return len(first) in (6, 7, 9, 10) or is_kitti(first)
+    if any(len(words) != 8 for _, words in lines):
+        return any(len(words) in (6, 7, 9, 10) for _, words in lines)
+    return is_mot_of_8(np.array(_rows(lines, number)), lines.name)
+
+
+def _form_of_header(lines: Lines) -> TruthForm | None:
+    """What the lines under a header of boxes hold; None where it names frames."""
+    assert lines.header is not None
+    number, words = lines.header
+    names = tuple(plain(word) for word in words)
+    if names == CORNERS:
+        return "polygons"
+    columns = layout_of(lines.header, lines.name).columns
+    if columns.keys() & {"frame", "index"}:
+        return None
+    sides = ("right", "bottom") if "width" not in columns else ("width", "height")
+    if [columns.get(what) for what in ("left", "top", *sides)] != [0, 1, 2, 3] or len(words) != 4:
+        raise ValueError(
+            f"{lines.name}:{number}: a header line of boxes without frames; expected x,y,w,h, x1,y1,x2,y2, "
+            f"{','.join(CORNERS)}, or the names of MOT columns"
+        )
+    return "corners" if sides[0] == "right" else "boxes"
+
+
+def _rows(lines: Lines, first: int | None = None) -> list[list[float]]:
+    """The numbers of every line, 4, 5 or 8; an empty line between others is refused."""
+    rows: list[list[float]] = []
+    following, is_plain = (lines.first if first is None else first), lines.is_plain
+    for number, words in lines:
+        if number != following and first is None:
+            raise ValueError(f"{lines.name}:{following}: 0 numbers; {EXPECTED}")
+        following = number + 1
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            raise explain_word(words, f"{lines.name}:{number}", "x,y,w,h") from None
+        if not is_plain and not all(map(is_number, words)):
+            raise explain_word(words, f"{lines.name}:{number}", "x,y,w,h")
+        if len(row) not in (4, 5, 8) or (rows and (len(row) == 5) != (len(rows[0]) == 5)):
+            raise ValueError(f"{lines.name}:{number}: {len(row)} numbers; {EXPECTED}")
+        rows.append(row)
+    return rows
+
+
+def _box(row: list[float], form: TruthForm | None) -> list[float]:
+    if len(row) == 8:
+        if not all(map(math.isfinite, row)):
             return [math.nan] * 4  # `min` and `max` would pass over a NaN that is not the first
-        xs, ys = values[0::2], values[1::2]
+        xs, ys = row[0::2], row[1::2]
         return [min(xs), min(ys), max(xs) - min(xs), max(ys) - min(ys)]
-    if len(values) != 4:
-        raise ValueError(f"{place}: {len(values)} numbers; expected 4 (x,y,w,h) or 8 (a polygon)")
-    return values
+    if form == "corners":
+        return [row[0], row[1], row[2] - row[0], row[3] - row[1]]
+    return row
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+def _framed(rows: list[list[float]], lines: Lines) -> Floats:
+    """Boxes at the places that the first of their 5 numbers gives, from 1."""
+    frames = np.array([row[0] for row in rows])
+    for number, frame, before in zip(
+        range(lines.first, lines.first + len(rows)), frames, [0.0, *frames[:-1]], strict=True
+    ):
+        if not (frame % 1 == 0 and before < frame <= LARGEST_FRAME):
+            raise ValueError(
+                f"{lines.name}:{number}: 5 numbers, the first {frame:g}; expected frame,x,y,w,h with frames "
+                "from 1 that grow, or 4 numbers (x,y,w,h); another order needs a header line of names"
+            )
+    boxes = np.full((int(frames[-1]), 4), np.nan)
+    boxes[frames.astype(np.int64) - 1] = [row[1:] for row in rows]
+    return boxes
+
+
+def _refuse_other_readings(boxes: Floats, rows: list[list[float]], name: str) -> None:
+    refuse_shares(boxes, name)
+    if all(len(row) == 8 for row in rows):
+        return
+    first = np.array([row[:2] for row in rows])
+    if len(rows[0]) == 4 and count_up(first[:, 0]) and (first[:, 1] % 1 == 0).all():
+        raise ValueError(
+            f"{name}: lines of 4 numbers of which the first counts up: boxes x,y,w,h of a target that moves "
+            "1 px a frame, or frame numbers; say which: --truth-format boxes, form= in Python, or a header "
+            "line x,y,w,h or frame,x,y,w,h"
+        )
+    refuse_corners(
+        boxes,
+        name,
+        "--truth-format boxes or corners, form= in Python, or a header line x,y,w,h or x1,y1,x2,y2",
+    )
+
+
+def _of_one_target(lines: MotLines) -> Floats:
+    """(n, 4) the boxes of the only target by frame."""
+    scored = lines.only(lines.rest[:, 0] != IGNORED)
+    if len(scored) < len(lines):
+        notice(f"{lines.name}: {len(lines) - len(scored)} of {len(lines)} boxes have confidence 0: not used")
+    if not len(scored):
+        raise ValueError(f"{lines.name}: no boxes; expected one a line")
+    targets = sorted(set(zip(scored.classes.tolist(), scored.ids.tolist(), strict=True)))
+    if len(targets) > 1:
+        names = [f"{number} of class {kind}" if kind else f"{number}" for kind, number in targets]
+        raise ValueError(
+            f"{lines.name}: boxes of {len(targets)} targets ({few(names)}); expected those of one"
+        )
+    last = int(scored.frames.max())
+    if last > LARGEST_FRAME:
+        raise ValueError(f"{lines.name}: frame {last + 1}; expected one up to {LARGEST_FRAME}")
+    found, counts = np.unique(scored.frames, return_counts=True)
+    if (counts > 1).any():
+        row = int(np.flatnonzero(scored.frames == found[counts > 1][0])[1])
+        raise ValueError(f"{scored.place(row)}: a second box in frame {int(scored.frames[row]) + 1}")
+    boxes = np.full((last + 1, 4), np.nan)
+    boxes[scored.frames] = scored.boxes
+    return boxes

@@ -15,6 +15,8 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
 
 Found = tuple[Floats, float, str]
@@ -55,10 +57,11 @@ def parse_detections(text: str, name: str = "<detections>") -> dict[int, Detecti
 
     A text whose first character is a brace is JSON Lines, as `format_frame` writes them: an object a line
     with frame (from 0) and detections, each with box (left, top, width, height), score (0..1; 1 when left
-    out) and label (empty when left out). Any other is MOT: frame (from 1), id (not looked at), left, top,
-    width, height, confidence. A missing confidence is 1; those of a file that go beyond 0..1 are on a scale
-    of their own, and mapped linearly: the file's lowest to 0, its highest to 1 (all equal, as the usual -1:
-    all to 1).
+    out) and label (empty when left out). Any other is what `parse_mot` reads: frame (from 1), id (not looked
+    at), left, top, width, height, confidence, and a class, which becomes the label. A missing confidence is
+    1; those of a file that go beyond 0..1 are on a scale of their own, and mapped linearly: the file's lowest
+    to 0, its highest to 1 (all equal, as the usual -1: all to 1). Boxes that are not finite or have no area
+    are left out with a notice.
 
     Raises:
         ValueError: a malformed line; says file and line.
@@ -67,15 +70,26 @@ def parse_detections(text: str, name: str = "<detections>") -> dict[int, Detecti
     [[30.0, 35.0, 41.0, 31.0]]
     """
     if text.lstrip().startswith("{"):
-        return _by_frame(_json_lines(text, name))
+        return _by_frame(_usable(list(_json_lines(text, name)), name))
     lines = parse_mot(text, name)
-    scores = _shares(lines.rest[:, 0])
-    for row in np.flatnonzero(~np.isfinite(scores)):
-        raise ValueError(f"{lines.place(int(row))}: confidence {scores[row]:g}; expected a finite number")
-    return _by_frame(
-        (int(frame), (box, float(score), ""))
-        for frame, box, score in zip(lines.frames, lines.boxes, scores, strict=True)
+    rows = zip(
+        lines.frames.tolist(),
+        lines.boxes,
+        _shares(lines.rest[:, 0]).tolist(),
+        lines.classes.tolist(),
+        strict=True,
     )
+    return _by_frame((frame, (box, score, label)) for frame, box, score, label in rows)
+
+
+def _usable(rows: list[tuple[int, int, Found]], name: str) -> Iterable[tuple[int, Found]]:
+    """What can be used of (line, frame, detection); what cannot is said."""
+    boxes = np.array([box for _, _, (box, _, _) in rows]).reshape(-1, 4)
+    keep = usable(boxes).tolist()
+    if not all(keep):
+        lines = [line for (line, _, _), one in zip(rows, keep, strict=True) if not one]
+        notice(f"{name}: {describe_unusable(len(rows), lines)}")
+    return ((frame, found) for (_, frame, found), one in zip(rows, keep, strict=True) if one)
 
 
 def _by_frame(found: Iterable[tuple[int, Found]]) -> dict[int, Detections]:
@@ -92,24 +106,24 @@ def _detections(found: list[Found]) -> Detections:
 
 
 def _shares(confidences: Floats) -> Floats:
-    """Confidences (N,), NaN where missing, as scores 0..1; what is not finite otherwise stays."""
+    """Confidences (N,), NaN where missing, as scores 0..1."""
     given = ~np.isnan(confidences)
     scores = np.where(given, confidences, 1.0)
     values = confidences[given]
-    if not np.isfinite(values).all() or ((values >= 0) & (values <= 1)).all():
+    if ((values >= 0) & (values <= 1)).all():
         return scores
     low, high = values.min(), values.max()
     scores[given] = (values - low) / (high - low) if high > low else 1.0
     return scores
 
 
-def _json_lines(text: str, name: str) -> Iterable[tuple[int, Found]]:
+def _json_lines(text: str, name: str) -> Iterable[tuple[int, int, Found]]:
     for number, line in enumerate(text.split("\n"), start=1):
         if line.strip():
             place = f"{name}:{number}"
             frame, found = _object(line, place)
             for k, one in enumerate(found):
-                yield frame, _detection(one, f"{place}: detection {k + 1}")
+                yield number, frame, _detection(one, f"{place}: detection {k + 1}")
 
 
 def _object(line: str, place: str) -> tuple[int, list[Any]]:
@@ -129,15 +143,25 @@ def _detection(one: Any, place: str) -> Found:
     if not isinstance(one, dict) or "box" not in one:
         raise ValueError(f"{place}: {_shown(one)}; expected an object with box, score, label")
     box, score, label = one["box"], one.get("score", 1.0), one.get("label", "")
-    if not isinstance(box, list) or len(box) != 4 or not all(map(_is_finite, box)) or min(box[2:]) <= 0:
-        raise ValueError(
-            f"{place}: box {_shown(box)}; expected [left, top, width, height], width and height above 0"
-        )
+    if not isinstance(box, list) or len(box) != 4 or not all(map(_is_number, box)):
+        raise ValueError(f"{place}: box {_shown(box)}; expected [left, top, width, height]")
     if not _is_finite(score) or not 0 <= score <= 1:
         raise ValueError(f"{place}: score {_shown(score)}; expected a number from 0 to 1")
     if not isinstance(label, str):
         raise ValueError(f"{place}: label {_shown(label)}; expected a text")
-    return np.array(box, dtype=np.float64), float(score), label
+    return np.array([_as_float(value) for value in box]), float(score), label
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _as_float(value: int | float | None) -> float:
+    """NaN for null, as JSON writes what is no number; an infinity for whole numbers beyond any float."""
+    try:
+        return float("nan") if value is None else float(value)
+    except OverflowError:
+        return float("inf")
 
 
 def _is_whole(value: Any) -> bool:

@@ -1,36 +1,38 @@
-"""The lines of MOT files: frame, identity, box, and what else a line holds, checked."""
+"""Files of boxes with frames and identities, checked: MOT, VisDrone, KITTI, CSV with a header line."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.sources.entrances.box_rows import COLUMNS, LARGEST, Rows, read_layout, read_plain
+from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
+from bayesnet_track.sources.entrances.column_names import KITTI, Layout, is_kitti, layout_of
+from bayesnet_track.sources.entrances.line_forms import are_polygons, is_mot_of_8, refuse_corners
+from bayesnet_track.sources.entrances.notices import few, notice
+from bayesnet_track.sources.entrances.text_lines import Lines, NotTextError, read_text, split_lines
 
-COLUMNS = "frame,id,left,top,width,height,confidence,..."
-LEAST, MOST = 6, 10
-LARGEST = 2**53
-"""Beyond it float64 does not tell whole numbers apart."""
+__all__ = ["COLUMNS", "LARGEST_FRAME", "MotLines", "NotTextError", "parse_mot", "read_text"]
 
-
-class NotTextError(ValueError):
-    """A file that is not text; says which."""
+LARGEST_FRAME = 10**8
+"""The last frame of files of which every frame is a row."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotLines:
-    """The lines of a MOT file that are not empty, as they stand there.
+    """The boxes of a file, as they stand there.
 
     Attributes:
         name: the file, for messages.
-        numbers: (N,) which line of the file each is, from 1.
-        frames: (N,) indices of frames, from 0: one less than in the file.
-        ids: (N,) identities.
-        boxes: (N, 4) corner boxes left, top, width, height in px.
-        rest: (N, 4) the columns 7 to 10; NaN where a line ends before them.
+        numbers: (N,) which line of the file each is in, from 1.
+        frames: (N,) indices of frames, from 0.
+        ids: (N,) identities; if a file names them by texts, numbers from 1 in the order of their first lines.
+        boxes: (N, 4) corner boxes left, top, width, height in px, finite and with an area.
+        rest: (N, 4) the columns 7 to 10 of MOT, the first a confidence; NaN where there are none.
+        classes: (N,) names of classes, numbers as texts; empty where there is none.
     """
 
     name: str
@@ -39,6 +41,7 @@ class MotLines:
     ids: Ints
     boxes: Floats
     rest: Floats
+    classes: NDArray[np.str_]
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -56,71 +59,85 @@ class MotLines:
             self.ids[keep],
             self.boxes[keep],
             self.rest[keep],
+            self.classes[keep],
         )
 
 
-def read_text(path: str | Path) -> str:
-    """A whole file as text.
+def parse_mot(text: str, name: str = "<mot>", is_given: bool = False) -> MotLines:
+    """The boxes of a text; `name` stands in messages. Lines may be in any order, or none.
+
+    Words are separated by semicolons, commas, tabs or spaces. Without a header line a line is MOT: frame
+    (from 1), identity, left, top, width, height, and up to four more (confidence, class, visibility, or as
+    VisDrone has them); or of KITTI's tracking labels. A header line names the columns, in any order.
+    Boxes that are not finite or have no area, and rows whose confidence is not finite, are left out with a
+    notice. With `is_given` the lines are MOT, whatever else they look like.
 
     Raises:
-        OSError: it cannot be read.
-        NotTextError: it is not text.
-    """
-    try:
-        return Path(path).read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise NotTextError(f"{path}: not a text file") from None
-
-
-def parse_mot(text: str, name: str = "<mot>") -> MotLines:
-    """The lines of a MOT text; `name` stands in error messages. Lines may be in any order, or none.
-
-    Numbers are separated by commas, or else by tabs or spaces: frame (from 1), identity, left, top, width,
-    height, and up to four more.
-
-    Raises:
-        ValueError: a line is not 6 to 10 such numbers, frame or identity is not a whole number, or the box is
-            not finite or empty; says file and line.
+        ValueError: a line is not of this form, frame or identity is not a whole number, or the lines can be
+            read in two ways; says file and line.
 
     >>> parse_mot("2,7,10,20,41,31,1").frames.tolist()
     [1]
     """
-    filled = [(n, line) for n, line in enumerate(text.split("\n"), start=1) if line.strip()]
-    rows = np.full((len(filled), MOST), np.nan)
-    for row, (number, line) in zip(rows, filled, strict=True):
-        values = _numbers(line.strip(), f"{name}:{number}")
-        row[: len(values)] = values
-    return MotLines(
-        name,
-        np.array([number for number, _ in filled], dtype=np.int64),
-        rows[:, 0].astype(np.int64) - 1,
-        rows[:, 1].astype(np.int64),
+    lines = split_lines(text, name)
+    layout = _layout(lines)
+    read = read_plain(lines) if layout is None else read_layout(lines, layout)
+    if layout is None and not is_given:
+        _refuse_others(read, name)
+    return _checked(read, name)
+
+
+def _layout(lines: Lines) -> Layout | None:
+    if lines.header is not None:
+        return layout_of(lines.header, lines.name)
+    _, words = next(iter(lines), (0, []))
+    return KITTI if is_kitti(words) else None
+
+
+def _refuse_others(read: Rows, name: str) -> None:
+    """Raise ValueError where numbers without a header are, or can be, something else than MOT."""
+    rows = read.values
+    has_8 = len(rows) and (~np.isnan(rows[:, :8])).all() and np.isnan(rows[:, 8]).all()
+    if has_8 and not is_mot_of_8(rows[:, :8], name) and are_polygons(rows[:, :8]):
+        raise ValueError(
+            f"{name}: lines of 8 numbers that are polygons (x1,y1,..,x4,y4), which have no frames; expected "
+            f"{COLUMNS}"
+        )
+    refuse_corners(
         rows[:, 2:6],
-        rows[:, 6:],
+        name,
+        "a header line frame,id,left,top,width,height,confidence or frame,id,x1,y1,x2,y2,confidence "
+        "(with the names of all columns)",
     )
 
 
-def _numbers(line: str, place: str) -> list[float]:
-    words = [word.strip() for word in line.split(",")] if "," in line else line.split()
-    if not words[-1]:  # a comma at the end of the line
-        words.pop()
-    values = [_number(word, place) for word in words]
-    if not LEAST <= len(values) <= MOST:
-        raise ValueError(f"{place}: {len(values)} numbers; expected {LEAST} to {MOST} ({COLUMNS})")
-    for value, what in zip(values, ("frame", "id"), strict=False):
-        if not (value.is_integer() and abs(value) < LARGEST):
-            raise ValueError(f"{place}: {what} {value:g} is not a whole number")
-    if values[0] < 1:
-        raise ValueError(f"{place}: frame {values[0]:g}; frames of MOT files count from 1")
-    box = values[2:6]
-    if not np.isfinite(box).all() or min(box[2:]) <= 0:
-        shown = ",".join(f"{value:g}" for value in box)
-        raise ValueError(f"{place}: box {shown}; expected finite numbers, width and height above 0")
-    return values
+def _checked(read: Rows, name: str) -> MotLines:
+    numbers, boxes = np.array(read.numbers, dtype=np.int64), read.values[:, 2:6]
+    total, keep = len(numbers), usable(boxes)
+    if not keep.all():
+        notice(f"{name}: {describe_unusable(total, numbers[~keep].tolist())}")
+    odd = [row for row in read.odd if keep[row]]
+    if odd:
+        keep[odd] = False
+        notice(
+            f"{name}: {len(odd)} of {total} boxes are left out, whose confidence is not finite: line "
+            f"{few(numbers[odd].tolist())}"
+        )
+    for row, what in sorted(read.wrong.items()):
+        if keep[row]:
+            raise ValueError(f"{name}:{numbers[row]}: {what}")
+    frames = np.array(read.frames, dtype=np.int64) - read.first_frame
+    for place in np.flatnonzero(keep & ((frames < 0) | (frames >= LARGEST))):
+        raise ValueError(f"{name}:{numbers[place]}: {_explain_frame(read.frames[place], read.first_frame)}")
+    ids = np.array(read.ids, dtype=np.int64)
+    found = MotLines(name, numbers, frames, ids, boxes, read.values[:, 6:], read.classes)
+    return found if keep.all() else found.only(keep)
 
 
-def _number(word: str, place: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"{place}: {word[:40]!r} is not a number; expected {COLUMNS}") from None
+def _explain_frame(frame: int, first: int) -> str:
+    if frame != 0 or first == 0:
+        return f"frame {frame}; expected a whole number from {first} on"
+    return (
+        "frame 0; frames of MOT files count from 1: add 1 to each, or call the column frame_index in a "
+        "header line (frame_index,id,left,top,width,height,confidence), which counts from 0"
+    )

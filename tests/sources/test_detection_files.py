@@ -9,6 +9,7 @@ from bayesnet_track.observation.detector import Detections, Detector
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.detection_files import file_detector, parse_detections
 from bayesnet_track.sources.detections import format_frame
+from bayesnet_track.sources.entrances.notices import InputNotice
 
 
 def frame(index):
@@ -90,13 +91,17 @@ WRONG = {
     "1,-1,0,0,4,4,1,1,1,1,1": "11 numbers; expected 6 to 10 (frame,id,left,top,width,height,confidence,...)",
     "1,-1,0,,4,4": "'' is not a number; expected frame,id,left,top,width,height,confidence,...",
     "one,-1,0,0,4,4": "'one' is not a number; expected frame,id,left,top,width,height,confidence,...",
-    "0,-1,0,0,4,4": "frame 0; frames of MOT files count from 1",
+    "0,-1,0,0,4,4": "frame 0; frames of MOT files count from 1: add 1 to each, or call the column "
+    "frame_index in a header line (frame_index,id,left,top,width,height,confidence), which counts from 0",
+    "-3,-1,0,0,4,4": "frame -3; expected a whole number from 1 on",
     "1.5,-1,0,0,4,4": "frame 1.5 is not a whole number",
     "1,nan,0,0,4,4": "id nan is not a whole number",
-    "1e300,1,0,0,4,4": "frame 1e+300 is not a whole number",
-    "1,-1,0,inf,4,4": "box 0,inf,4,4; expected finite numbers, width and height above 0",
-    "1,-1,0,0,4,0": "box 0,0,4,0; expected finite numbers, width and height above 0",
-    "1,-1,0,0,4,4,inf": "confidence inf; expected a finite number",
+    "1e300,1,0,0,4,4": "frame 1e300 is not a whole number",
+    "1,-1,0 5,0,4,4": "'0 5' is separated by a space, and the line by commas: decimal commas (write points), "
+    "or separators (separate all by the same sign)",
+    "1;-1;0,5;0;4;4": "'0,5' has a comma between other separators: a decimal comma (write 0.5), or two "
+    "numbers (separate all by the same sign)",
+    "1_0,-1,0,0,4,5": "'1_0' is not a number; expected frame,id,left,top,width,height,confidence,...",
     '{"frame": 0': "expected an object with frame and detections",
     "[1]": "expected an object with frame and detections",
     '{"frame": -1, "detections": []}': "frame -1; expected a whole number from 0 on",
@@ -104,10 +109,10 @@ WRONG = {
     '{"frame": 1, "detections": {}}': "detections {}; expected a list",
     '{"frame": 1, "detections": [7]}': "detection 1: 7; expected an object with box, score, label",
     '{"frame": 1, "detections": [{"box": [0, 0, 4, 4]}, {"box": [1, 2, 3]}]}': (
-        "detection 2: box [1, 2, 3]; expected [left, top, width, height], width and height above 0"
+        "detection 2: box [1, 2, 3]; expected [left, top, width, height]"
     ),
-    '{"frame": 1, "detections": [{"box": [0, 0, NaN, 4]}]}': (
-        "detection 1: box [0, 0, NaN, 4]; expected [left, top, width, height], width and height above 0"
+    '{"frame": 1, "detections": [{"box": [0, 0, "4", 4]}]}': (
+        'detection 1: box [0, 0, "4", 4]; expected [left, top, width, height]'
     ),
     '{"frame": 1, "detections": [{"box": [0, 0, 4, 4], "score": 1.5}]}': (
         "detection 1: score 1.5; expected a number from 0 to 1"
@@ -125,6 +130,44 @@ def test_a_wrong_line_is_named(tmp_path, line):
     with pytest.raises(ValueError) as error:
         file_detector(path)
     assert str(error.value) == f"{path}:3: {WRONG[line]}"
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        (
+            "1,-1,0,0,4,4,1\n2,-1,0,0,4,0,1\n3,-1,0,inf,4,4,1\n4,-1,nan,nan,nan,nan,1\n5,-1,0,0,4,4,1\n",
+            "2, 3, 4",
+        ),
+        (
+            '{"frame": 0, "detections": [{"box": [0, 0, 4, 4]}, {"box": [0, 0, NaN, 4]}]}\n'
+            '{"frame": 3, "detections": [{"box": [0, 0, -1, 4]}, {"box": [null, 0, 4, 4]}]}\n'
+            '{"frame": 4, "detections": [{"box": [0, 0, 4, 4]}]}\n',
+            "1, 2, 2",
+        ),
+    ],
+)
+def test_boxes_that_cannot_be_used_are_left_out_and_said(text, lines):
+    with pytest.warns(InputNotice) as said:
+        found = parse_detections(text, "det")
+    assert sorted(found) == [0, 4] and [len(one) for one in found.values()] == [1, 1]
+    assert [str(one.message) for one in said] == [
+        f"det: 3 of 5 boxes are not finite or have no area and are left out: line {lines}"
+    ]
+
+
+def test_a_confidence_that_is_not_finite_is_none():
+    with pytest.warns(
+        InputNotice, match="2 of 3 boxes are left out, whose confidence is not finite: line 1, 3"
+    ):
+        found = parse_detections("1,-1,0,0,4,4,inf\n1,-1,5,5,4,4,0.5\n1,-1,0,0,4,4,nan\n")
+    assert found[0].scores.tolist() == [0.5]
+
+
+def test_classes_become_labels():
+    found = parse_detections("1,-1,0,0,4,4,1,3,0.5\n1,-1,5,0,4,4,1,1,1\n")
+    assert found[0].labels == ("3", "1")
+    assert parse_detections("frame,x,y,w,h,class\n1,0,0,4,4,car\n1,0,0,4,4,\n")[0].labels == ("car", "")
 
 
 def test_what_is_no_text_is_refused(tmp_path):

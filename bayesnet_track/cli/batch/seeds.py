@@ -37,7 +37,7 @@ def add_seeds_options(parser: argparse.ArgumentParser) -> None:
 
 def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], int]) -> int:
     """Call `once` for each seed, with its own --seed and --out; then summarise."""
-    from bayesnet_track.evaluate.mot_files import is_mot
+    from bayesnet_track.evaluate.truth import is_mot
 
     for name in ("view", "rerun", "inputs"):
         if getattr(options, name, None) is not None:
@@ -66,7 +66,7 @@ def row_of_run(graph: str, seed: int, out: str, truth: str | None) -> Row:
     from bayesnet_track.cli.batch.jobs import Job, Video
     from bayesnet_track.cli.batch.work import row_of
     from bayesnet_track.evaluate.mot import score_mot_files
-    from bayesnet_track.evaluate.mot_files import is_mot
+    from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     several = truth is not None and is_mot(truth)

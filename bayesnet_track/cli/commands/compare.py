@@ -140,8 +140,8 @@ def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
 def _scores(first: Run, second: Run, compared: Comparison, given: str | None) -> list[Total]:
     """Figures against the truth: of all targets where it is MOT, else of the first one."""
     from bayesnet_track.evaluate.mot import score_mot_files
-    from bayesnet_track.evaluate.mot_files import is_mot
     from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.journal.compare import Total
 
     truth = Path(given) if given is not None else first.directory.truth

@@ -118,8 +118,8 @@ def _check_node(directory: RunDirectory, node: str | None) -> None:
 
 def score(options: argparse.Namespace) -> int:
     """Score a run, or a file of tracks, against ground truth."""
-    from bayesnet_track.evaluate.mot_files import is_mot
     from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     given = Path(options.run)

@@ -1,0 +1,143 @@
+"""Which column of a file of boxes holds what: by its header line, or by the layout of a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bayesnet_track.sources.entrances.text_lines import Line
+
+NAMES = {
+    "frame": ("frame", "frame_id", "frame_number", "frame_no", "frameid"),
+    "index": ("frame_index", "frame_idx"),
+    "id": ("id", "track_id", "tracker_id", "object_id", "obj_id", "target_id", "trackid", "target", "track"),
+    "left": ("bb_left", "bbox_left", "left", "xmin", "x_min", "x1", "x"),
+    "top": ("bb_top", "bbox_top", "top", "ymin", "y_min", "y1", "y"),
+    "width": ("bb_width", "bbox_width", "width", "w"),
+    "height": ("bb_height", "bbox_height", "height", "h"),
+    "right": ("bb_right", "bbox_right", "right", "xmax", "x_max", "x2"),
+    "bottom": ("bb_bottom", "bbox_bottom", "bottom", "ymax", "y_max", "y2"),
+    "confidence": ("confidence", "conf", "score", "considered", "consider", "flag"),
+    "class": (
+        "class",
+        "class_name",
+        "class_id",
+        "cls",
+        "category",
+        "object_category",
+        "label",
+        "kind",
+        "type",
+    ),
+    "status": ("status",),
+}
+"""What a column holds -> the names that say so, the most certain first. `index` counts frames from 0."""
+
+SILENT = {
+    "x",
+    "y",
+    "z",
+    "visibility",
+    "vis",
+    "truncation",
+    "occlusion",
+    "truncated",
+    "occluded",
+    "alpha",
+    "class_id",
+}
+OWN = {"time_s", "angle", "ud_px2", "quiet_px2", "log_evidence", "surprise", "ess", "particles"}
+OWN |= {"learn_rate", "active", "sd_x", "sd_y", "sd_w", "sd_h", "color", "colour"}
+CORNERS = ("x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4")
+HEADERS = "frame,id,left,top,width,height,confidence,class, or x1,y1,x2,y2 for corners"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where in a line what stands, by index from 0; None where nowhere.
+
+    Attributes:
+        columns: what -> index, by the keys of `NAMES`.
+        first_frame: the number of the first frame: 0 or 1.
+        width: number of words of a line, at least.
+        most: at most.
+        unused: names of columns that nothing is known of.
+    """
+
+    columns: dict[str, int]
+    first_frame: int
+    width: int
+    most: int
+    unused: tuple[str, ...] = ()
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """The four numbers of the box."""
+        c = self.columns
+        sides = ("right", "bottom") if self.has_corners else ("width", "height")
+        return c["left"], c["top"], c[sides[0]], c[sides[1]]
+
+    @property
+    def has_corners(self) -> bool:
+        """Whether right and bottom are given, not width and height."""
+        return not {"width", "height"} <= self.columns.keys()
+
+
+KITTI = Layout(
+    {"index": 0, "id": 1, "class": 2, "left": 6, "top": 7, "right": 8, "bottom": 9, "confidence": 17},
+    first_frame=0,
+    width=17,
+    most=18,
+)
+"""Labels of KITTI's tracking benchmark, of 17 columns, and results of 18: text classes, corners, frame 0."""
+
+
+def layout_of(header: Line, name: str) -> Layout:
+    """The layout that a header line names.
+
+    Raises:
+        ValueError: no box is named; says file and line.
+
+    >>> layout_of((1, ["frame", "id", "x1", "y1", "x2", "y2"]), "a.csv").box
+    (2, 3, 4, 5)
+    """
+    number, words = header
+    names = [plain(word) for word in words]
+    twice = [one for k, one in enumerate(names) if one and one in names[:k]]
+    if twice:
+        raise ValueError(f"{name}:{number}: the header names {twice[0]!r} twice")
+    columns = {}
+    for what, known in NAMES.items():
+        at = next((names.index(one) for one in known if one in names), None)
+        if at is not None:
+            columns[what] = at
+    missing = [
+        " or ".join(pair)
+        for pair in (("left",), ("top",), ("width", "right"), ("height", "bottom"))
+        if not columns.keys() & set(pair)
+    ]
+    if not missing and not ({"width", "height"} <= columns.keys() or {"right", "bottom"} <= columns.keys()):
+        missing = ["width and height"]
+    if missing:
+        raise ValueError(
+            f"{name}:{number}: a header line ({','.join(words)[:60]}) in which no column is called "
+            f"{', '.join(missing)}; rename the columns ({HEADERS}), or remove the line"
+        )
+    if "index" in columns and "frame" in columns:
+        del columns["index"]
+    is_own = {"time_s", "target", "status"} <= set(names)
+    unused = (
+        one for k, one in enumerate(names) if one and k not in columns.values() and one not in SILENT | OWN
+    )
+    first_frame = 0 if is_own or "index" in columns else 1
+    return Layout(columns, first_frame, len(words), len(words), tuple(unused))
+
+
+def plain(word: str) -> str:
+    """A column's name as `NAMES` has it."""
+    return word.strip().strip("\"'<>").strip().lower().replace(" ", "_").replace("-", "_")
+
+
+def is_kitti(words: Sequence[str]) -> bool:
+    """Whether a line is of KITTI's tracking labels: 17 or 18 words, the third a class by name."""
+    return len(words) in (17, 18) and words[2].replace("_", "").isalpha()

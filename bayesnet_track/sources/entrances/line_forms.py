@@ -1,0 +1,127 @@
+"""What lines of plain numbers can be, decided by what they hold: MOT or polygons, sizes or corners."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.arrays import Floats, Ints
+
+LEAST_LINES = 3
+"""With fewer lines nothing is said about how numbers change."""
+
+MOST_LINES = 5000
+"""So many lines are looked at."""
+
+
+def is_mot_of_8(rows: Floats, name: str) -> bool:
+    """Whether lines of 8 numbers (N, 8) are MOT (.., confidence, class), rather than polygons.
+
+    Raises:
+        ValueError: they can be both, or neither.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)][:MOST_LINES]
+    if not len(rows):
+        return False
+    frames, ids, confidence, number = rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7]
+    whole = (rows[:, [0, 1, 7]] % 1 == 0).all() and (frames >= 0).all() and (ids >= -1).all()
+    sized = float((rows[:, 4:6] > 0).all(axis=1).mean()) > 0.5
+    can_be_mot = bool(whole and sized and (number >= -1).all() and _grow(frames, ids))
+    highest = 100 if len(rows) >= LEAST_LINES else 1
+    can_be_mot = can_be_mot and bool(((confidence >= -1) & (confidence <= highest)).all())
+    is_flag = bool((np.abs(confidence) <= 1).all())
+    points = rows.reshape(-1, 4, 2)
+    convex, rectangles = float(_are_convex(points).mean()) > 0.9, float(_are_rectangles(points).mean()) > 0.9
+    if can_be_mot and rectangles and not is_flag:
+        return False
+    if can_be_mot and (rectangles or (convex and not is_flag)):
+        raise ValueError(
+            f"{name}: lines of 8 numbers that can be MOT (frame,id,left,top,width,height,confidence,class) "
+            "or polygons (x1,y1,..,x4,y4); say which: --truth-format mot or polygons, form= in Python, or a "
+            "header line of these names"
+        )
+    if not can_be_mot and not convex and whole and sized and _grow(frames, ids) and len(rows) >= LEAST_LINES:
+        raise ValueError(
+            f"{name}: lines of 8 numbers that are no polygons (sides cross), and no MOT (confidence "
+            f"{confidence.min():g} to {confidence.max():g}, class {number.min():g} to {number.max():g}); "
+            "a header line names the columns, such as frame,id,left,top,width,height,confidence,class"
+        )
+    return can_be_mot
+
+
+def _grow(frames: Floats, ids: Floats) -> bool:
+    """Whether frames never fall, or not within an identity; and no identity but -1 is twice in one."""
+    if (np.diff(frames) < 0).any():
+        order = np.argsort(ids, kind="stable")
+        same = np.diff(ids[order]) == 0
+        if (np.diff(frames[order])[same] < 0).any():
+            return False
+    return len(frames) < LEAST_LINES or bool((np.diff(frames) != 0).any())
+
+
+def _are_convex(points: Floats) -> NDArray[np.bool_]:
+    """(N,) whether the corners (N, 4, 2) go round a convex area."""
+    sides = np.roll(points, -1, axis=1) - points
+    following = np.roll(sides, -1, axis=1)
+    turns = sides[..., 0] * following[..., 1] - sides[..., 1] * following[..., 0]
+    area = np.abs(turns).sum(axis=1) > 0
+    return np.asarray(area & ((turns >= 0).all(axis=1) | (turns <= 0).all(axis=1)))
+
+
+def _are_rectangles(points: Floats) -> NDArray[np.bool_]:
+    """(N,) whether the diagonals (N, 4, 2) halve each other, to a tenth of their length."""
+    first, second = points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]
+    apart = np.hypot(*(points[:, 0] + points[:, 2] - points[:, 1] - points[:, 3]).T)
+    longest = np.maximum(np.hypot(*first.T), np.hypot(*second.T))
+    return np.asarray(_are_convex(points) & (apart <= 0.1 * longest))
+
+
+def are_polygons(rows: Floats) -> bool:
+    """Whether lines of 8 numbers (N, 8) are the corners of rectangles, upright or rotated."""
+    return len(rows) >= LEAST_LINES and float(_are_rectangles(rows.reshape(-1, 4, 2)).mean()) > 0.9
+
+
+def are_corners(boxes: Floats) -> bool:
+    """Whether boxes (N, 4), read as left, top, width, height, are rather left, top, right, bottom.
+
+    They are if width and height always exceed left and top, and follow them: right - left and bottom - top
+    vary much less than right and bottom.
+
+    >>> boxes = np.array([[10.0, 20, 30, 60], [100, 50, 120, 90], [300, 80, 320, 120]])
+    >>> are_corners(boxes), are_corners(boxes - [[0, 0, 10, 20], [0, 0, 100, 50], [0, 0, 300, 80]])
+    (True, False)
+    """
+    boxes = boxes[np.isfinite(boxes).all(axis=1)][:MOST_LINES]
+    if len(boxes) < LEAST_LINES or not ((boxes[:, 2:] > boxes[:, :2]) & (boxes[:, :2] >= 0)).all():
+        return False
+    as_sizes, as_corners = boxes[:, 2:].var(axis=0).sum(), (boxes[:, 2:] - boxes[:, :2]).var(axis=0).sum()
+    return bool(as_corners < as_sizes / 4)
+
+
+def refuse_corners(boxes: Floats, name: str, mend: str) -> None:
+    """Raise ValueError where sizes are rather corners; `mend` says how the user decides."""
+    if are_corners(boxes):
+        raise ValueError(
+            f"{name}: boxes that can be left,top,width,height or corners left,top,right,bottom (the last two "
+            f"numbers always exceed the first two, and move with them); say which: {mend}"
+        )
+
+
+def refuse_shares(boxes: Floats, name: str) -> None:
+    """Raise ValueError where all coordinates are from 0 to 1, as shares of the frame's width and height."""
+    held = boxes[np.isfinite(boxes).all(axis=1)]
+    if len(held) and (held >= 0).all() and (held <= 1).all() and (held % 1 != 0).any():
+        raise ValueError(
+            f"{name}: all coordinates are from 0 to 1, as shares of a frame's width and height; boxes are in "
+            "px: multiply x and width by the frame's width, y and height by its height"
+        )
+
+
+def count_up(column: Floats | Ints) -> bool:
+    """Whether a column (N,) counts lines from 0 or 1.
+
+    >>> count_up(np.array([1.0, 2, 3])), count_up(np.array([1.0, 3, 5]))
+    (True, False)
+    """
+    lines = np.arange(len(column))
+    return len(column) >= LEAST_LINES and (bool((column == lines).all()) or bool((column == lines + 1).all()))
