@@ -57,7 +57,7 @@ class FrameMetrics(Boxed):
 
     Attributes:
         frame: frame index.
-        time_s: frame time in seconds; NaN in a `Tracker`, whose frames have no times.
+        time_s: frame time in seconds; NaN in a `Tracker` that is given neither times nor `fps`.
         target: target id.
         centre_box: estimate, centre box x, y, w, h in px.
         map: maximum a posteriori box.

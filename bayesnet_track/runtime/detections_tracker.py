@@ -3,34 +3,45 @@
 from __future__ import annotations
 
 import copy
-import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import Any
+from typing import Any, Never, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.passes import overlapping_pairs
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
-from bayesnet_track.engine.starts import start_targets
-from bayesnet_track.engine.step import Engine, State, make_engine, step
+from bayesnet_track.engine.starts import check_starts, start_targets
+from bayesnet_track.engine.step import make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
-from bayesnet_track.numerics.boxes import centre_from_xyxy
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.runtime.arguments import whole
+from bayesnet_track.runtime.frame_kind import FrameKind
+from bayesnet_track.runtime.resizing import Resizing
+from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
+from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknown
+from bayesnet_track.runtime.updates.given_detections import read_given
+from bayesnet_track.runtime.updates.looking import image_users
+from bayesnet_track.runtime.updates.standing import Standing
+from bayesnet_track.runtime.updates.turns import Turns
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.images import to_bgr
 
 NO_TARGET = -1
 """The `tracker_id` of a detection that belongs to no target, or to one that is not confirmed yet."""
 
 LEAST_OVERLAP = 0.3
+
+USUAL_SIZE = (1920, 1080)
+
+ANEW = "call reset()"
 
 
 @dataclass
@@ -51,11 +62,15 @@ class DetectionsTracker:
 
     Args:
         graph: name or path of the graph, or the graph itself.
-        size: width and height of the frames in px, where `update` is given none.
+        size: width and height of the frames in px, where `update` is given none; None for 1920 x 1080.
         seed: seed of all randomness.
+        fps: nominal frames a second: numbers per frame in the graph, such as noise and speeds, count for
+            1 / fps s, whenever frames really come (`time_s`). None for 25.
 
     Raises:
         GraphError: every error of the graph.
+        DetectorError: nothing is born from `detections` in it.
+        ValueError: `size` is no size, or `fps` no number of frames a second.
 
     Example::
 
@@ -67,79 +82,132 @@ class DetectionsTracker:
     def __init__(
         self,
         graph: str | PathLike[str] | GraphSpec | CheckedGraph = "kalman_detections",
-        size: tuple[int, int] = (1920, 1080),
+        size: tuple[int, int] | None = None,
         seed: int = 0,
+        fps: float | None = None,
     ) -> None:
         self._graph, self._seed = load_graph(graph), seed
-        self._blank: NDArray[np.uint8] = np.zeros((size[1], size[0], 3), np.uint8)
-        self.reset()
+        say_unused_by_cues(self._graph)
+        self._size = None if size is None else _checked(size)
+        self._clock = FrameClock.of_rate(fps)
+        self._turns = Turns("DetectionsTracker")
+        self._begin()
+
+    def _begin(self) -> None:
+        self._fed = _Fed()
+        self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
+        self._users = image_users(self._engine)
+        self._now: Standing | None = None
 
     def reset(self) -> None:
-        """Forget all targets: another video begins."""
-        self._fed = _Fed()
-        self._engine: Engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
-        self._state: State | None = None
-        self._index = 0
-        self._metrics: Sequence[FrameMetrics] = ()
+        """Forget all targets: another video begins.
+
+        Raises:
+            RuntimeError: another thread is at work with this tracker.
+        """
+        with self._turns.take("reset"):
+            self._begin()
+
+    def __copy__(self) -> Self:
+        """A tracker that goes on from here by itself."""
+        other, now = type(self).__new__(type(self)), self._now
+        other.__dict__.update(self.__dict__, _turns=Turns("DetectionsTracker"))
+        other._begin()
+        other._now = now
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """As `copy.copy`: no tracker changes what copies share."""
+        return copy.copy(self)
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
         """What was measured of every target in the last frame, also of lost ones."""
-        return tuple(self._metrics)
+        return () if self._now is None else tuple(self._now.metrics)
 
     def __repr__(self) -> str:
         """The graph, the frames so far, and the targets."""
-        count = len(self._metrics)
-        live = "; ".join(map(repr, self._metrics[:3])) + ("; …" if count > 3 else "")
-        frames = f"{plural(self._index, 'frame')}, {plural(count, 'target')}"
+        metrics = self.targets
+        count, index = len(metrics), -1 if self._now is None else self._now.clock.index
+        live = "; ".join(map(repr, metrics[:3])) + ("; …" if count > 3 else "")
+        frames = f"{plural(index + 1, 'frame')}, {plural(count, 'target')}"
         return f"<DetectionsTracker {self._graph.spec.name!r}, {frames}{': ' + live if live else ''}>"
 
-    def update(self, detections: Any, frame: NDArray[np.uint8] | None = None) -> Any:
+    def update(
+        self,
+        detections: Any,
+        frame: NDArray[np.uint8] | None = None,
+        *,
+        time_s: float | None = None,
+        **unknown: Never,
+    ) -> Any:
         """A copy of the detections with `tracker_id`, (n,) int64; `targets` has all that was measured.
+
+        Boxes that are not finite, have no area or lie outside of the frame are left out, with a warning that
+        names their rows; their `tracker_id` is -1.
 
         Args:
             detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1 and
-                `data["class_name"]` (n,), which a graph with `labels` needs. Boxes outside of the frame are
-                left out with a warning.
-            frame: the BGR frame, for graphs that look at it.
+                `data["class_name"]` (n,), which a graph with `labels` needs.
+            frame: the BGR frame: needed by graphs that look at it, of no use to others, where its size
+                counts, which then stands for `size`.
+            time_s: when the frame was taken, in seconds on the clock of the frames before it; given with all
+                frames or with none. Without it every frame is taken for one that comes a nominal interval
+                after the last one.
 
         Raises:
             TypeError: detections without `xyxy`, such as an array.
-            ValueError: boxes that are not (n, 4) finite numbers with an area, confidences beyond 0..1, no
-                class names for a graph with `labels`, or not one confidence or name for each box; the
-                tracker stays as it was.
+            RuntimeError: another thread is at work with this tracker.
+            ValueError: boxes that are not (n, 4) numbers, confidences beyond 0..1, no class names for a graph
+                with `labels`, or not one confidence or name for each box; no frame for a graph that looks at
+                it, or one that is no picture or of another size than before; a time that is not later than
+                the last one. The tracker stays as it was.
         """
-        boxes = _boxes(detections)
-        self._fed.now = Detections(
-            boxes, _scores(detections, len(boxes)), self._labels(detections, len(boxes))
-        )
-        image, has_color = to_bgr(self._blank if frame is None else np.array(frame))
-        height, width = image.shape[:2]
-        if (np.abs(2.0 * boxes[:, :2] - (width - 1, height - 1)) >= boxes[:, 2:] + (width, height)).any():
-            message = f"boxes outside of the frames of {width}x{height} px are left out"
-            warnings.warn(f"{message}; DetectionsTracker(size=(width, height)) sets their size", stacklevel=2)
-        now = Frame(self._index, float(self._index), image, has_color, math.nan, None)
-        if self._state is None:
-            outcome = start_targets(self._graph, self._engine, now, [])
-        else:
-            outcome = step(self._engine, self._state, now)
-        self._state, self._index, self._metrics = outcome.state, self._index + 1, outcome.metrics
-        marked = copy.copy(detections)
-        marked.tracker_id = owners(boxes, self._metrics)
-        return marked
+        refuse_unknown("update", unknown)
+        with self._turns.take("update"):
+            before = self._now
+            clock = (self._clock if before is None else before.clock).tick(time_s, ANEW)
+            image, kind = self._image(frame, before, clock.index)
+            given = read_given(detections, self._graph).inside(kind.width, kind.height)
+            marked = copy.copy(detections)
+            ids = np.full(given.count, NO_TARGET, dtype=np.int64)
+            marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
+            now = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
+            self._fed.now = given.detections
+            if before is None:
+                check_starts(self._graph, [], kind.width, kind.height)
+                outcome = start_targets(self._graph, self._engine, now, [])
+            else:
+                outcome = step(self._engine, before.state, now)
+            resizing = Resizing.to(kind.width, kind.height, None)
+            self._now = Standing(outcome.state, clock, outcome.metrics, outcome.events, kind, resizing)
+            ids[given.rows] = owners(given.detections.boxes, outcome.metrics)
+            return marked
 
-    def _labels(self, detections: Any, count: int) -> tuple[str, ...]:
-        names = (getattr(detections, "data", None) or {}).get("class_name")
-        if names is not None:
-            _check_one_each('data["class_name"]', np.shape(names), count)
-            return tuple(map(str, names))
-        births = (plate.spec.birth for plate in self._graph.targets.values())
-        wanted = [label for birth in births if birth is not None for label in birth.labels]
-        if wanted and count:
-            raise ValueError(
-                f'detections without data["class_name"]; the graph takes {", ".join(wanted)} only'
-            )
-        return ("",) * count
+    def _image(
+        self, frame: NDArray[np.uint8] | None, before: Standing | None, index: int
+    ) -> tuple[NDArray[np.uint8], FrameKind]:
+        """The frame as it is tracked in, black where none is given and none is looked at, and its kind."""
+        users = self._users
+        if frame is None:
+            if users:
+                raise ValueError(
+                    f"the graph {self._graph.spec.name} looks at the image ({', '.join(users)}): call "
+                    "update(detections, frame)"
+                )
+            size = (self._size or USUAL_SIZE) if before is None else (before.kind.width, before.kind.height)
+            return np.zeros((size[1], size[0], 3), np.uint8), FrameKind(*size, True, 3, "uint8")
+        if not isinstance(frame, np.ndarray):
+            raise ValueError(f"a frame is an array of pixels, not {type(frame).__name__}")
+        image, has_color = to_bgr(np.array(frame))  # a copy: the caller may reuse its buffer
+        seen = Frame(index, 0.0, image, has_color)
+        kind = FrameKind.of(seen)
+        if before is not None:
+            (before.kind if users else before.kind.of_either_color).check(seen, ANEW)
+        elif self._size not in (None, (kind.width, kind.height)):
+            width, height = self._size or USUAL_SIZE
+            notice(f"size=({width}, {height}) is not used: the frame that is given has {kind}")
+        return image, kind
 
 
 def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
@@ -165,40 +233,9 @@ def _held(targets: Sequence[FrameMetrics]) -> tuple[list[str], NDArray[np.float6
     return [one.target for one in held], np.array([one.centre_box for one in held]).reshape(-1, 4)
 
 
-def _scores(detections: Any, count: int) -> NDArray[np.float64]:
-    given = getattr(detections, "confidence", None)
-    scores = np.ones(count) if given is None else np.asarray(given, dtype=np.float64)
-    _check_one_each("confidence", scores.shape, count)
-    if not ((scores > -1e-6) & (scores < 1 + 1e-6)).all():
-        raise ValueError(
-            "detections: confidence goes beyond 0..1; scale it, or give None where it is unknown"
-        )
-    return scores
-
-
-def _check_one_each(name: str, shape: tuple[int, ...], count: int) -> None:
-    if shape != (count,):
-        boxes = "box" if count == 1 else "boxes"
-        raise ValueError(
-            f"detections: {name} of shape {shape} for {count} {boxes}; allowed: ({count},), one for each row "
-            "of xyxy; leave it out or give None where it is unknown"
-        )
-
-
-def _boxes(detections: Any) -> NDArray[np.float64]:
-    if not hasattr(detections, "xyxy"):
-        raise TypeError(
-            "detections have xyxy (n, 4) and confidence (n,), as supervision.Detections has; "
-            f"{type(detections).__name__} has no xyxy: types.SimpleNamespace(xyxy=…, confidence=…) will do"
-        )
-    corners = np.asarray(detections.xyxy, dtype=np.float64)
-    if corners.shape == (0,):  # an empty list
-        corners = corners.reshape(0, 4)
-    if corners.ndim != 2 or corners.shape[1] != 4:
-        raise ValueError(
-            f"detections: xyxy of shape {corners.shape}; allowed: (n, 4), a row left, top, right, bottom for "
-            "each box"
-        )
-    if not np.isfinite(corners).all() or (corners[:, 2:] <= corners[:, :2]).any():
-        raise ValueError("detections: xyxy needs finite boxes left, top, right, bottom, with an area")
-    return centre_from_xyxy(corners)
+def _checked(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        raise ValueError(f"size={size!r}: width and height of the frames in px are needed") from None
+    return whole("size: width", width, 1), whole("size: height", height, 1)

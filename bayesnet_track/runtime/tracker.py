@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from os import PathLike
-from typing import Any, NoReturn, Self
+from typing import Any, Never, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,13 @@ from bayesnet_track.engine.forecasting import Forecast, forecast
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.scoring.assurance import said_status
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
-from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
+from bayesnet_track.engine.step import Engine, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
@@ -35,8 +34,13 @@ from bayesnet_track.runtime.frame_kind import FrameKind
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
+from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknown
+from bayesnet_track.runtime.updates.standing import Standing
+from bayesnet_track.runtime.updates.turns import Turns
 from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.view.overlay import draw_targets
+
+ANEW = "call init(frame, box, time_s=...) again"
 
 NO_BOX = (-0.5, -0.5, 0.0, 0.0)
 """The centre box of zeros as a corner box: what stands for an estimate where there is no target."""
@@ -60,11 +64,13 @@ class Tracker(Boxed):
         max_side: track in frames whose longer side is at most so many px, 16 or more; boxes stay in the
             pixels of the frames that are given, lengths in the graph count those of the smaller ones.
         copy_frames: False for a caller that never writes into a frame that it gave: nothing is copied then.
+        fps: nominal frames a second: numbers per frame in the graph, such as noise and speeds, count for
+            1 / fps s, whenever frames really come (`time_s`). None for 25.
 
     Raises:
         GraphError: every error of the graph.
         CueError: a cue cannot be loaded, or is not what its declaration says.
-        ValueError: `max_side` is less than 16.
+        ValueError: `max_side` is less than 16, or `fps` is no number of frames a second.
 
     Example::
 
@@ -85,6 +91,7 @@ class Tracker(Boxed):
         cues: Iterable[GivenCue] = (),
         max_side: int | None = None,
         copy_frames: bool = True,
+        fps: float | None = None,
     ) -> None:
         plugins.allow(allow_plugins)
         self._whole_px, self._copy_frames = whole_px, copy_frames
@@ -95,17 +102,15 @@ class Tracker(Boxed):
         self._make = partial(make_engine, seed=seed, motion=own)
         self._engine: Engine = self._make(self._graph)
         self._max_side = max_side
-        self._resizing = Resizing.to(1, 1, max_side)
-        self._kind = FrameKind(1, 1, True, 3, "uint8")
-        self._state: State | None = None
-        self._nets_before: Mapping[str, TargetNet] = {}
-        self._next_index = 0
-        self._last: Outcome | None = None
+        Resizing.to(1, 1, max_side)  # refuses what is none
+        self._clock = FrameClock.of_rate(fps)
+        self._now: Standing | None = None
+        self._turns = Turns("Tracker")
 
     def __repr__(self) -> str:
         """Graph, and how the first target is."""
         name = self._graph.spec.name
-        if self._last is None:
+        if self._now is None:
             return f"<Tracker {name!r}: not started, call init(frame, box)>"
         shown = ", ".join(map(repr, self.targets[:3]))
         return f"<Tracker {name!r}, {plural(len(self.targets), 'target')}: {shown}>"
@@ -113,7 +118,7 @@ class Tracker(Boxed):
     def __copy__(self) -> Self:
         """A tracker that goes on from here by itself; what never changes is shared."""
         other = type(self).__new__(type(self))
-        other.__dict__.update(self.__dict__)
+        other.__dict__.update(self.__dict__, _turns=Turns("Tracker"))
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -128,54 +133,89 @@ class Tracker(Boxed):
         )
 
     def init(
-        self, frame: NDArray[np.uint8], box: CornerBox | None = None, *, depth: Depth | None = None
+        self,
+        frame: NDArray[np.uint8],
+        box: CornerBox | None = None,
+        *,
+        depth: Depth | None = None,
+        time_s: float | None = None,
+        **unknown: Never,
     ) -> None:
         """Start on the target inside `box` = (x, y, w, h), top-left corner, of the BGR or gray `frame`.
 
         Without a box, on what the detectors of the graph's births find.
 
         May be called again, to start anew on another target or in another video. `depth` is the rectified
-        right picture or the points that belong to `frame`, for graphs with a stereo agent; here and in
-        `update`.
+        right picture or the points that belong to `frame`, for graphs with a stereo agent. `time_s` is when
+        the frame was taken, in seconds from any origin. Both also in `update`.
 
         Raises:
+            RuntimeError: another thread is at work with this tracker.
             ValueError: the box is not four finite numbers, has no area, there or in the frames of
                 `max_side`, or does not touch the frame, there is none and nothing is born, the frame is no
-                picture, or no agent can start from it.
+                picture, no agent can start from it, or `time_s` is no time. The tracker stays as it was.
         """
-        first = _frame(frame, 0, depth, self._copy_frames)
-        starts = [] if box is None else [Start(box)]
-        check_starts(self._graph, starts, first.width, first.height)
-        resizing = Resizing.to(first.width, first.height, self._max_side)
-        if depth is not None and not resizing.is_none:
-            raise ValueError("max_side: frames with depth cannot be resized; allowed: frames of one camera")
-        placed = [resizing.start(one) for one in starts]
-        if self._graph.masks:
-            self._engine = self._make(resizing.graph(self._graph))
-        begun = start_targets(self._graph, self._engine, resizing.frame(first), placed)
-        check_started(self._graph, begun)
-        self._resizing, self._kind = resizing, FrameKind.of(first)
-        self._state, self._next_index, self._nets_before = begun.state, 1, {}
-        self._last = resizing.outcome(begun)
+        refuse_unknown("init", unknown)
+        with self._turns.take("init"):
+            clock = self._clock.tick(time_s, ANEW)
+            first = _frame(frame, clock, depth, self._copy_frames)
+            starts = [] if box is None else [Start(box)]
+            check_starts(self._graph, starts, first.width, first.height)
+            resizing = Resizing.to(first.width, first.height, self._max_side)
+            if depth is not None and not resizing.is_none:
+                raise ValueError(
+                    "max_side: frames with depth cannot be resized; allowed: frames of one camera"
+                )
+            placed = [resizing.start(one) for one in starts]
+            engine = self._make(resizing.graph(self._graph)) if self._graph.masks else self._engine
+            begun = start_targets(self._graph, engine, resizing.frame(first), placed)
+            check_started(self._graph, begun)
+            shown = resizing.outcome(begun)
+            self._engine = engine
+            self._now = Standing(
+                begun.state, clock, shown.metrics, shown.events, FrameKind.of(first), resizing
+            )
 
-    def update(self, frame: NDArray[np.uint8], *, depth: Depth | None = None) -> tuple[bool, CornerBox]:
+    def update(
+        self,
+        frame: NDArray[np.uint8],
+        *,
+        depth: Depth | None = None,
+        time_s: float | None = None,
+        **unknown: Never,
+    ) -> tuple[bool, CornerBox]:
         """Process the next frame: (False while lost else True, the estimate as a top-left corner box).
 
         Of several targets it tells of the first, and `targets` of all; without any it is (False, zeros).
 
+        `time_s` is when the frame was taken, in seconds on the clock of the frames before it: beliefs are
+        predicted over the true time from one frame to the next. Without it every frame is taken for one that
+        comes a nominal interval after the last one. It is given with all frames or with none.
+
         Raises:
-            RuntimeError: `init` was not called.
-            ValueError: the frame is no picture, or not of the first one's size and channels; the tracker
-                stays as it was.
+            RuntimeError: `init` was not called, or another thread is at work with this tracker.
+            ValueError: the frame is no picture, not of the first one's size and channels, or not later than
+                the last one, or `time_s` is no time or is given with some frames only; the tracker stays as
+                it was.
         """
-        if self._state is None:
-            raise RuntimeError("call init(frame, box) before update(frame)")
-        now = _frame(frame, self._next_index, depth, self._copy_frames)
-        self._kind.check(now, "call init again")
-        found = step(self._engine, self._state, self._resizing.frame(now))
-        self._nets_before = self._state.net.targets
-        self._state, self._next_index = found.state, self._next_index + 1
-        self._last = self._resizing.outcome(found)
+        refuse_unknown("update", unknown)
+        with self._turns.take("update"):
+            before = self._now
+            if before is None:
+                raise RuntimeError("call init(frame, box) before update(frame)")
+            clock = before.clock.tick(time_s, ANEW)
+            now = _frame(frame, clock, depth, self._copy_frames)
+            before.kind.check(now, "call init again")
+            found = step(self._engine, before.state, before.resizing.frame(now))
+            shown = before.resizing.outcome(found)
+            self._now = replace(
+                before,
+                state=found.state,
+                clock=clock,
+                metrics=shown.metrics,
+                events=shown.events,
+                nets_before=before.state.net.targets,
+            )
         x, y, w, h = self.centre_box
         box = (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)  # as `xywh`, without an array
         if self._whole_px:
@@ -189,14 +229,13 @@ class Tracker(Boxed):
         Raises:
             RuntimeError: `init` was not called.
         """
-        if self._state is None:
-            raise RuntimeError("call init(frame, box) first")
-        return next((box for _, box in self._live()), NO_BOX)
+        return next((box for _, box in _live(self._started)), NO_BOX)
 
     def predict(self, frames: int = 1) -> tuple[Forecast, ...]:
-        """Where each target is expected 1 to `frames` frames after the last one, with regions.
+        """Where each target is expected 1 to `frames` nominal intervals after the last frame, with regions.
 
-        Nothing is learnt: the next `update` gives what it would have given.
+        An interval is 1 / `fps` s, also where frames came at other times. Nothing is learnt: the next
+        `update` gives what it would have given.
 
         Raises:
             RuntimeError: `init` was not called.
@@ -207,16 +246,15 @@ class Tracker(Boxed):
             for ahead in tracker.predict(5):
                 print(ahead.target, ahead.ahead, ahead.xywh, ahead.region90)
         """
-        if self._state is None or self._state.previous is None:
-            raise RuntimeError("call init(frame, box) first")
+        now = self._started
         if frames < 1:
             raise ValueError(f"predict({frames}): at least 1 frame ahead is needed")
-        size = self._resizing.tracked
-        live = [line for line in self.targets if line.target in self._state.targets]
+        size, states = now.resizing.tracked, now.state.targets
         return tuple(
-            self._resizing.estimate(one)
-            for line in live
-            for one in forecast(self._engine, self._state.targets[line.target], line, frames, size)
+            now.resizing.estimate(one)
+            for line in now.metrics
+            if line.target in states
+            for one in forecast(self._engine, states[line.target], line, frames, size)
         )
 
     def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -232,19 +270,18 @@ class Tracker(Boxed):
     def detections(self, lost: bool = False) -> Detections:
         """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too.
 
-        `time_s` is NaN: frames come here without a clock.
+        Its `time_s` is that of the frame: as given to `update`, else frames / `fps`, else NaN.
         """
-        live = {} if self._state is None else self._state.net.targets
+        now = self._started
         # Who ended in the last frame is measured in it, too.
-        kinds = {target: net.template for target, net in {**self._nets_before, **live}.items()}
-        return Detections.of(self.targets, kinds, tuple(self._graph.targets), lost)
+        nets = {**now.nets_before, **now.state.net.targets}
+        kinds = {target: net.template for target, net in nets.items()}
+        return Detections.of(tuple(now.metrics), kinds, tuple(self._graph.targets), lost)
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
         """Everything measured in the last frame, for every target that was live in it."""
-        if self._last is None:
-            raise RuntimeError("call init(frame, box) first")
-        return tuple(self._last.metrics)
+        return tuple(self._started.metrics)
 
     @property
     def metrics(self) -> FrameMetrics:
@@ -255,7 +292,7 @@ class Tracker(Boxed):
         Raises:
             RuntimeError: `init` was not called, or no target is live.
         """
-        line = self._first_line()
+        line = _first_line(self._started)
         if line is None:
             raise RuntimeError("no target is live after the last frame")
         return line
@@ -266,7 +303,7 @@ class Tracker(Boxed):
 
         Elsewhere an index in 0..1 from UD and evidence: high is sure, but it is no probability.
         """
-        line = self._first_line()
+        line = _first_line(self._started)
         return 0.0 if line is None else line.score
 
     def getTrackingScore(self) -> float:
@@ -276,35 +313,37 @@ class Tracker(Boxed):
     @property
     def status(self) -> str:
         """tracking, uncertain or lost after the last frame, of the first target; lost without any."""
-        if self._state is None:
-            raise RuntimeError("call init(frame, box) first")
-        first = next((target for target, _ in self._live()), None)
+        now = self._started
+        first = next((target for target, _ in _live(now)), None)
         if first is None:
             return "lost"
-        net = self._state.net.targets[first]
+        net = now.state.net.targets[first]
         plate = self._graph.targets[net.template]
         rule = plate.inference(plate.root).guarantee
-        return (
-            net.status if rule is None else said_status(net.status, self._state.targets[first].scored, rule)
-        )
+        return net.status if rule is None else said_status(net.status, now.state.targets[first].scored, rule)
 
-    def _live(self) -> Iterator[tuple[str, tuple[float, ...]]]:
-        """Each target of the last frame that is live after it, and its centre box; makes no lines."""
-        assert self._last is not None and self._state is not None
-        lines, live = self._last.metrics, self._state.net.targets
-        every = lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
-        return ((target, box) for target, box in every if target in live)
-
-    def _first_line(self) -> FrameMetrics | None:
-        if self._last is None or self._state is None:
+    @property
+    def _started(self) -> Standing:
+        if self._now is None:
             raise RuntimeError("call init(frame, box) first")
-        live = self._state.net.targets
-        return next((line for line in self._last.metrics if line.target in live), None)
+        return self._now
 
     @property
     def events(self) -> tuple[Event, ...]:
         """What was decided in the last frame."""
-        return () if self._last is None else self._last.events
+        return () if self._now is None else self._now.events
+
+
+def _live(now: Standing) -> Iterator[tuple[str, tuple[float, ...]]]:
+    """Each target of the last frame that is live after it, and its centre box; makes no lines."""
+    lines, live = now.metrics, now.state.net.targets
+    every = lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
+    return ((target, box) for target, box in every if target in live)
+
+
+def _first_line(now: Standing) -> FrameMetrics | None:
+    live = now.state.net.targets
+    return next((line for line in now.metrics if line.target in live), None)
 
 
 def _picture(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bool]:
@@ -315,7 +354,7 @@ def _picture(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bool]:
     return to_bgr(image)
 
 
-def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None, copies: bool) -> Frame:
+def _frame(image: NDArray[np.uint8], clock: FrameClock, depth: Depth | None, copies: bool) -> Frame:
     picture, has_color = _picture(image)
     if copies and np.may_share_memory(picture, image):
         picture = picture.copy()  # the caller may reuse its buffer, and the next step looks at it again
@@ -323,4 +362,4 @@ def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None, copies: bo
         other = depth.image if isinstance(depth, RightEye) else depth.points
         if other.shape != picture.shape:
             raise ValueError(f"depth of shape {other.shape} does not fit a picture of {picture.shape}")
-    return Frame(index, float(index), picture, has_color, math.nan, depth)
+    return Frame(clock.index, clock.time, picture, has_color, clock.time_s, depth)

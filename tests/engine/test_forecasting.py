@@ -42,7 +42,7 @@ def started(graph, scene, frames=4):
 
 def test_a_kalman_belief_moves_by_its_matrices(scene):
     tracker = started(graph_of({"gaussian": {"filter": "kalman"}}, VELOCITY, "mean_shift"), scene)
-    (state,) = tracker._state.targets.values()
+    (state,) = tracker._now.state.targets.values()
     (compiled,) = tracker._engine.plates.values()
     mean, covariance = state.belief.mean, state.belief.covariance
     forward, noise = compiled.motion.linearise(mean, 1.0)
@@ -57,7 +57,7 @@ def test_a_kalman_belief_moves_by_its_matrices(scene):
 def test_particles_spread_as_their_motion_does(scene):
     walk = {"random_walk": {"sd_px": {"x": 2.0, "y": 3.0}}}
     tracker = started(graph_of({"particles": {"size": 4000}}, walk), scene)
-    (state,) = tracker._state.targets.values()
+    (state,) = tracker._now.state.targets.values()
     before = np.diagonal(state.belief.covariance)[:2]
     for one in tracker.predict(8):
         expected = before + one.ahead * np.array([4.0, 9.0])
@@ -68,7 +68,7 @@ def test_particles_spread_as_their_motion_does(scene):
 def test_regions_hold_what_they_say(scene):
     """Truths drawn from the belief and its motion lie in the 50 and 90 % regions so often."""
     tracker = started(graph_of({"gaussian": {"filter": "kalman"}}, VELOCITY, "mean_shift"), scene)
-    (state,) = tracker._state.targets.values()
+    (state,) = tracker._now.state.targets.values()
     (compiled,) = tracker._engine.plates.values()
     rng, count = np.random.default_rng(5), 4000
     truths = rng.multivariate_normal(state.belief.mean, state.belief.covariance, count)

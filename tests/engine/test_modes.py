@@ -51,7 +51,7 @@ def followed(request, scene):
     for _ in range(FRAMES - 1):
         tracker.update(next(images))
         lines.append(tracker.targets[0])
-        events += tracker._last.events
+        events += tracker.events
     return lines, events
 
 

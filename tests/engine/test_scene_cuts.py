@@ -72,7 +72,7 @@ def test_the_target_is_lost_at_the_cut_and_not_before(cut):
 
 def test_it_is_searched_for_in_the_whole_frame_and_has_to_be_recognised(cut):
     tracker = cut[1]
-    state = tracker._state.targets["1"]
+    state = tracker._now.state.targets["1"]
     assert state.motion_context.held is None
     assert state.scored.missing == len(BEFORE)
 
@@ -94,12 +94,12 @@ def test_without_the_rule_nothing_is_looked_at():
     tracker = Tracker(general(scene_cut=None))
     found = play(tracker, [*BEFORE, scene(2)])
     assert not any(events for _, events in found)
-    assert tracker._state.scene is None
+    assert tracker._now.state.scene is None
 
 
 def test_the_scene_is_stored_with_the_state(cut):
     tracker = cut[1]
-    state, engine = tracker._state, tracker._engine
+    state, engine = tracker._now.state, tracker._engine
     again = decode_state(encode_state(state), engine, state.previous)
     assert np.array_equal(again.scene.colors, state.scene.colors)
     assert np.array_equal(again.scene.cells, state.scene.cells)

@@ -262,7 +262,7 @@ def test_cues_of_a_program_belong_to_one_tracker():
         tracker = Tracker(graph, cues=[bright(level)])
         tracker.init(frame, BOX)
         assert tracker.update(frame)[0] is not None
-        assert float(tracker._state.targets["1"].references["one"]["level"]) == level
+        assert float(tracker._now.state.targets["1"].references["one"]["level"]) == level
     checked = load_graph(graph, [bright(3.0)])
     Tracker(checked).init(frame, BOX)  # a checked graph keeps its cues
     assert list(checked.cues) == ["constant"]

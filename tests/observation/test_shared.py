@@ -32,7 +32,7 @@ def test_the_tracker_leaves_the_array_that_it_is_given_as_it_is():
     tracker.init(image, (20, 20, 20, 20))
     assert image.flags.writeable
     with pytest.raises(ValueError, match="read-only"):
-        tracker._state.previous.image[0] = 1
+        tracker._now.state.previous.image[0] = 1
 
 
 def test_a_plane_and_what_it_is_made_from_cannot_be_written_into(fakes):

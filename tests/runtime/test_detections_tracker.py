@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -13,6 +14,8 @@ from bayesnet_track import DetectionsTracker
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.runtime.detections_tracker import NO_TARGET, owners
+from bayesnet_track.runtime.updates.looking import image_users
+from bayesnet_track.sources.entrances.notices import InputNotice
 
 
 def crossing(frame, order=(0, 1)):
@@ -49,12 +52,6 @@ def test_frames_without_detections_and_without_confidence():
     assert (found > 0).all()
 
 
-@pytest.mark.parametrize("box", [[1, 2, 1, 4], [1, 2, np.nan, 4]])
-def test_boxes_without_area_are_refused(box):
-    with pytest.raises(ValueError, match="xyxy needs finite boxes left, top, right, bottom, with an area"):
-        DetectionsTracker(size=(64, 48)).update(SimpleNamespace(xyxy=[box]))
-
-
 TWO = [[20, 100, 60, 200], [300, 100, 360, 200]]
 
 
@@ -71,6 +68,12 @@ TWO = [[20, 100, 60, 200], [300, 100, 360, 200]]
         ({"xyxy": TWO[0] + TWO[1]}, r"xyxy of shape (8,); allowed: (n, 4)"),
         ({"xyxy": [[20, 100], [60, 200]]}, r"xyxy of shape (2, 2); allowed: (n, 4)"),
         ({"xyxy": [TWO]}, r"xyxy of shape (1, 2, 4); allowed: (n, 4)"),
+        ({"xyxy": [["left"] * 4] * 2}, r"xyxy holds something else than real numbers: could not convert"),
+        ({"xyxy": np.array(TWO) * 1j}, r"xyxy holds something else than real numbers: complex numbers"),
+        ({"xyxy": [[1, 2, 3, 4], [5, 6]]}, r"xyxy holds something else than real numbers"),
+        ({"xyxy": None}, r"xyxy of shape (); allowed: (n, 4)"),
+        ({"confidence": ["high", 1]}, r"confidence holds something else than real numbers"),
+        ({"confidence": [0.5, 90]}, r"confidence goes beyond 0..1"),
     ],
 )
 def test_what_does_not_fit_the_boxes_is_refused_and_the_tracker_stays_as_it_was(given, message):
@@ -109,8 +112,9 @@ def standing(count):
 @pytest.mark.parametrize("graph", ["kalman_detections", "jpda", "people_detections", "sort"])
 def test_everybody_in_a_crowd_is_tracked(graph):
     tracker, people = DetectionsTracker(graph, size=(640, 1600)), standing(120)
+    gray = np.full((1600, 640, 3), 128, np.uint8) if graph == "people_detections" else None
     for _ in range(8):
-        found = tracker.update(people).tracker_id
+        found = tracker.update(people, gray).tracker_id
     assert sorted(found) == list(range(1, 121))
 
 
@@ -137,15 +141,6 @@ def test_the_best_overlaps_come_first(boxes, places, data):
     assert owners(boxes, targets).tolist() == expected.tolist()
 
 
-def test_what_cannot_be_tracked_is_not_left_out_without_a_word():
-    tracker = DetectionsTracker("kalman_detections", size=(640, 480))
-    for confidence in (90, -1, np.nan):
-        with pytest.raises(ValueError, match=r"confidence goes beyond 0..1"):
-            tracker.update(SimpleNamespace(xyxy=[[20, 100, 60, 200]], confidence=[confidence]))
-    with pytest.warns(UserWarning, match="outside of the frames of 640x480 px"):
-        tracker.update(SimpleNamespace(xyxy=[[700, 100, 760, 200]], confidence=[1.0]))
-
-
 def test_classes_are_told_apart_by_their_names(tmp_path):
     text = load_graph("kalman_detections").text
     text = text.replace("detector: detections", "detector: detections\n      labels: [car]")
@@ -158,3 +153,113 @@ def test_classes_are_told_apart_by_their_names(tmp_path):
     for _ in range(4):
         found = tracker.update(SimpleNamespace(**boxes, data={"class_name": ["car", "person"]}))
     assert found.tracker_id.tolist() == [1, NO_TARGET]
+
+
+# ------------------------------------------------------------------------------- frames
+
+USERS = {
+    "people_detections": ("agent color", "agent shade"),
+    "kalman_detections": (),
+    "jpda": (),
+    "sort": (),
+    "bytetrack": (),
+    "oc_sort": (),
+}
+
+
+@pytest.mark.parametrize("graph", USERS)
+def test_a_graph_that_looks_at_the_image_needs_it(graph):
+    tracker = DetectionsTracker(graph, size=(640, 480))
+    assert image_users(tracker._engine) == USERS[graph]
+    if not USERS[graph]:
+        tracker.update(SimpleNamespace(xyxy=TWO))
+        return
+    message = (
+        f"the graph {graph} looks at the image ({', '.join(USERS[graph])}): call update(detections, frame)"
+    )
+    image = np.full((480, 640, 3), 128, np.uint8)
+    for frame in (None, image, None):  # some frames without it are no better
+        if frame is not None:
+            tracker.update(SimpleNamespace(xyxy=TWO), frame)
+            continue
+        with pytest.raises(ValueError, match=re.escape(message)):
+            tracker.update(SimpleNamespace(xyxy=TWO), frame)
+    assert ", 1 frame," in repr(tracker)
+
+
+LOOKING = {
+    "agent color": ("nodes", {"color": {"parent": "target", "agent": "color_histogram"}}),
+    "motion with camera": ("motion", {"camera": "compensate"}),
+    "relocalize by a detector": (
+        "motion",
+        {"relocalize": {"share": 0.1, "above": {"ud_box": 2}, "by": {"detector": "background"}}},
+    ),
+    "lost with scene_cut": ("lost", {"scene_cut": 0.5}),
+}
+
+
+@pytest.mark.parametrize("user", LOOKING)
+def test_whatever_looks_at_the_image_is_found(user):
+    plain = yaml.safe_load(load_graph("kalman_detections").text)
+    node = plain["targets"]["target"]["nodes"]["target"]
+    place, what = LOOKING[user]
+    if place == "nodes":
+        plain["targets"]["target"]["nodes"] |= what
+        node["fuse"] = "product"
+    elif place == "motion":
+        node["belief"] = {"particles": {"size": 50}}
+        node["motion"]["constant_velocity"] |= what
+    else:
+        node["lost"] |= what
+    with pytest.raises(ValueError, match=rf"looks at the image \({user}\)"):
+        DetectionsTracker(plain, size=(640, 480)).update(SimpleNamespace(xyxy=TWO))
+
+
+def test_births_of_another_detector_look_at_the_image():
+    plain = yaml.safe_load(load_graph("kalman_detections").text)
+    other = yaml.safe_load(load_graph("kalman_detections").text)["targets"]["target"]
+    other["birth"]["detector"] = {"background": {}}
+    other["nodes"] = {"other" if name == "target" else name: node for name, node in other["nodes"].items()}
+    other["nodes"]["seen"]["parent"] = "other"
+    plain["targets"]["other"] = other
+    with pytest.raises(ValueError, match=r"looks at the image \(births by background of other\)"):
+        DetectionsTracker(plain, size=(640, 480)).update(SimpleNamespace(xyxy=TWO))
+
+
+def test_frames_may_be_left_out_where_nothing_looks_and_keep_their_size():
+    tracker = DetectionsTracker()
+    image = np.zeros((480, 640, 3), np.uint8)
+    for frame in (image, None, image[..., 0], image, None):
+        found = tracker.update(SimpleNamespace(xyxy=TWO), frame)
+    assert found.tracker_id.tolist() == [1, 2]
+    with pytest.raises(
+        ValueError, match=r"frame 5 is 320x240 colour, the frames before it are 640x480; .*reset"
+    ):
+        tracker.update(SimpleNamespace(xyxy=TWO), image[:240, :320])
+    tracker.reset()
+    tracker.update(SimpleNamespace(xyxy=TWO), image[:240, :])
+    blind = DetectionsTracker(size=(640, 480))
+    blind.update(SimpleNamespace(xyxy=TWO))
+    with pytest.raises(ValueError, match=r"frame 1 is 320x240 colour, the frames before it are 640x480"):
+        blind.update(SimpleNamespace(xyxy=TWO), image[:240, :320])
+
+
+def test_a_size_that_the_frames_have_not_is_noticed():
+    tracker = DetectionsTracker(size=(1280, 720))
+    with pytest.warns(
+        InputNotice, match=r"size=\(1280, 720\) is not used: the frame that is given has 640x480"
+    ):
+        tracker.update(SimpleNamespace(xyxy=TWO), np.zeros((480, 640, 3), np.uint8))
+
+
+@pytest.mark.parametrize("size", [(0, 480), (640,), (640, -1), 640, (640.5, 480), "ab"])
+def test_what_is_no_size_is_refused(size):
+    with pytest.raises(ValueError, match="size"):
+        DetectionsTracker(size=size)
+
+
+def test_what_is_no_frame_is_refused():
+    tracker = DetectionsTracker(size=(640, 480))
+    for frame, message in (("frame.png", "not str"), (np.zeros((480, 640)), "float64 values of shape")):
+        with pytest.raises(ValueError, match=message):
+            tracker.update(SimpleNamespace(xyxy=TWO), frame)

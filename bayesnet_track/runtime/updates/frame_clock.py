@@ -1,0 +1,131 @@
+"""Times of the frames that a program hands over one by one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Never, Self
+
+from bayesnet_track.sources.entrances.notices import notice
+
+ASSUMED_FPS = 25.0
+"""Nominal frames a second where nobody says: those of a folder of images."""
+
+MOST_FPS = 1e6
+MOST_S = 1e11
+"""Beyond it are the milliseconds since 1970, not the seconds."""
+
+LONG_GAP = 500.0
+"""Frame intervals: what milliseconds given as seconds exceed, and hardly anything that is tracked."""
+
+
+@dataclass(frozen=True)
+class FrameClock:
+    """The time of the last frame, and what the time of the next one is found from.
+
+    Attributes:
+        fps: nominal frames a second, as given; None where nobody says.
+        index: number of the last frame, from 0; -1 before the first.
+        time: its time in nominal frame intervals after the first frame.
+        time_s: its time in seconds, as given; NaN without a clock.
+        first_s: that of the first frame where times are given, else None.
+    """
+
+    fps: float | None = None
+    index: int = -1
+    time: float = -1.0
+    time_s: float = math.nan
+    first_s: float | None = None
+
+    @classmethod
+    def of_rate(cls, fps: float | None) -> Self:
+        """The clock before the first frame; raises ValueError for no number of frames a second."""
+        if fps is None:
+            return cls()
+        number = _number(fps)
+        if not 1.0 / MOST_FPS <= number <= MOST_FPS:
+            raise ValueError(
+                f"fps={fps!r}: nominal frames a second, a number from {1 / MOST_FPS:g} to {MOST_FPS:g}, are "
+                f"needed; leave it out for {ASSUMED_FPS:g}"
+            )
+        return cls(number)
+
+    @property
+    def rate(self) -> float:
+        """Nominal frames a second."""
+        return ASSUMED_FPS if self.fps is None else self.fps
+
+    def restarted(self) -> Self:
+        """The clock before the first frame of another video."""
+        return type(self)(self.fps)
+
+    def tick(self, time_s: float | None, anew: str) -> Self:
+        """The clock at the next frame, which comes at `time_s`, or one nominal interval later with None.
+
+        Args:
+            time_s: seconds, any origin from 0 on.
+            anew: what to call where the camera, or its clock, began anew.
+
+        Raises:
+            ValueError: not a time, not later than the last one, or given with some frames only.
+        """
+        index = self.index + 1
+        if index and (time_s is None) != (self.first_s is None):
+            with_or_not = ("without", "with") if time_s is None else ("with", "without")
+            raise ValueError(
+                f"frame {index} comes {with_or_not[0]} time_s and the frames before it {with_or_not[1]}; "
+                "allowed: time_s with every frame, the first one, too, or with none"
+            )
+        if time_s is None:
+            seconds = math.nan if self.fps is None else index / self.fps
+            return replace(self, index=index, time=float(index), time_s=seconds)
+        seconds = _seconds(time_s)
+        if self.first_s is None:
+            return replace(self, index=0, time=0.0, time_s=seconds, first_s=seconds)
+        time = self._intervals(seconds, self.first_s)
+        if not (seconds > self.time_s and time > self.time):
+            raise ValueError(
+                f"frame {index} at time_s={seconds!r} is not later than the frame before it, at "
+                f"{self.time_s!r}; leave out frames that come late or twice; where the camera or its clock "
+                f"began anew, {anew}"
+            )
+        if time - self.time >= LONG_GAP:
+            notice(
+                f"frame {index} comes {seconds - self.time_s:.6g} s after the one before it, "
+                f"{time - self.time:.6g} intervals of {self.rate:g} frames a second: time_s counts seconds; "
+                f"for another video {anew}"
+            )
+        return replace(self, index=index, time=time, time_s=seconds)
+
+    def _intervals(self, seconds: float, first_s: float) -> float:
+        """Intervals after the first frame; what is whole up to the rounding of the seconds is whole."""
+        time = (seconds - first_s) * self.rate
+        whole = float(round(time))
+        slack = 1e-9 + 4.0 * math.ulp(max(seconds, first_s)) * self.rate
+        return whole if abs(time - whole) <= slack and whole > self.time else time
+
+
+def refuse_unknown(call: str, unknown: dict[str, Never]) -> None:
+    """Refuse keywords that a call has not, with a word on the one for times; raises TypeError."""
+    for name in unknown:
+        raise TypeError(f"{call}() has no argument {name!r}; the time of a frame, in seconds, is time_s=")
+
+
+def _seconds(time_s: float) -> float:
+    seconds = _number(time_s)
+    if not 0.0 <= seconds <= MOST_S:
+        raise ValueError(
+            f"time_s={time_s!r}: the time of a frame in seconds, a number from 0 to {MOST_S:g}; where its "
+            "clock counts milliseconds or nanoseconds, divide by 1e3 or 1e9"
+        )
+    return seconds
+
+
+def _number(value: object) -> float:
+    """The value as a float; NaN where it is none."""
+    if isinstance(value, str | bytes | bool):
+        return math.nan
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
