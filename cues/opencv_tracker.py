@@ -26,7 +26,13 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.opencv_trackers import FILES, Session, missing_tracker
+from bayesnet_track.vision.opencv_trackers import (
+    FILES,
+    ModelError,
+    Session,
+    check_models,
+    missing_tracker,
+)
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
 TrackerName = Literal[
@@ -160,7 +166,14 @@ class OpencvTracker:
 
 
 def _missing(parameters: OpencvTrackerParameters) -> str | None:
-    return missing_tracker(parameters.tracker, parameters.models)
+    absent = missing_tracker(parameters.tracker, parameters.models)
+    if absent is not None:
+        return absent
+    try:
+        check_models(parameters.tracker, parameters.models)
+    except ModelError as error:
+        return str(error)
+    return None
 
 
 def _is_confident(parameters: OpencvTrackerParameters) -> bool:

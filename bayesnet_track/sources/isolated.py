@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.observation.image_size import PictureError
-from bayesnet_track.sources.child import cut, python, tie
 from bayesnet_track.sources.decoding import OUT_OF_MEMORY, SLOT_BYTES, SLOTS
 from bayesnet_track.sources.images import ImageReader
 from bayesnet_track.sources.paths import SourceError

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats
+from bayesnet_track.vision.apart import check_apart
 from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
 
 Embed = Callable[[Bytes], Floats]
@@ -56,12 +58,23 @@ def network(model: str, wanted: Input) -> Embed:
     """The network of an ONNX file as a function of crops, tried once.
 
     Raises:
-        EmbeddingError: no such file, no ONNX model, or it does not run on an input of this size.
+        EmbeddingError: no such file, no ONNX model, it does not run on an input of this size, or that
+            crashes.
     """
-    import cv2
-
     if absent := missing_model(model):
         raise EmbeddingError(absent)
+    check_apart(try_network, [model], EmbeddingError, model=model, wanted=asdict(wanted))
+    return _network(model, wanted)
+
+
+def try_network(model: str, wanted: Mapping[str, Any]) -> None:
+    """Load and run a network for an input of these attributes once."""
+    _network(model, Input(**wanted))
+
+
+def _network(model: str, wanted: Input) -> Embed:
+    import cv2
+
     net = read_onnx(model, EmbeddingError)
 
     def embed(crops: Bytes) -> Floats:

@@ -11,6 +11,8 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.observation.planes import Region, region_of_boxes
+from bayesnet_track.vision.apart import check_apart
+from bayesnet_track.vision.opencv_errors import reason_of
 from bayesnet_track.vision.point_tracking import GRAY, correlations, cut, mix_channels
 
 FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -69,6 +71,26 @@ def _made(name: str, models: Mapping[str, str]) -> Any:
     for file in FILES[name]:
         setattr(settings, file, models[file])
     return kind.create(settings)
+
+
+class ModelError(ValueError):
+    """Files of a tracker's network that end the process that loads or runs them."""
+
+
+def check_models(name: str, models: Mapping[str, str]) -> None:
+    """Try a tracker with network files in a process of its own; raises ModelError where that crashes."""
+    if name in FILES:
+        check_apart(try_models, [*models.values()], ModelError, name=name, models=dict(models))
+
+
+def try_models(name: str, models: Mapping[str, str]) -> None:
+    """Start the tracker on a gray image and look for the target in another."""
+    image, session = np.full((160, 160, 3), 114, np.uint8), Session(name, models)
+    session.start(image, np.array([80.0, 80.0, 40.0, 40.0]), 0)
+    try:
+        session.update(image, 1, np.array([80.0, 80.0]))
+    except Exception as error:  # OpenCV's, of a file that is no network: the agent fails with it
+        raise ModelError(reason_of(error)) from error
 
 
 def _seed(number: int) -> None:

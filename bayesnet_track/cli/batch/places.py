@@ -15,7 +15,7 @@ from typing import Protocol
 
 from bayesnet_track.cli.batch.jobs import Job
 from bayesnet_track.cli.batch.work import Row, failed_row
-from bayesnet_track.sources.child import cut, python, tie
+from bayesnet_track.observation.child import cut, python, tie
 
 WAIT_S = 0.2
 

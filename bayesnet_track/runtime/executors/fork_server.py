@@ -16,8 +16,8 @@ from types import MappingProxyType
 from typing import IO
 
 from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.observation.cue_files import pack
-from bayesnet_track.sources.child import cut, python, tie
 
 MODULE = "bayesnet_track.runtime.executors.worker"
 

@@ -18,9 +18,9 @@ import sys
 import time
 from contextlib import suppress
 
+from bayesnet_track.observation.child import die_with, end_with
 from bayesnet_track.runtime.executors.fork_server import END_S, NUMBER, READY, UNKNOWN, WORKER
 from bayesnet_track.runtime.executors.memory import limit_memory
-from bayesnet_track.sources.child import die_with, end_with
 
 POLL_S = 0.002
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.observation.child import cut
 from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
 from bayesnet_track.runtime.executors.questions import Answer, Call, EncodedReference, Sent
 from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
-from bayesnet_track.sources.child import cut
 
 
 class WorkerLost(Exception):

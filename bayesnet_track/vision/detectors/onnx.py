@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.vision.apart import check_apart
 from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting, from_grids
 from bayesnet_track.vision.detectors.selection import select
 from bayesnet_track.vision.opencv_errors import read_onnx, reason_of
@@ -154,14 +155,26 @@ class Onnx:
 def _make(parameters: OnnxParameters) -> Detector:
     from pathlib import Path
 
-    import cv2
-
     path = Path(parameters.model)
     if not path.is_file():
         raise DetectorError(
             f"{path}: no such model file; the key model of the detector onnx takes the path of an ONNX file"
         )
-    network = read_onnx(str(path), DetectorError)
+    given = parameters.model_dump(mode="json")
+    check_apart(try_network, [parameters.model], DetectorError, parameters=given)
+    return _load(parameters)
+
+
+def try_network(parameters: Mapping[str, Any]) -> None:
+    """Load and run the network of these parameters once."""
+    _load(OnnxParameters(**parameters))
+
+
+def _load(parameters: OnnxParameters) -> Detector:
+    import cv2
+
+    path = parameters.model
+    network = read_onnx(path, DetectorError)
     size = f"{parameters.input_width}x{parameters.input_height}"
 
     def forward(blob: Any) -> Any:

@@ -17,6 +17,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.capabilities import CueError
+from bayesnet_track.vision.apart import check_apart, working_on
 from bayesnet_track.vision.siamese.halves import RUNTIMES, Half, HalfError, Runtime
 
 TEMPLATE = 127
@@ -78,8 +79,15 @@ def load_networks(
 
     Raises:
         SiameseError: a file is missing or no ONNX model, the two are not the halves of such a network, they
-            take no crops of such a side, or the runtime is not installed.
+            take no crops of such a side, loading or running them crashes, or the runtime is not installed.
     """
+    given = {"backbone": backbone, "head": head, "sides": [*sides], "runtime": runtime}
+    check_apart(try_networks, [backbone, head], SiameseError, **given)
+    return try_networks(backbone, head, sides, runtime)
+
+
+def try_networks(backbone: str, head: str, sides: Sequence[int], runtime: Runtime) -> Networks:
+    """As `load_networks`, in this process whatever the files do to it."""
     import cv2
 
     body, usual = _open("backbone", backbone, runtime), _open("head", head, runtime)
@@ -151,6 +159,7 @@ def _shape(array: Singles) -> str:
 def _open(key: str, path: str, runtime: Runtime) -> Half:
     if absent := missing_file(key, path):
         raise SiameseError(absent)
+    working_on(path)
     try:
         return RUNTIMES[runtime](Path(path).read_bytes())
     except (HalfError, OSError) as error:
@@ -164,11 +173,13 @@ def _try_out(networks: Networks, backbone: str, head: str, side: int) -> int:
         SiameseError: they do not run.
     """
     swapped = "; are backbone and head interchanged?"
+    working_on(backbone)
     try:
         template = networks.describe(np.full((TEMPLATE, TEMPLATE, 3), 114, np.uint8))
     except HalfError as error:
         size = f"a 3-channel input of {TEMPLATE}x{TEMPLATE} px"
         raise SiameseError(f"backbone: {backbone}: does not run on {size}{swapped} {error}") from error
+    working_on(head)
     try:
         found = networks.compare(template, np.full((side, side, 3), 114, np.uint8), np.ones(2))
     except SiameseError as error:

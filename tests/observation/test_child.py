@@ -16,8 +16,8 @@ import pytest
 
 from bayesnet_track.cli.batch import places
 from bayesnet_track.cli.batch.jobs import Job, Video
+from bayesnet_track.observation.child import cut, end_with, python, tie
 from bayesnet_track.runtime.executors.fork_server import ForkServer
-from bayesnet_track.sources.child import cut, end_with, python, tie
 from bayesnet_track.sources.isolated import IsolatedReader
 from bayesnet_track.sources.sandbox import Limits
 
