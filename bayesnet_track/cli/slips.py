@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 from bayesnet_track.cli.overview import describe_commands
+from bayesnet_track.sources.network.address import hide_secrets
 
 _CHOICE = re.compile(
     r"argument (?P<what>.*?): invalid choice: '?(?P<word>.*?)'?"
@@ -35,7 +36,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong in one line, a suggestion and where to look; exits with code 2."""
-        self.exit(2, f"{self.prog}: {suggest(self, message)}\n`{self.prog} --help` lists what there is\n")
+        said = suggest(self, hide_secrets(message))
+        self.exit(2, f"{self.prog}: {said}\n`{self.prog} --help` lists what there is\n")
 
     def refuse(self, extras: Sequence[str]) -> NoReturn:
         """Refuse words that nothing takes."""

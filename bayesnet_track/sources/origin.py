@@ -11,6 +11,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Literal
 
+from bayesnet_track.sources.network.address import hide_secrets, shown_address
 from bayesnet_track.sources.paths import depth_files, files_of, is_broken_link, is_file
 
 Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
@@ -41,7 +42,7 @@ class Fingerprint:
 
 @dataclass(frozen=True)
 class Origin:
-    """How a source was opened.
+    """How a source was opened; addresses are without their passwords.
 
     Attributes:
         kind: which of the ways: one eye, two (a source for the right one, or both in a picture), an eye with
@@ -77,6 +78,12 @@ class Origin:
     stride: int = 1
     absolute: Mapping[str, str] = field(default_factory=dict)
     fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Nothing on the network is opened again: what is kept of its address is for people.
+        for name, shown in (("text", shown_address), ("description", hide_secrets), ("right", shown_address)):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, shown(value))
 
     @property
     def only_once(self) -> str | None:

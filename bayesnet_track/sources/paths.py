@@ -7,20 +7,22 @@ import glob
 import re
 from pathlib import Path
 
+from bayesnet_track.sources.network.address import shown_address
+
 
 class SourceError(ValueError):
     """A source that cannot be opened or read at all.
 
     Attributes:
-        given: the source as given.
+        given: the source as given, but for passwords.
         found: what was found there.
         allowed: what would be accepted.
         mend: what to do.
     """
 
     def __init__(self, given: str, found: str, allowed: str, mend: str) -> None:
-        self.given, self.found, self.allowed, self.mend = given, found, allowed, mend
-        super().__init__(f"source {given!r}: {found}; allowed: {allowed}; {mend}")
+        self.given, self.found, self.allowed, self.mend = shown_address(given), found, allowed, mend
+        super().__init__(f"source {self.given!r}: {found}; allowed: {allowed}; {mend}")
 
 
 _DIGITS = re.compile(r"(\d+)")

@@ -9,6 +9,8 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TextIO
 
+from bayesnet_track.sources.network.address import hide_secrets
+
 OK, FAILED, USAGE, BAD_GRAPH, BAD_SOURCE, INCOMPLETE, BAD_OUTPUT = range(7)
 
 
@@ -72,7 +74,7 @@ def say(text: str) -> None:
 
 def complain(message: str) -> None:
     """Print what is wrong."""
-    run_silently(lambda: sys.stderr.write(message + "\n"))
+    run_silently(lambda: sys.stderr.write(hide_secrets(message) + "\n"))
 
 
 def run_silently(show: Callable[[], object]) -> None:

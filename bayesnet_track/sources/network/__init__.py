@@ -1,0 +1,1 @@
+"""Sources on the network: addresses without their passwords, and which of them have no end."""
