@@ -89,6 +89,8 @@ def track(
     cues: Iterable[GivenCue] = (),
     isolate_decoder: bool = False,
     stride: int = 1,
+    allow_network: bool = False,
+    live: bool | None = None,
     max_side: int | None = None,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
@@ -121,6 +123,8 @@ def track(
             ``CUE``, which are run; path and SHA-256 of files are recorded in `out`.
         isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
         stride: track every `stride`-th frame of a `source` that is a text; see `open_source`.
+        allow_network: let a `source` that is a text be a URL.
+        live: of a URL, whether the newest frame is read, or every one; see `open_source`.
         max_side: track in frames whose longer side is at most so many px, 16 or more; boxes stay in the
             source's pixels, lengths in the graph count those of the smaller frames.
         sinks: further observers.
@@ -171,10 +175,16 @@ def track(
         external_inputs = as_inputs(inputs)
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(
-                open_source(str(source), isolate_decoder=isolate_decoder, stride=stride)
+                open_source(
+                    str(source),
+                    allow_network=allow_network,
+                    isolate_decoder=isolate_decoder,
+                    stride=stride,
+                    live=live,
+                )
             )
-        elif isolate_decoder or stride != 1:
-            option = "isolate_decoder" if isolate_decoder else "stride"
+        elif isolate_decoder or stride != 1 or live is not None:
+            option = "isolate_decoder" if isolate_decoder else "stride" if stride != 1 else "live"
             raise ValueError(f"{option} is for a source that is opened here; this one is open already")
         else:
             opened = source

@@ -13,6 +13,7 @@ import pkgutil
 import signal
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.sources.network.flow import Flow
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture, Reader
 from bayesnet_track.sources.sandbox import Limits, begin_picture, give_up_rights
@@ -113,6 +115,7 @@ def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots,
             "declared_frames": reader.declared_frames,
             "frame_interval_s": float(reader.frame_interval_s),
             "gap_from": float(reader.gap_from),
+            "flow": asdict(getattr(reader, "flow", Flow())),
         },
     )
     for item in reader:

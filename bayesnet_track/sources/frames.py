@@ -15,7 +15,8 @@ events about the source. The rules, the same for every kind of source:
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -33,6 +34,7 @@ from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import few
 from bayesnet_track.sources.entrances.stamps import changed_since, stamps
+from bayesnet_track.sources.network.address import hide_secrets
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Dropped, Reader, Stalled
@@ -46,7 +48,7 @@ class Source:
     """An opened source: a context manager and a one-way iterator of `SourceItem`.
 
     Attributes:
-        description: the source as given.
+        description: the source as given, but for passwords.
         width: columns of the first frame.
         height: rows of the first frame.
         has_color: whether the first frame has colour.
@@ -73,7 +75,7 @@ class Source:
         on_resize: OnResize,
         origin: Origin | None = None,
     ) -> None:
-        self.description, self.origin = description, origin
+        self.description, self.origin = hide_secrets(description), origin
         self.declared_frames = reader.declared_frames
         self.frame_interval_s = reader.frame_interval_s
         self.is_live = bool(getattr(reader, "is_live", False))
@@ -83,7 +85,7 @@ class Source:
         self._reader = reader
         self._start, self._end, self._on_resize = start or 0, end, on_resize
         self._stamps = {} if origin is None else stamps(origin.files())
-        self._items = self._read()
+        self._items = _gathered(self._read())
         self._ahead: list[SourceItem] = []
         try:
             first = self._first_frame()
@@ -172,10 +174,10 @@ class Source:
             if item.index < self._start:
                 continue
             if isinstance(item, Dropped):
-                yield FramesDropped(item.index, item.pictures)
+                yield FramesDropped(item.index, item.pictures, hide_secrets(item.reason))
                 continue
             if isinstance(item, Stalled):
-                yield SourceStalled(item.index, item.seconds, item.reason, item.attempt)
+                yield SourceStalled(item.index, item.seconds, hide_secrets(item.reason), item.attempt)
                 continue
             if last is not None and not item.time > last.time:
                 yield self._report_damage(
@@ -214,7 +216,22 @@ class Source:
 
     def _report_damage(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
         self.end_reason = "source_truncated" if truncated else "source_damaged"
-        return SourceDamaged(index, reason)
+        return SourceDamaged(index, hide_secrets(reason))
+
+
+def _gathered(items: Iterable[SourceItem]) -> Generator[SourceItem]:
+    """The items; damage of one reason between two frames is one event, with how often and up to where."""
+    held: dict[str, SourceDamaged] = {}
+    for item in items:
+        if isinstance(item, SourceDamaged):
+            first = held.get(item.reason)
+            repeated = first and replace(first, times=first.times + 1, last=item.frame)
+            held[item.reason] = repeated or item
+            continue
+        yield from held.values()
+        held.clear()
+        yield item
+    yield from held.values()
 
 
 def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

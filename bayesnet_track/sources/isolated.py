@@ -26,6 +26,7 @@ from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.decoding import OUT_OF_MEMORY, SLOT_BYTES, SLOTS
 from bayesnet_track.sources.images import ImageReader
+from bayesnet_track.sources.network.flow import Flow
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture
 from bayesnet_track.sources.sandbox import Limits
@@ -107,6 +108,7 @@ class IsolatedReader:
             self.declared_frames = None if declared is None else int(declared)
             self.frame_interval_s = float(answer["frame_interval_s"])
             self.gap_from = float(answer["gap_from"])
+            self.flow = Flow(**answer["flow"])
         except _Ended as error:
             mend = "check that it is whole, and where it comes from"
             raise SourceError(self._text, str(error), "a source that can be decoded", mend) from None

@@ -7,9 +7,12 @@ nothing comes for a while, the connection is given up and made again, after long
 
 from __future__ import annotations
 
+import statistics
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,13 +35,29 @@ GIVE_UP_S = 120.0
 TELL_S, SELDOM_S = 1.0, 60.0
 """Seconds between two notices of dropped pictures: the first, doubling up to the last."""
 
+RATE_PICTURES, RATE_S, DEFAULT_RATE = 8, 1.5, 25.0
+"""Pictures, and at most seconds, over which an undeclared rate is measured; what it is without them."""
+
 Image = tuple[NDArray[np.uint8], bool]
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """Pictures that came and cannot be used.
+
+    Attributes:
+        pictures: how many; 0 where that is not known yet.
+        reason: what is wrong with them.
+    """
+
+    pictures: int
+    reason: str
 
 
 class Feed(Protocol):
     """An open connection: pictures as ((H, W, 3) uint8 BGR, has_color), until it ends or breaks."""
 
-    def __iter__(self) -> Iterator[Image]: ...
+    def __iter__(self) -> Iterator[Image | Unreadable]: ...
 
     def close(self) -> None:
         """Let go of the device or connection; called by the thread that reads it."""
@@ -50,7 +69,7 @@ class LiveReader:
     Args:
         connect: opens it; raises where it cannot.
         first: what was opened already, or None.
-        frame_interval_s: seconds between pictures, as the source says.
+        frame_interval_s: seconds between pictures, as the source says; measured where it is None.
         stall_s: seconds without a picture that count as a stall.
         connect_s: seconds that a new connection may take.
         give_up_s: seconds without a picture after which it has ended.
@@ -67,7 +86,7 @@ class LiveReader:
     def __init__(
         self,
         connect: Callable[[], Feed],
-        frame_interval_s: float,
+        frame_interval_s: float | None,
         first: Feed | None = None,
         *,
         stall_s: float = STALL_S,
@@ -75,12 +94,12 @@ class LiveReader:
         give_up_s: float = GIVE_UP_S,
         pause_s: float = PAUSE_S,
     ) -> None:
-        self.frame_interval_s = frame_interval_s
         self.counts_dropped = True
         self._connect, self._stall_s, self._connect_s = connect, stall_s, connect_s
         self._give_up_s, self._pause_s = give_up_s, pause_s
         self._listener = _Listener(connect if first is None else lambda: first)
         self._is_closed, self._connecting = threading.Event(), threading.Lock()
+        self.frame_interval_s = frame_interval_s or self._listener.measured_interval_s()
 
     def close(self) -> None:
         """Let go of it; a picture that is waited for is not waited for any more."""
@@ -92,29 +111,33 @@ class LiveReader:
         began: float | None = None
         last = time.monotonic()
         index = attempts = 0
-        drops = _Drops()
+        outdated, unreadable, said = _Drops(), _Drops(), ""
         while not self._is_closed.is_set():
             patience = self._stall_s if self._listener.taken else self._connect_s
             arrived = self._listener.take(patience)
             if arrived is not None:
-                moment, image, dropped = arrived
+                moment, skipped = arrived.moment, arrived.outdated + arrived.unreadable
                 began = moment if began is None else began
-                index += dropped if self.counts_dropped else 0
-                count = drops.take_due(moment, dropped)
-                if count:
+                index += skipped if self.counts_dropped else 0
+                if count := outdated.take_due(moment, arrived.outdated):
                     yield Dropped(index, count)
+                if count := unreadable.take_due(moment, arrived.unreadable):
+                    yield Dropped(index, count, arrived.fault)
                 time_s = moment - began
-                yield Picture(index, time_s / self.frame_interval_s, time_s, _given(image), skipped=dropped)
-                last, attempts, index = moment, 0, index + 1
+                given = _given(arrived.image)
+                yield Picture(index, time_s / self.frame_interval_s, time_s, given, skipped=skipped)
+                last, attempts, index, said = moment, 0, index + 1, ""
                 continue
             waited = time.monotonic() - last
-            reason = self._listener.reason or f"no picture for {patience:g} s"
+            reason = self._listener.ending(patience)
             self._listener.abandon()
             if waited >= self._give_up_s:
                 yield Damage(index, f"the source gave no picture for {waited:.0f} s: {reason}")
                 return
             attempts += 1
-            yield Stalled(index, waited, reason, attempts)
+            if reason != said:  # while it stays the same, a line for each attempt says nothing new
+                yield Stalled(index, waited, reason, attempts)
+            said = reason
             if attempts > 1:
                 self._is_closed.wait(min(self._pause_s * 2.0 ** (attempts - 2), LONGEST_PAUSE_S))
             with self._connecting:
@@ -123,11 +146,24 @@ class LiveReader:
                 self._listener = _Listener(self._connect)
 
 
+@dataclass(frozen=True)
+class _Arrival:
+    """The newest picture, and how many before it were not taken: outdated ones, and unreadable ones."""
+
+    moment: float
+    image: Image
+    outdated: int
+    unreadable: int
+    fault: str
+
+
 class _Listener:
     """A thread that reads one connection and keeps its newest picture."""
 
     def __init__(self, connect: Callable[[], Feed]) -> None:
-        self.taken, self.reason = 0, ""
+        self.taken, self._reason = 0, ""
+        self._unreadable, self._fault, self._is_faulty = 0, "", False
+        self._moments: list[float] = []
         self._connect = connect
         self._news = threading.Condition()
         self._newest: tuple[float, Image] | None = None
@@ -137,15 +173,33 @@ class _Listener:
         # What hangs in a driver cannot be woken: such a thread is left alone, and ends with the process.
         threading.Thread(target=self._listen, name="live source", daemon=True).start()
 
-    def take(self, patience_s: float) -> tuple[float, Image, int] | None:
-        """The newest picture, its moment, and how many before it were dropped; None when none comes."""
+    def measured_interval_s(self) -> float:
+        """Seconds between the first pictures, at a whole rate from 2 a second on; these count as taken."""
+        until = time.monotonic() + RATE_S
+        with self._news:
+            for count in range(1, RATE_PICTURES + 1):
+                left = until - time.monotonic()
+                self._news.wait_for(lambda: len(self._moments) >= count or self._is_over, left)  # noqa: B023
+            steps = [after - before for before, after in pairwise(self._moments)]
+            self.taken, self._unreadable = max(self._came - 1, 0), 0
+        rate = 1.0 / max(statistics.median(steps), 1e-3) if steps else DEFAULT_RATE
+        return 1.0 / (round(rate) if rate >= 2.0 else rate)
+
+    def ending(self, patience_s: float) -> str:
+        """Why no picture comes any more."""
+        fault = f": {self._fault}" if self._is_faulty else ""
+        return self._reason or f"no picture for {patience_s:g} s{fault}"
+
+    def take(self, patience_s: float) -> _Arrival | None:
+        """The newest picture; None when none comes."""
         with self._news:
             self._news.wait_for(lambda: self._newest is not None or self._is_over, patience_s)
             if self._newest is None:
                 return None
             moment, image = self._newest
-            dropped, self._newest, self.taken = self._came - self.taken - 1, None, self._came
-            return moment, image, dropped
+            arrival = _Arrival(moment, image, self._came - self.taken - 1, self._unreadable, self._fault)
+            self._newest, self.taken, self._unreadable = None, self._came, 0
+            return arrival
 
     def abandon(self) -> None:
         """Read no further; what reads in a process of its own is ended at once."""
@@ -163,22 +217,33 @@ class _Listener:
             with self._news:
                 self._feed = feed
             try:
-                for image in feed:
+                for item in feed:
                     with self._news:
                         if self._is_abandoned:
                             return
-                        self._newest = time.monotonic(), image
-                        self._came += 1
-                        self._news.notify_all()
+                        self._accept(item)
             finally:
                 with self._news:
                     self._feed = None
                 feed.close()
         except Exception as error:  # whatever a driver says: the connection is made again
-            reason = str(error) or type(error).__name__
+            reason = str(getattr(error, "found", None) or error or type(error).__name__)
         with self._news:
-            self.reason, self._is_over = reason, True
+            self._reason, self._is_over = reason, True
             self._news.notify_all()
+
+    def _accept(self, item: Image | Unreadable) -> None:
+        if isinstance(item, Unreadable):
+            self._unreadable += item.pictures
+            self._fault, self._is_faulty = item.reason, True
+            return
+        self._is_faulty = False
+        moment = time.monotonic()
+        self._newest = moment, item
+        self._came += 1
+        if len(self._moments) < RATE_PICTURES:
+            self._moments.append(moment)
+        self._news.notify_all()
 
 
 class _Drops:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.journal.events.sources import OUTDATED
 from bayesnet_track.observation.depth import Depth
 
 Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
@@ -58,10 +59,12 @@ class Dropped:
     Attributes:
         index: number of the next picture.
         pictures: how many.
+        reason: why.
     """
 
     index: int
     pictures: int
+    reason: str = OUTDATED
 
 
 @dataclass(frozen=True)

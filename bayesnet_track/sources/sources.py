@@ -5,8 +5,11 @@ from __future__ import annotations
 import glob
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.frames import OnResize, Source, SourceItem
+from bayesnet_track.sources.network.address import shown_address
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import (
     _SCHEME,
@@ -19,6 +22,10 @@ from bayesnet_track.sources.paths import (
 )
 from bayesnet_track.sources.readers import Reader
 from bayesnet_track.sources.stride import strided
+
+if TYPE_CHECKING:
+    from bayesnet_track.sources.isolated import IsolatedReader
+    from bayesnet_track.sources.video import VideoReader
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
@@ -34,6 +41,7 @@ def open_source(
     on_resize: OnResize = "stop",
     isolate_decoder: bool = False,
     stride: int = 1,
+    live: bool | None = None,
 ) -> Source:
     """The source that `text` names.
 
@@ -43,17 +51,21 @@ def open_source(
     `isolate_decoder` decodes in a process of its own, held down by limits (`isolated.IsolatedReader`): the
     same frames, and a decoder that crashes, hangs or takes too much memory ends the source, not the program.
     With `stride` K only every K-th frame is handed out, from `start` on; numbers and times stay the source's.
+    Of a URL, `live` says whether the newest frame is to be read and a broken connection made again (True), or
+    every frame up to the end (False). None finds out: RTSP, a multipart stream of images (MJPEG), a playlist
+    without an end, and, with a notice, a stream of no declared length are live.
 
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
-    reader = make_reader(text, allow_network, isolate_decoder, start or 0)
+    reader = make_reader(text, allow_network, isolate_decoder, start or 0, live)
     reader = strided(text, reader, start, stride)
+    shown = shown_address(text)
     origin = Origin(
         "plain",
         text,
-        text,
+        shown,
         start,
         end,
         on_resize,
@@ -61,7 +73,7 @@ def open_source(
         isolate_decoder=isolate_decoder,
         stride=stride,
     )
-    return Source(text, reader, start, end, on_resize, origin)
+    return Source(shown, reader, start, end, on_resize, origin)
 
 
 def check_range(text: str, start: int | None, end: int | None) -> None:
@@ -76,7 +88,9 @@ def check_range(text: str, start: int | None, end: int | None) -> None:
         )
 
 
-def make_reader(text: str, allow_network: bool, isolate: bool = False, start: int = 0) -> Reader:
+def make_reader(
+    text: str, allow_network: bool, isolate: bool = False, start: int = 0, live: bool | None = None
+) -> Reader:
     """The reader of what `text` names, as `open_source` takes it; raises SourceError.
 
     Pixels of pictures before `start` are not asked for.
@@ -86,6 +100,8 @@ def make_reader(text: str, allow_network: bool, isolate: bool = False, start: in
     if text.isascii() and text.isdigit():
         if isolate:
             raise SourceError(text, "a camera decodes no file", "isolation of files and URLs", "leave it out")
+        if live is False:
+            raise SourceError(text, "a camera has no end", "URLs that are read as files", "leave it out")
         from bayesnet_track.sources.camera import camera_reader
 
         return camera_reader(text)
@@ -93,11 +109,12 @@ def make_reader(text: str, allow_network: bool, isolate: bool = False, start: in
     scheme = _SCHEME.match(text)
     if scheme:
         _check_scheme(text, scheme.group(1).lower(), allow_network)
-        if scheme.group(1).lower() in LIVE_SCHEMES:
-            from bayesnet_track.sources.stream import stream_reader
-
-            return stream_reader(lambda: _video(text, True, isolate, 0))
-        return _video(text, True, isolate, start)
+        live = True if live is None and scheme.group(1).lower() in LIVE_SCHEMES else live
+        return _of_network(text, isolate, start, live)
+    if live:
+        raise SourceError(
+            text, "a file is not live: every frame of it is read", "cameras and URLs", "leave it out"
+        )
     try:
         if path.is_dir():
             return _images(text, _in_folder(text, path), isolate, start)
@@ -116,6 +133,24 @@ def make_reader(text: str, allow_network: bool, isolate: bool = False, start: in
     if glob.has_magic(text):
         return _images(text, _matching(text), isolate, start)
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def _of_network(text: str, isolate: bool, start: int, live: bool | None) -> Reader:
+    reader = _video(text, True, isolate, 0 if live else start)
+    flow = reader.flow
+    if live is False or (live is None and flow.endless is None):
+        return reader
+    if live is None and not flow.is_sure:
+        notice(
+            f"{shown_address(text)}: taken as live, since {flow.endless}: the newest frame is tracked, the "
+            "others are dropped; --no-live (live=False) reads every frame"
+        )
+    if start and not live:
+        reader.close()  # an isolated one leaves out what comes first
+        reader = _video(text, True, isolate, 0)
+    from bayesnet_track.sources.stream import stream_reader
+
+    return stream_reader(lambda: _video(text, True, isolate, 0), reader)
 
 
 def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
@@ -146,7 +181,7 @@ def _images(text: str, paths: list[Path], isolate: bool, start: int) -> Reader:
     return IsolatedReader(text, reader, start=start)
 
 
-def _video(text: str, network: bool, isolate: bool, start: int) -> Reader:
+def _video(text: str, network: bool, isolate: bool, start: int) -> IsolatedReader | VideoReader:
     if isolate:
         from bayesnet_track.sources.isolated import IsolatedReader
 

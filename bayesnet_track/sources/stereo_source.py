@@ -21,6 +21,7 @@ from bayesnet_track.sources.depth_files import read_points
 from bayesnet_track.sources.frames import OnResize, Source
 from bayesnet_track.sources.images import ImageReader, times_of
 from bayesnet_track.sources.live import LiveReader
+from bayesnet_track.sources.network.address import shown_address
 from bayesnet_track.sources.origin import Kind, Origin
 from bayesnet_track.sources.paths import SourceError, depth_files
 from bayesnet_track.sources.readers import Damage, Picture, Reader, ReaderItem
@@ -50,6 +51,7 @@ def open_stereo_source(
     calibration: str | Path | None = None,
     isolate_decoder: bool = False,
     stride: int = 1,
+    live: bool | None = None,
 ) -> Source:
     """A source whose frames carry a second eye or points.
 
@@ -59,8 +61,8 @@ def open_stereo_source(
         depth: instead of a right eye, depth images (16 bit, 0 for unknown) or ``.npy`` arrays, (H, W) depths
             or (H, W, 3) points in m, one per picture: a folder or a glob.
         calibration: OpenCV YAML file; only ``.npy`` points do without.
-        start, end, allow_network, on_resize, isolate_decoder, stride: as for `open_source`; depth images are
-            read in this process.
+        start, end, allow_network, on_resize, isolate_decoder, stride, live: as for `open_source`; depth
+            images are read in this process.
 
     Raises:
         SourceError: nothing can be read, or the eyes do not belong together.
@@ -78,19 +80,20 @@ def open_stereo_source(
             "a pair with --calibration FILE (OpenCV YAML)",
             "make one from chessboard pictures with `bayesnet-track calibrate`",
         )
-    first = make_reader(left, allow_network, isolate_decoder, start or 0)
+    shown = shown_address(left)
+    first = make_reader(left, allow_network, isolate_decoder, start or 0, live)
     try:
         if side_by_side and rectifier is not None:
-            description, reader = f"{left} (side by side)", Joined(left, first, partial(halves, rectifier))
+            description, reader = f"{shown} (side by side)", Joined(left, first, partial(halves, rectifier))
         elif depth is not None:
-            description, paths = f"{left} with depth {depth}", depth_files(depth)
+            description, paths = f"{shown} with depth {depth}", depth_files(depth)
             _check_alike(first, paths, left, depth)
             rectified = rectifier if isinstance(rectifier, RectifiedPair) else None
             reader = Joined(left, first, partial(measured, paths, rectified))
         else:
             assert right is not None and rectifier is not None
-            description = f"{left} + {right}"
-            second = make_reader(right, allow_network, isolate_decoder, start or 0)
+            description = f"{shown} + {shown_address(right)}"
+            second = make_reader(right, allow_network, isolate_decoder, start or 0, live)
             if (files := _files(second)) is not None:
                 _check_alike(first, files.paths, left, right)
             reader = Joined(left, first, partial(two_eyes, rectifier), second)

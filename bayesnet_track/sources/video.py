@@ -18,6 +18,7 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from bayesnet_track.observation.image_size import MAX_PIXELS, PictureError
+from bayesnet_track.sources.network.flow import Flow, flow_of
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture
 from bayesnet_track.sources.timing import Declared, Timing, declared_by, timing_of
@@ -42,6 +43,8 @@ TOLERANT_METADATA: dict[str, Any] = (
 # In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
+END_OF_JPEG, PADDING = b"\xff\xd9", 1 << 12
+"""The marker that ends an image, and how many bytes may follow it."""
 
 
 class VideoReader:
@@ -49,6 +52,9 @@ class VideoReader:
 
     A stream whose pixel format has no colour is gray; the pixels of a colour format are not looked at.
     After the last picture the declared length is compared with what was there.
+
+    Attributes:
+        flow: how pictures come over the network.
 
     Raises:
         SourceError: not a video, or none of the formats that stand on their own.
@@ -67,6 +73,9 @@ class VideoReader:
         self._timing: Timing = timing_of(self._stream, stamps)
         self._declared: Declared = declared_by(self._container, self._stream, self._timing)
         self._bytes = 0 if network else Path(text).stat().st_size
+        self.flow = flow_of(self._container, self._stream) if network else Flow()
+        self._is_cut_where_unended = network and self._stream.codec_context.name == "mjpeg"
+        self._broken: tuple[type[BaseException], ...] = (OSError, av.error.ExitError) if network else ()
         self._read_to = 0
         self.declared_frames = self._declared.frames
         self.frame_interval_s = self._timing.interval_s
@@ -97,6 +106,9 @@ class VideoReader:
                 packet = next(packets)
             except StopIteration:
                 break
+            except self._broken as error:
+                yield Damage(self._index, f"the connection broke: {_words(error)}")
+                break
             except FAULTS as error:
                 yield Damage(self._index, f"the container is damaged: {_words(error)}")
                 failures += 1
@@ -118,6 +130,11 @@ class VideoReader:
             self._silent += bool(getattr(packet, "is_discard", False))
             if packet.is_corrupt:
                 yield Damage(self._index, "a packet is cut off or damaged")
+            # The decoder would make a whole image of half a one, without a word.
+            if self._is_cut_where_unended and END_OF_JPEG not in bytes(memoryview(packet)[-PADDING:]):
+                yield Damage(self._index, "an image is cut off: it has no end marker")
+                self._index += 1
+                return
             if self._untimed is not None and packet.dts is not None:
                 heapq.heappush(self._untimed, packet.dts)
         try:
@@ -218,7 +235,18 @@ def _open(text: str, network: bool) -> Any:
     try:
         return av.open(name, mode="r", options=options, timeout=timeout, **TOLERANT_METADATA)
     except FAULTS as error:
+        if network:
+            raise _unreachable(text, _words(error)) from error
         raise _not_a_video(text, _words(error)) from error
+
+
+def _unreachable(text: str, found: str) -> SourceError:
+    return SourceError(
+        text,
+        f"nothing to be watched at this address: {found}",
+        "an address that a video player opens",
+        "check it, and user and password (http://USER:PASSWORD@HOST/...)",
+    )
 
 
 def _video_stream(text: str, container: Any) -> Any:
@@ -265,4 +293,6 @@ def _probe(container: Any, stream: Any) -> tuple[list[int], bool]:
 
 
 def _words(error: BaseException) -> str:
+    if isinstance(error, av.error.ExitError):  # only the time-out asks for that
+        return f"no answer within {NETWORK_TIMEOUT_S:g} s"
     return str(getattr(error, "strerror", None) or error or type(error).__name__)

@@ -156,7 +156,7 @@ def test_no_connection_outlasts_a_reader_that_is_closed_in_another_thread():
     closed = threading.Event()
     late = Feed(10_000)
     late.close = closed.set
-    connections = [OSError("away"), OSError("away"), late]
+    connections = [OSError("away"), OSError("still away"), late]
 
     def connect():
         one = connections.pop(0)

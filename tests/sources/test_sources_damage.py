@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.sources import FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.frames import Source
+from bayesnet_track.sources.readers import Damage, Picture
 from bayesnet_track.sources.sources import SourceError, open_source
 
 CONTAINERS = ["plain.mp4", "start.mp4", "xvid.avi", "h264.mkv"]
@@ -130,3 +133,44 @@ def test_a_frame_wiped_out_is_reported(whole_videos, tmp_path, name):
     assert reason != "end_of_source"
     assert damage
     assert frames > 0
+
+
+class Complaining:
+    """A reader that says two things of damage again and again between its pictures."""
+
+    declared_frames, frame_interval_s, gap_from = None, 0.04, 1.5
+
+    def __iter__(self):
+        grey = np.zeros((20, 30, 3), np.uint8)
+        for index in (0, 6, 7):
+            yield Picture(index, float(index), 0.04 * index, lambda: (grey, True))
+            if index == 0:
+                for lost in range(1, 6):
+                    yield Damage(lost, "a packet is cut off or damaged")
+                    yield Damage(lost, "the decoder refused a frame")
+            if index == 6:
+                yield Damage(7, "the decoder refused a frame")
+        yield from [Damage(8, "the container is damaged: Input/output error")] * 50
+
+    def close(self):
+        pass
+
+
+def test_damage_that_is_repeated_before_the_next_frame_is_one_event():
+    events = [
+        item for item in Source("x", Complaining(), None, None, "stop") if isinstance(item, SourceDamaged)
+    ]
+    assert events == [
+        SourceDamaged(1, "a packet is cut off or damaged", 5, 5),
+        SourceDamaged(1, "the decoder refused a frame", 5, 5),
+        SourceDamaged(7, "the decoder refused a frame"),
+        SourceDamaged(8, "the container is damaged: Input/output error", 50, 8),
+    ]
+    assert [event.describe() for event in events[1:]] == [
+        "the source is damaged, 5 times up to frame 5: the decoder refused a frame",
+        "the source is damaged: the decoder refused a frame",
+        "the source is damaged, 50 times: the container is damaged: Input/output error",
+    ]
+    for event in events:
+        assert from_json(to_json(event)) == event
+    assert from_json('{"event": "source_damaged", "frame": 1, "reason": "x"}') == SourceDamaged(1, "x")

@@ -329,7 +329,7 @@ def test_the_network_is_refused_unless_allowed(url):
 
 
 def test_an_allowed_url_that_nobody_answers_is_a_clear_error():
-    assert "not a readable video" in refusal("http://127.0.0.1:1/x.mp4", allow_network=True)
+    assert "at this address: Connection refused" in refusal("http://127.0.0.1:1/x.mp4", allow_network=True)
 
 
 def test_an_allowed_url_is_read(whole_videos):

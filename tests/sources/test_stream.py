@@ -16,7 +16,6 @@ from bayesnet_track.journal.events.sources import FramesMissing, SourceStalled
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources import sources
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.sources import SourceError, open_source
 
@@ -43,7 +42,7 @@ def film():
 
 
 @pytest.fixture
-def server(monkeypatch):
+def server():
     """The address of a server; its first connection stalls, its second is refused, its third breaks."""
     data, connections, over = film(), [], threading.Event()
 
@@ -74,8 +73,6 @@ def server(monkeypatch):
     httpd = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     httpd.daemon_threads = True
     threading.Thread(target=httpd.serve_forever, daemon=True).start()
-    # Only RTSP counts as live, for which there is no server here; the way from there on is the same.
-    monkeypatch.setattr(sources, "LIVE_SCHEMES", frozenset({"http"}))
     yield f"http://127.0.0.1:{httpd.server_port}/film.ts", connections
     over.set()
     httpd.shutdown()
@@ -90,7 +87,7 @@ def test_a_stream_that_stalls_and_breaks_is_taken_up_again(server, tmp_path, iso
     assert connections == []
     scene = SceneSource.named("two_squares", 0, 3)  # what is compiled for the first frames is there then
     list(track("general", scene, scene.scene.start_box))
-    with open_source(address, allow_network=True, isolate_decoder=isolate) as source:
+    with open_source(address, allow_network=True, isolate_decoder=isolate, live=True) as source:
         assert source.is_live
         taken = []
         for result in track("general", source, (10, 30, 20, 20), out=tmp_path / "run"):
@@ -117,7 +114,7 @@ def test_a_stream_that_stalls_and_breaks_is_taken_up_again(server, tmp_path, iso
 
 def test_what_decodes_a_stream_that_hangs_is_gone_with_the_source(server):
     address, connections = server
-    with open_source(address, allow_network=True, isolate_decoder=True) as source:
+    with open_source(address, allow_network=True, isolate_decoder=True, live=True) as source:
         feed = source._reader._listener._feed
         process = feed._reader._process
         while len(connections) < 2:  # until the stall is told

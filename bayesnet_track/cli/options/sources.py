@@ -49,7 +49,7 @@ def add_size_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_window_options(parser: argparse.ArgumentParser) -> None:
-    """`--start`, `--end`, `--stride`, `--on-resize`, `--allow-network`, `--isolate-decoder`."""
+    """`--start`, `--end`, `--stride`, `--on-resize`, `--allow-network`, `--live`, `--isolate-decoder`."""
     parser.add_argument(
         "--start", type=whole_number(0), default=0, metavar="N", help="first frame (default 0)"
     )
@@ -66,6 +66,12 @@ def add_window_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--allow-network", action="store_true", help="let the source be a URL")
     parser.add_argument(
+        "--live",
+        action=argparse.BooleanOptionalAction,
+        help="read the newest frame of a URL and reconnect, or (--no-live) every frame up to its end "
+        "(default: live where it seems to have no end)",
+    )
+    parser.add_argument(
         "--isolate-decoder", action="store_true", help="decode in a separate process with resource limits"
     )
 
@@ -79,7 +85,7 @@ def open_given(options: argparse.Namespace) -> Source:
     if options.calibration is not None:
         raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
     window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
-    return open_source(*window, options.isolate_decoder, options.stride)
+    return open_source(*window, options.isolate_decoder, options.stride, options.live)
 
 
 def open_depth(options: argparse.Namespace, end: int | None) -> Source:
@@ -98,4 +104,5 @@ def open_depth(options: argparse.Namespace, end: int | None) -> Source:
         calibration=options.calibration,
         isolate_decoder=options.isolate_decoder,
         stride=options.stride,
+        live=options.live,
     )

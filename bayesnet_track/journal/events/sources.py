@@ -54,31 +54,42 @@ class SourceDamaged:
     Attributes:
         frame: next frame to be read.
         reason: what the decoder said.
+        times: how often it said so before another frame could be read.
+        last: next frame to be read when it said so last; None where that was once.
     """
 
     frame: int
     reason: str
+    times: int = 1
+    last: int | None = None
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        return f"the source is damaged: {self.reason}"
+        until = "" if self.last in (None, self.frame) else f" up to frame {self.last}"
+        often = "" if self.times == 1 else f", {self.times} times{until}"
+        return f"the source is damaged{often}: {self.reason}"
+
+
+OUTDATED = "newer ones had arrived"
 
 
 @dataclass(frozen=True)
 class FramesDropped:
-    """Images of a live source were dropped, because newer ones had arrived when the tracker was ready.
+    """Images of a live source were dropped, mostly because newer ones had arrived when the tracker was ready.
 
     Attributes:
         frame: next frame to be read.
         dropped: how many since the last such event.
+        reason: why.
     """
 
     frame: int
     dropped: int
+    reason: str = OUTDATED
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        return f"{plural(self.dropped, 'frame')} dropped, because newer ones had arrived"
+        return f"{plural(self.dropped, 'frame')} dropped, because {self.reason}"
 
 
 @dataclass(frozen=True)
