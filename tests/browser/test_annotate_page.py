@@ -180,3 +180,36 @@ def test_keys_answer_a_question_and_nothing_is_wider_than_a_phone(browser, comma
     assert "undo" in browser.wait("return document.querySelector('.help')?.innerText")
     browser.press(Keys.ESCAPE)
     browser.wait("return !document.querySelector('.help')")
+    # A name as it may be pasted is one that can be kept, and the longest one is no wider than the page.
+    for name in ("car\u00a01", "b" * 90):
+        browser.run(
+            "const i = document.querySelector('.targets input'); i.value = arguments[0];"
+            "i.dispatchEvent(new Event('input', {bubbles: true})); i.form.requestSubmit()",
+            name,
+        )
+    chosen = browser.run(
+        "return [...document.querySelectorAll('.targets button')].map(b => b.innerText.trim())"
+    )
+    assert "car 1" in chosen and "b" * 80 in chosen
+    for size in (DESKTOP, PHONE):
+        browser.size(size)
+        rights = "[...document.querySelectorAll('.ask-panel *')].map(e => e.getBoundingClientRect().right)"
+        assert browser.run(f"return Math.max(...{rights}) <= innerWidth")
+
+
+def test_a_target_that_is_not_tracked_is_led_to_and_corrected(browser, command, scene, tmp_path):
+    from selenium.webdriver.common.keys import Keys
+
+    out = tmp_path / "labels"
+    (tmp_path / "mot.txt").write_text("1,1,20,20,0.4,40,1\n")
+    options = ("--graph", "gray_square", "--import", tmp_path / "mot.txt")
+    run = command("annotate", scene[0], "--out", out, *options, view=())
+    browser.open_view(run.address)
+    settled(browser, "Where is target 1 in frame 0?")
+    assert "at least 1 px" in browser.run("return document.querySelector('.reason').innerText")
+    drag(browser, scene[1][0])
+    browser.press(Keys.ENTER)
+    tracked(browser, out, 2, 2)
+    browser.wait("return document.querySelector('.lane-sure, .lane-doubtful')", 60)
+    run.process.send_signal(signal.SIGINT)
+    assert run.process.wait(60) == 0

@@ -109,7 +109,8 @@ class Desk:
                 "marks": self._marks_version,
                 "busy": self._busy,
                 "behind": self.is_behind,
-                "trouble": self._trouble,
+                # Once, with the marks that it is of: the page keeps it until the person closes it.
+                "trouble": "" if self._marks_version == first else self._trouble,
                 "left": self._is_left,
                 "answers": len(in_force(self._session.answers)),
                 "about": {

@@ -131,7 +131,7 @@ class Session:
         for one in own:
             fault = None if one.box is None else describe_untrackable(one.box, video, max_side)
             if fault is not None:
-                return fail(target, own, one.frame, f"{fault}; give another box here")
+                return fail(target, own, one.frame, f"{fault}; give another box, or `gone`")
         try:
             asking = Asking(self.header.threshold, self.header.patience)
             return annotate_target(target, own, watched, self.frames, asking)

@@ -3,7 +3,7 @@
 import { useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { Icon } from "../view/transport";
-import { counted, type Desk, type Target } from "./desk";
+import { counted, tidy, type Desk, type Target } from "./desk";
 import { edit, KEYS } from "./keys";
 import { Picture } from "./picture";
 import { Timelines } from "./timelines";
@@ -205,7 +205,7 @@ function Names({ desk }: { desk: Desk }) {
       <form
         onSubmit={(event) => {
           event.preventDefault();
-          desk.add(written.value.trim() || desk.nextName());
+          desk.add(tidy(written.value) || desk.nextName());
           written.value = "";
           if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
         }}

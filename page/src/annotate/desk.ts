@@ -25,6 +25,14 @@ export function counted(targets: Target[], frames: number): (how: string) => num
   return (how) => all.split(how).length - 1;
 }
 
+const LONGEST_NAME = 80;
+
+/** A name as the command keeps it: on one line, printable, not too long. */
+export function tidy(name: string): string {
+  const printable = name.replace(/[\p{Z}\p{Cc}]+/gu, " ").replace(/\p{C}/gu, "");
+  return [...printable.trim()].slice(0, LONGEST_NAME).join("").trimEnd();
+}
+
 interface Standing {
   version: number;
   marks: number;
@@ -92,13 +100,13 @@ export class Desk {
 
   private take(standing: Standing): void {
     batch(() => {
-      const isFirst = this.standing.value === null;
       [this.seen, this.marks] = [standing.version, standing.marks];
       this.standing.value = standing;
       if (standing.trouble !== "") this.problem.value = standing.trouble;
       if (standing.targets !== undefined) {
+        const isFirst = this.targets.value.length === 0 && standing.targets.length > 0;
         this.targets.value = standing.targets;
-        if (isFirst && standing.targets.length > 0) {
+        if (isFirst && this.drawn.value === null && !this.current.value) {
           this.fresh.value = [];
           this.target.value = standing.targets[0]!.name;
         }
