@@ -125,6 +125,17 @@ def files_of(text: str) -> list[Path]:
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
 
 
+def image_names(text: str, frames: int) -> tuple[str, ...]:
+    """Names of the image files of a source, one for each frame; none where frames are no such files."""
+    try:
+        files = files_of(text) if is_file(text) else []
+    except SourceError:
+        files = []
+    names = tuple(file.name for file in files)
+    are_images = all(file.suffix.lower() in IMAGE_SUFFIXES for file in files)
+    return names if are_images and len(set(names)) == frames == len(names) else ()
+
+
 def _matching(text: str) -> list[Path]:
     found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
     images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(name)]

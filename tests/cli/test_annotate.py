@@ -3,6 +3,7 @@
 import errno
 import json
 import shutil
+from pathlib import Path
 
 import cv2
 import pytest
@@ -64,9 +65,9 @@ def test_what_is_open_is_printed_with_its_reason(video, tmp_path, capsys):
 def test_what_does_not_fit_is_refused_without_a_trace_in_the_answers(video, tmp_path, capsys):
     folder, boxes = video
     wrong = tmp_path / "wrong.txt"
-    wrong.write_text("1,1,10,10,20,20,1\n99,1,10,10,20,20,1\n")
+    wrong.write_text("1,1,10,10,20,20,1\n99,1,10,10,20\n")
     assert annotate(folder, tmp_path / "a", "--import", str(wrong)) == 2
-    assert "wrong.txt:2: frame 98" in capsys.readouterr().err
+    assert "wrong.txt:2" in capsys.readouterr().err
     assert (tmp_path / "a/answers.jsonl").read_text().count("\n") == 1
     assert annotate(folder / "0.png", tmp_path / "a") == 2
     assert "frames: 1, it was 8" in capsys.readouterr().err
@@ -162,3 +163,59 @@ def test_a_disk_that_is_full_for_an_answer_is_an_output_that_cannot_be_written(
     monkeypatch.setattr(LineFile, "flush", full)
     assert annotate(folder, tmp_path / "a", "--import", str(boxes)) == 6
     assert "answers.jsonl: cannot write: No space left" in capsys.readouterr().err
+
+
+FIXTURES = Path(__file__).parents[1] / "fixtures" / "annotations"
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """The frames of `tests/fixtures/annotations`: 12 images from clip_01.png on, 160 x 120 px."""
+    folder = tmp_path_factory.mktemp("clip")
+    scene = make_scene("two_squares", seed=0)
+    for number in range(12):
+        cv2.imwrite(str(folder / f"clip_{number + 1:02d}.png"), scene.frames[number][:120, :160])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("cvat_coco_rotated", "3 of 6 boxes are the upright box around a rotated box"),
+        ("ultralytics_track_conf", ""),
+        ("cvat_video", "16 boxes between key frames are left to the tracker"),
+    ],
+)
+def test_files_of_other_tools_are_imported_with_notices_and_images_keep_their_names(
+    clip, name, said, tmp_path, capsys
+):
+    options = (
+        "--threshold",
+        "0.01",
+        "--import",
+        str(FIXTURES / name),
+        "--format",
+        "coco",
+        "--format",
+        "yolo",
+    )
+    assert annotate(clip, tmp_path / "a", *options) == 0
+    out, err = capsys.readouterr()
+    assert "2 targets, 12 frames: 6 given" in out
+    assert said in err
+    content = json.loads((tmp_path / "a/coco.json").read_text())
+    assert [one["file_name"] for one in content["images"]] == [f"clip_{n:02d}.png" for n in range(1, 13)]
+    given = [one for one in content["annotations"] if one["attributes"]["how"] == "given"]
+    assert [one["image_id"] for one in given] == [1, 6, 11] * 2
+    labels = sorted(file.name for file in (tmp_path / "a/yolo/labels").iterdir())
+    assert labels == [f"clip_{n:02d}.txt" for n in range(1, 13)]
+
+
+def test_an_import_that_is_refused_says_where_and_why(clip, tmp_path, capsys):
+    content = json.loads((FIXTURES / "cvat_coco/annotations/instances_default.json").read_text())
+    del content["annotations"][2]["attributes"]["track_id"]
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    assert annotate(clip, tmp_path / "a", "--import", str(tmp_path / "a.json")) == 2
+    assert (
+        "a.json, annotations[2] (id 3): the key 'attributes.track_id' is missing" in capsys.readouterr().err
+    )

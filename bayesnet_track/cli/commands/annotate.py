@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +65,7 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
     from bayesnet_track.runtime.annotation.frame_store import FrameStore
     from bayesnet_track.runtime.annotation.session import open_session
     from bayesnet_track.runtime.annotation.tracked import TrackerRuns
+    from bayesnet_track.sources.paths import image_names
     from bayesnet_track.sources.sources import open_source
 
     kept = None
@@ -79,18 +81,20 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
         complain(f"{options.video}: {source.end_reason.replace('_', ' ')} after {len(store)} frames")
     with store:
         header = make_header(options, graph, store, kept)
+        images = image_names(options.video, len(store))
         session, difference = open_session(folder, header)
         if difference:
             complain(f"{folder}: {difference}; boxes between answers may differ from before")
         with closing(session):
             for file in options.imports:
                 with users_mistake():
-                    answers = read_annotations(Path(file), header.video)
+                    answers = read_annotations(Path(file), header.video, images)
                 session.give_new(answers, file)
             runs = TrackerRuns(graph, store, session.header.seed, session.header.max_side)
             is_tracked = session.update(runs) if options.no_view else _show(options, session, store, runs)
             options.stop.is_patient = True
-            write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
+            document = replace(session.document, images=images)
+            write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), document)
     return session, is_whole and is_tracked and not session.annotations.failures
 
 
@@ -211,8 +215,8 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="boxes of another tool, which count as given: COCO, MOT, CVAT for video, Label Studio, or a "
-        "YOLO folder",
+        help="boxes of another tool, which count as given: COCO, MOT, CVAT, Label Studio, a YOLO folder, or "
+        "a zip of one of them",
     )
     annotate.add_argument(
         "--no-view", action="store_true", help="open no page: track, write, and print what is to be asked"

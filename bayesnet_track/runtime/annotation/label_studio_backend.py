@@ -20,8 +20,9 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.annotation.answers import by_target
 from bayesnet_track.runtime.annotation.asking import PATIENCE, THRESHOLD, Asking, annotate_target
-from bayesnet_track.runtime.annotation.formats.document import MismatchError, check_frames
-from bayesnet_track.runtime.annotation.formats.label_studio import key_frames, read_key_frames
+from bayesnet_track.runtime.annotation.formats.document import MismatchError
+from bayesnet_track.runtime.annotation.formats.label_studio import check_frames, key_frames, read_key_frames
+from bayesnet_track.runtime.annotation.formats.rows import answers_of
 from bayesnet_track.runtime.annotation.frame_store import FrameStore, Video
 from bayesnet_track.runtime.annotation.fusing import How, Mark
 from bayesnet_track.runtime.annotation.tracked import TrackerRuns
@@ -154,7 +155,9 @@ class Predictor:
                 given.append(one)
             elif how == "given":  # it ended the region because of what came after it
                 given.append({**one, "enabled": True})
-        answers = by_target(read_key_frames(given, key[1], video, place)).get(key[1], ())
+        task = Path(f"task {key[0]}")
+        rows = read_key_frames(given, (key[1], key[1]), video, place, task)
+        answers = by_target(answers_of(rows, video, task, {key[1]: key[1]})).get(key[1], ())
         if not answers:
             return {}
         marks, _ = annotate_target(key[1], answers, runs, video.frames, self.asking)

@@ -1,11 +1,12 @@
 """Formats of other tools: what is written is read again, and what does not fit the video is refused."""
 
 import json
+import random
 
 import pytest
 
 from bayesnet_track.runtime.annotation.formats.coco import read_coco
-from bayesnet_track.runtime.annotation.formats.cvat import read_cvat
+from bayesnet_track.runtime.annotation.formats.cvat_reading import read_cvat
 from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError, label_of
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations, write_formats
 from bayesnet_track.runtime.annotation.formats.label_studio import read_label_studio
@@ -64,16 +65,27 @@ def test_a_label_is_the_name_without_its_number():
             lambda c: c["images"][2].update(width=640),
             r"images\[2\]: frames of 640x240 px; ",
         ),
-        (
-            lambda c: c["annotations"][3].update(bbox=[400, 0, 5, 5]),
-            r"annotations\[3\]: box 400,0,5,5",
-        ),
         (lambda c: c["annotations"][1].update(image_id=99), r"annotations\[1\]: image_id 99 is none"),
-        (lambda c: c["annotations"][0].pop("track_id"), "no COCO of a video.*track_id"),
-        (lambda c: c["images"][5].update(frame_id=17), r"annotations\[5\]: frame 17 .*frames 0 to 5"),
         (
-            lambda c: [i.pop("frame_id") for i in c["images"]] and c["images"].pop(),
-            "5 images without frame_id",
+            lambda c: c["annotations"][0].pop("track_id"),
+            r"annotations\[0\] \(id 1\): the key 'track_id' is missing.*attributes.track_id",
+        ),
+        (lambda c: c["annotations"][2].pop("bbox"), r"annotations\[2\] \(id 3\): the key 'bbox' is missing"),
+        (lambda c: c["annotations"][4].update(bbox=[1, 2, 3]), r"annotations\[4\]: bbox \[1, 2, 3\]; four"),
+        (lambda c: c["annotations"][5].update(bbox="1,2,3,4"), r"annotations\[5\]: bbox '1,2,3,4'; four"),
+        (lambda c: c["annotations"][5].update(image_id=True), r"annotations\[5\]: image_id True"),
+        (lambda c: c["annotations"].append(7), r"annotations\[6\]: 7; an object"),
+        (lambda c: c.update(images={}), "images: {}; a list"),
+        (lambda c: c["images"][1].update(id=1), "two images have the same id"),
+        (lambda c: c["images"][1].update(video_id=2), "images of 2 videos"),
+        (
+            lambda c: c["images"][1].update(frame_id=float("inf")),
+            r"images\[1\]: frame_id inf; a whole number",
+        ),
+        (lambda c: c["images"][1].update(frame_id=10**400), r"images\[1\]: frame_id a number of many digits"),
+        (
+            lambda c: [a.update(instance_id=a["id"]) for a in c["annotations"]],
+            "two readings: identities by 'track_id', and by 'instance_id'",
         ),
     ],
 )
@@ -90,12 +102,15 @@ def test_a_coco_file_that_does_not_fit_is_refused_with_the_first_mismatch(change
     [
         ("<size>6</size>", "<size>7</size>", "size: 7 frames; the video has 6"),
         ("<width>320</width>", "<width>32</width>", "frames of 32x240 px"),
-        ('frame="4"', 'frame="44"', "frame 44 .*0 to 5"),
         ('frame="4"', 'frame="x"', "frame 'x'"),
-        ('xtl="10.125"', 'xtl="a"', "xtl, ytl"),
-        ("<annotations>", "<annotations><image/>", "CVAT for images"),
+        ('frame="4"', 'frame="²"', "frame '²'"),
+        ('frame="4"', f'frame="{"9" * 5000}"', "frame '9999"),
+        ('xtl="10.125"', 'xtl="a"', "track 0, frame 0: xtl 'a'; a number"),
+        ('xtl="10.125"', "", "track 0, frame 0: xtl of <box> are missing"),
+        ('<track id="0"', '<track id="1" task_id="3" label="cup"/><track id="0"', "2 tasks"),
         ("</annotations>", "", "no XML"),
-        ("<annotations>", "<!DOCTYPE a><annotations>", "declares entities"),
+        ("<annotations>", "<!DOCTYPE a><annotations>", "DOCTYPE"),
+        ("<annotations>", "<!DOCTYPE a [<!ENTITY b 'c'>]><annotations>", "DOCTYPE"),
     ],
 )
 def test_a_cvat_file_that_does_not_fit_is_refused(was, becomes, said, tmp_path):
@@ -125,9 +140,10 @@ def test_key_frames_of_cvat_alone_are_given(tmp_path):
     ("change", "said"),
     [
         (lambda value: value.update(framesCount=8), "framesCount: 8 frames; the video has 6"),
-        (lambda value: value["sequence"][1].update(frame=9), r"frame 9 \(counted from 1\): frame 8"),
-        (lambda value: value["sequence"][1].update(x=130), "outside of the frame"),
-        (lambda value: value["sequence"][1].pop("x"), "no video task of Label Studio"),
+        (lambda value: value["sequence"][1].pop("x"), r"frame 2 \(counted from 1\): the key 'x' is missing"),
+        (lambda value: value["sequence"][1].update(x="a"), r"frame 2 \(counted from 1\): x 'a'; a number"),
+        (lambda value: value["sequence"][1].update(frame=1.5), "frame 1.5; a whole number"),
+        (lambda value: value.pop("sequence"), "result target1, value: the key 'sequence' is missing"),
     ],
 )
 def test_a_label_studio_file_that_does_not_fit_is_refused(change, said, tmp_path):
@@ -140,7 +156,13 @@ def test_a_label_studio_file_that_does_not_fit_is_refused(change, said, tmp_path
 
 @pytest.mark.parametrize(
     ("line", "said"),
-    [("9,1,1,1,5,5,1,-1,-1,-1", r"mot.txt:1: frame 8"), ("1,1,1,1", "mot.txt"), ("1,1,999,1,5,5", "outside")],
+    [
+        ("9,1,1,1,5,5,1,-1,-1,-1", "no box can be used: 1 of 1 box is in frames 8 to 8 .*0 to 5"),
+        ("1,1,1,1", "mot.txt"),
+        ("1,1,999,1,5,5", "outside of the frame of 320x240 px, .*x 999 to 1004, y 1 to 6.*line 1"),
+        ("1,-1,9,1,5,5", "1 of 1 boxes have the identity -1"),
+        ("1,1,9,1,5,5\n1,1,9,1,5,6", "two boxes of identity 1 .*line 1 and at line 2"),
+    ],
 )
 def test_a_mot_file_that_does_not_fit_is_refused(line, said, tmp_path):
     (tmp_path / "mot.txt").write_text(f"{line}\n")
@@ -151,8 +173,7 @@ def test_a_mot_file_that_does_not_fit_is_refused(line, said, tmp_path):
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        (["0 0.5 0.5 0.1 0.1\n0 0.2 0.2 0.1 0.1\n"] * 6, "000000.txt:2: a second box of class 0"),
-        (["0 0.5 0.5 0.1 0.1\n"] * 5, "5 files of labels; the video has 6"),
+        (["0 0.5 0.5 0.1 0.1\n0 0.2 0.2 0.1 0.1\n"] * 6, "a second box of 'class 0', .*000000.txt:2"),
         (["0 160 120 30 40\n"] * 6, "parts of the frame"),
         (["0 0.5 0.5\n"] * 6, "class cx cy w h"),
     ],
@@ -168,3 +189,37 @@ def test_what_is_neither_is_refused(tmp_path):
     (tmp_path / "a.json").write_text("{")
     with pytest.raises(MismatchError, match="no JSON"):
         read_annotations(tmp_path / "a.json", VIDEO)
+
+
+@pytest.mark.parametrize(
+    "images", [(), tuple(f"shot_{n + 40}.JPG" for n in range(6))], ids=["video", "files"]
+)
+@pytest.mark.parametrize("name", list(WRITERS))
+@pytest.mark.parametrize("seed", range(12))
+def test_generated_annotations_come_back(name, seed, images, tmp_path):
+    """Boxes to the digits written, identities with their names, classes, and where targets are gone."""
+    generator = random.Random(seed)
+    targets = {}
+    for label in generator.sample(["car", "person", "lead car", "Fußgänger", "a&b <c>", "\u8eca"], 3):
+        for number in generator.sample(range(1, 99), 1 if name == "yolo" else generator.randint(1, 3)):
+            marks = {}
+            for frame in sorted(generator.sample(range(6), generator.randint(1, 6))):
+                x, y = generator.uniform(-20, 300), generator.uniform(-20, 220)
+                size = generator.uniform(21, 90), generator.uniform(21, 90)
+                marks[frame] = Mark(frame, (x, y, *size), "given", 1.0)
+            targets[f"{label} {number}"] = marks
+    write_formats(tmp_path, (name,), Document(VIDEO, targets, images))
+    found = read_annotations(tmp_path / FILES[name], VIDEO, images)
+    boxes = {(one.target, one.frame): one.box for one in found if one.kind == "box"}
+    names = {target: target for target in targets}
+    if name == "mot":
+        names = {target: f"target {number}" for number, target in enumerate(targets, 1)}
+    elif name == "yolo":
+        names = {target: f"{label_of(target)} 1" for target in targets}
+    expected = {(names[target], n): mark.box for target, own in targets.items() for n, mark in own.items()}
+    assert boxes.keys() == expected.keys()
+    for key, box in boxes.items():
+        assert box == pytest.approx(expected[key], abs=0.0021)
+    if name == "coco":
+        content = json.loads((tmp_path / "coco.json").read_text())
+        assert images == () or [one["file_name"] for one in content["images"]] == list(images)

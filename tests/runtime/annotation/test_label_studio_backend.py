@@ -116,7 +116,7 @@ def test_a_key_frame_that_somebody_disabled_ends_the_region(predictor, video):
     [
         (region(key_frame(0, (1, 1, 9, 9)), frames=24), "framesCount: 24 frames; the video has 8"),
         (region(key_frame(20, (1, 1, 9, 9))), "the video has frames 0 to 7"),
-        (region(key_frame(0, (900, 1, 9, 9))), "it lies outside of the frame"),
+        (region(key_frame(0, (900, 1, 9, 9))), "1 of 1 box is outside of the frame of 320x240 px"),
     ],
 )
 def test_a_region_that_does_not_fit_the_video_is_refused(predictor, video, drawn, said):

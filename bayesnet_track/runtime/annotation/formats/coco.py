@@ -3,20 +3,41 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.runtime.annotation.answers import Answer
+from bayesnet_track.runtime.annotation.answers import Answer, Box
 from bayesnet_track.runtime.annotation.formats.document import (
     Document,
     MismatchError,
     check_size,
-    given_box,
     label_of,
-    number_names,
     tidy,
 )
+from bayesnet_track.runtime.annotation.formats.numbering import first_of_numbers, frames_of_names
+from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
+from bayesnet_track.runtime.annotation.formats.shapes import box_around, mask_box, pairs, turned_box
+from bayesnet_track.runtime.annotation.formats.texts import (
+    corner_box,
+    identity,
+    listed,
+    needed,
+    number,
+    read_json,
+    whole,
+)
 from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.sources.entrances.notices import notice
+
+IDENTITIES = (
+    (None, "track_id"),
+    ("attributes", "track_id"),
+    (None, "instance_id"),
+    ("attributes", "instance_id"),
+    ("attributes", "id"),
+)
+"""Object in the annotation (None: itself) and key of the identity, as tools write it; the first is taken."""
 
 
 def as_coco(document: Document) -> bytes:
@@ -43,7 +64,7 @@ def as_coco(document: Document) -> bytes:
         "images": [
             {
                 "id": frame + 1,
-                "file_name": f"{frame:06d}.jpg",
+                "file_name": document.image(frame),
                 "width": video.width,
                 "height": video.height,
                 "video_id": 1,
@@ -66,63 +87,169 @@ def as_coco(document: Document) -> bytes:
     return (json.dumps(content, allow_nan=False) + "\n").encode()
 
 
-def read_coco(path: Path, video: Video) -> list[Answer]:
+def read_coco(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answer]:
     """Boxes as given: all of them, or those that say so where a file says where its boxes come from.
 
-    Images are frames by their `frame_id`, else in the order of their file names.
+    Images are frames by their `frame_id`, else by their file names, of which `images` has those of the video.
 
     Raises:
-        MismatchError: it does not fit the video, or is no COCO with `track_id`.
+        MismatchError: it does not fit the video, or is no COCO with identities.
         OSError: it cannot be read.
     """
-    content = read_json(path)
-    try:
-        frame_of = _frames(content["images"], video, path)
-        labels = {one["id"]: str(one["name"]) for one in content.get("categories", ())}
-        tracks = {one["id"]: one for one in content.get("tracks", ())}
-        rows = list(enumerate(content["annotations"]))
-        names = {str(number): str(one["name"]) for number, one in tracks.items()}
-        keys = [(str(one["track_id"]), labels.get(one["category_id"], "target")) for _, one in rows]
-        names = {**number_names(keys), **names}
-        answers = []
-        for number, one in rows:
-            place = f"{path}, annotations[{number}]"
-            if one["image_id"] not in frame_of:
-                raise MismatchError(f"{place}: image_id {one['image_id']!r} is none of its images")
-            if one.get("attributes", {}).get("how", "given") == "given":
-                name = names[str(one["track_id"])]
-                answers.append(given_box(frame_of[one["image_id"]], name, one["bbox"], video, place))
-        for number, one in tracks.items():
-            answers += gone_answers(names[str(number)], one.get("gone", ()), video)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise MismatchError(
-            f"{path}: no COCO of a video: images, annotations with image_id, track_id, category_id and bbox "
-            f"are needed; {error!s} is not as it should be"
-        ) from error
-    return answers
+    content = needed(read_json(path), ("images", "annotations"), str(path))
+    frame_of = _frames(listed(content["images"], f"{path}, images"), video, images, path)
+    labels = {}
+    for n, one in enumerate(listed(content.get("categories", []), f"{path}, categories")):
+        place = f"{path}, categories[{n}]"
+        category = needed(one, ("id", "name"), place)
+        labels[identity(category["id"], "id", place)] = str(category["name"])
+    given = listed(content["annotations"], f"{path}, annotations")
+    rows = list(
+        _rows([needed(*_placed(path, n, one)) for n, one in enumerate(given)], frame_of, labels, path)
+    )
+    names: dict[Hashable, str] = {}
+    for n, one in enumerate(listed(content.get("tracks", []), f"{path}, tracks")):
+        place = f"{path}, tracks[{n}]"
+        track = needed(one, ("id",), place)
+        key = identity(track["id"], "id", place)
+        if "name" in track:
+            names[key] = str(track["name"])
+        frames = {whole(frame, "gone", place) for frame in listed(track.get("gone", []), f"{place}, gone")}
+        starts = sorted(frame for frame in frames if frame - 1 not in frames)
+        rows += [Row(f"tracks[{n}]", frame, key, "", None) for frame in starts]
+    return answers_of(rows, video, path, names)
 
 
-def gone_answers(target: str, frames: Any, video: Video) -> list[Answer]:
-    """An answer where each stretch of `frames` without the target begins."""
-    gone = {int(frame) for frame in frames if 0 <= int(frame) < video.frames}
-    return [Answer("gone", frame, target) for frame in sorted(gone) if frame - 1 not in gone]
+def _placed(path: Path, n: int, one: object) -> tuple[object, tuple[str, ...], str]:
+    return one, ("image_id",), f"{path}, annotations[{n}]"
 
 
-def read_json(path: Path) -> Any:
-    """The content of a JSON file; raises MismatchError where it is none."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise MismatchError(f"{path}: it is no JSON ({error})") from error
+def _frames(given: list[Any], video: Video, images: Sequence[str], path: Path) -> dict[str, int]:
+    """Image id -> frame."""
+    found = [needed(one, ("id",), f"{path}, images[{n}]") for n, one in enumerate(given)]
+    for n, one in enumerate(found):
+        if one.get("width") is not None and one.get("height") is not None:
+            check_size(one["width"], one["height"], video, f"{path}, images[{n}]")
+    videos = {identity(one["video_id"], "video_id", str(path)) for one in found if "video_id" in one}
+    if len(videos) > 1:
+        raise MismatchError(f"{path}: images of {len(videos)} videos; those of one are needed")
+    ids = [identity(one["id"], "id", f"{path}, images[{n}]") for n, one in enumerate(found)]
+    if len(set(ids)) < len(ids):
+        raise MismatchError(f"{path}: two images have the same id")
+    if found and all("frame_id" in one for one in found):
+        numbers = [whole(one["frame_id"], "frame_id", f"{path}, images[{n}]") for n, one in enumerate(found)]
+        first = first_of_numbers(numbers, video.frames)
+        if first is not None:
+            if first == 1:
+                notice(f"{path}: its frame_id count from 1")
+            return {key: value - first for key, value in zip(ids, numbers, strict=True)}
+    names = [
+        str(needed(one, ("file_name",), f"{path}, images[{n}]")["file_name"]) for n, one in enumerate(found)
+    ]
+    if len(set(names)) < len(names):
+        raise MismatchError(f"{path}: two images have the same file_name")
+    frames = frames_of_names(names, video, images, f"{path}, images") if names else {}
+    return {key: frames[name] for key, name in zip(ids, names, strict=True)}
 
 
-def _frames(images: Any, video: Video, path: Path) -> dict[Any, int]:
-    for number, one in enumerate(images):
-        check_size(one["width"], one["height"], video, f"{path}, images[{number}]")
-    if all("frame_id" in one for one in images):
-        return {one["id"]: int(one["frame_id"]) for one in images}
-    if len(images) != video.frames:
-        raise MismatchError(
-            f"{path}: {len(images)} images without frame_id; the video has {video.frames} frames"
+def _rows(
+    annotations: Sequence[Mapping[str, Any]],
+    frame_of: Mapping[str, int],
+    labels: Mapping[str, str],
+    path: Path,
+) -> Iterator[Row]:
+    keys = _identities(annotations, path)
+    left = 0
+    box: Box | None
+    for n, (one, key) in enumerate(zip(annotations, keys, strict=True)):
+        place = f"{path}, annotations[{n}]"
+        image = identity(one["image_id"], "image_id", place)
+        if image not in frame_of:
+            raise MismatchError(f"{place}: image_id {one['image_id']!r} is none of its images")
+        attributes = _attributes(one)
+        if attributes.get("how", "given") != "given":
+            continue
+        if attributes.get("keyframe", True) is False:
+            left += 1
+            continue
+        category = one.get("category_id")
+        label = labels.get(str(category), "target" if category is None else f"class {category}")
+        box, shape = (None, "") if attributes.get("outside") is True else _box(one, place)
+        yield Row(f"annotations[{n}]", frame_of[image], key, label, box, shape)
+    if left:
+        notice(
+            f"{path}: {left} of {len(annotations)} boxes are interpolated ones (keyframe false), and are "
+            "left to the tracker"
         )
-    return {one["id"]: n for n, one in enumerate(sorted(images, key=lambda one: str(one["file_name"])))}
+
+
+def _attributes(one: Mapping[str, Any]) -> Mapping[str, Any]:
+    found = one.get("attributes")
+    return found if isinstance(found, Mapping) else {}
+
+
+def _identities(annotations: Sequence[Mapping[str, Any]], path: Path) -> list[str]:
+    """The identity of each annotation, all by the first key that any of them has."""
+    places = {
+        (inside, key): [(one if inside is None else _attributes(one)).get(key) for one in annotations]
+        for inside, key in IDENTITIES
+    }
+    found = {where: values for where, values in places.items() if any(value is not None for value in values)}
+    if not annotations:
+        return []
+    (inside, key), values = next(iter(found.items()), ((None, "track_id"), [None] * len(annotations)))
+    name = key if inside is None else f"{inside}.{key}"
+    if None in values:
+        n = values.index(None)
+        known = ", ".join(key if inside is None else f"{inside}.{key}" for inside, key in IDENTITIES)
+        raise MismatchError(
+            f"{path}, annotations[{n}] (id {annotations[n].get('id')!r}): the key {name!r} is missing, which "
+            f"says which target it is; keys that are looked for: {known}"
+        )
+    keys = [identity(value, name, f"{path}, annotations[{n}]") for n, value in enumerate(values)]
+    for (other, called), others in found.items():
+        if called != "id" and None not in others and _differ(keys, others):
+            shown = called if other is None else f"{other}.{called}"
+            raise MismatchError(
+                f"{path}: it fits two readings: identities by {name!r}, and by {shown!r}, differ"
+            )
+    return keys
+
+
+def _differ(keys: Sequence[str], others: Sequence[object]) -> bool:
+    """Whether two columns of identities part the annotations otherwise."""
+    both = len({(key, str(other)) for key, other in zip(keys, others, strict=True)})
+    return both != len(set(keys)) or both != len({str(other) for other in others})
+
+
+def _box(one: Mapping[str, Any], place: str) -> tuple[Box, str]:
+    """The box of an annotation, and what it was made of."""
+    turn = number(_attributes(one).get("rotation") or 0, "rotation", place)
+    around = one.get("segmentation")
+    if not one.get("bbox") or (turn and around):
+        if not around:
+            raise MismatchError(
+                f"{place} (id {one.get('id')!r}): the key 'bbox' is missing, and 'segmentation'"
+            )
+        return _segmented(around, place)
+    box = corner_box(one["bbox"], "bbox", place)
+    return (turned_box(box, turn), "rotated box") if turn else (box, "")
+
+
+def _segmented(around: Any, place: str) -> tuple[Box, str]:
+    try:
+        if isinstance(around, Mapping):
+            height = whole(listed(around.get("size"), f"{place}, size")[0], "size", place)
+            counts = around.get("counts")
+            if not isinstance(counts, str | list):
+                raise ValueError("counts are missing")
+            return mask_box(counts, height), "mask"
+        polygons = listed(around, f"{place}, segmentation")
+        values = [
+            pairs(number(value, "segmentation", place) for value in listed(one, place)) for one in polygons
+        ]
+        return box_around([point for one in values for point in one]), "polygon"
+    except (ValueError, IndexError) as error:
+        if isinstance(error, MismatchError):
+            raise
+        raise MismatchError(f"{place}: segmentation is neither polygons nor a mask ({error})") from error

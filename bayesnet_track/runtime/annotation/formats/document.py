@@ -1,12 +1,13 @@
-"""What every format is written from and read to, and how a file is refused that does not fit the video."""
+"""What every format is written from, and how a file is refused that does not fit the video."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 
-from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, Box, read_box
+from bayesnet_track.runtime.annotation.answers import Box
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.fusing import Mark
 
@@ -19,10 +20,15 @@ class MismatchError(ValueError):
 
 @dataclass(frozen=True)
 class Document:
-    """Annotations of a video: target -> frame -> mark."""
+    """Annotations of a video: target -> frame -> mark.
+
+    Attributes:
+        images: names of the files that the frames come from; empty where they are not image files.
+    """
 
     video: Video
     marks: Marks
+    images: Sequence[str] = ()
 
     @property
     def labels(self) -> dict[str, int]:
@@ -38,35 +44,19 @@ class Document:
                 if box is not None:
                     yield number, target, own[frame], box
 
+    def image(self, frame: int) -> str:
+        """The file name of a frame: that of its source, or else its number."""
+        return self.images[frame] if self.images else f"{frame:06d}.jpg"
+
+    def image_stem(self, frame: int) -> str:
+        """The same without its suffix; the number where two images differ in nothing but that."""
+        stems = {PurePath(name).stem for name in self.images}
+        return PurePath(self.image(frame)).stem if len(stems) == len(self.images) else f"{frame:06d}"
+
 
 def label_of(target: str) -> str:
     """What a target is: its name without the number at its end ("ball 2" is a ball)."""
     return re.sub(r"[ _#-]*\d+$", "", target) or "target"
-
-
-def number_names(labels: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Key of a target in a file -> its name here, from (key, label): "ball 1", "ball 2"."""
-    counts: dict[str, int] = {}
-    names = {}
-    for key, label in labels:
-        if key not in names:
-            counts[label] = counts.get(label, 0) + 1
-            names[key] = f"{label} {counts[label]}"
-    return names
-
-
-def given_box(frame: int, target: str, box: Iterable[float], video: Video, place: str) -> Answer:
-    """A box of a file as an answer; raises MismatchError at `place`."""
-    if not 0 <= frame < video.frames:
-        raise MismatchError(
-            f"{place}: frame {frame} (counted from 0); the video has frames 0 to {video.frames - 1}"
-        )
-    try:
-        return Answer(
-            "box", frame, target, read_box([float(value) for value in box], video.width, video.height)
-        )
-    except (AnswerError, ValueError, TypeError) as error:
-        raise MismatchError(f"{place}: {error}") from error
 
 
 def check_size(width: object, height: object, video: Video, place: str) -> None:
@@ -75,12 +65,6 @@ def check_size(width: object, height: object, video: Video, place: str) -> None:
         raise MismatchError(
             f"{place}: frames of {width}x{height} px; the video has {video.width}x{video.height} px"
         )
-
-
-def check_frames(frames: object, video: Video, place: str) -> None:
-    """Refuse another number of frames; raises MismatchError."""
-    if frames != video.frames:
-        raise MismatchError(f"{place}: {frames} frames; the video has {video.frames}")
 
 
 def tidy(value: float, digits: int = 3) -> float:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import output_error
 from bayesnet_track.runtime.annotation.answers import Answer
-from bayesnet_track.runtime.annotation.formats.coco import as_coco, read_coco, read_json
-from bayesnet_track.runtime.annotation.formats.cvat import as_cvat, read_cvat
+from bayesnet_track.runtime.annotation.formats.archives import annotations_in, unpacked
+from bayesnet_track.runtime.annotation.formats.coco import as_coco, read_coco
+from bayesnet_track.runtime.annotation.formats.cvat import as_cvat
+from bayesnet_track.runtime.annotation.formats.cvat_reading import read_cvat
 from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError
 from bayesnet_track.runtime.annotation.formats.label_studio import as_label_studio, read_label_studio
 from bayesnet_track.runtime.annotation.formats.mot import as_mot, read_mot
+from bayesnet_track.runtime.annotation.formats.texts import read_json
 from bayesnet_track.runtime.annotation.formats.yolo import as_yolo, read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
 
@@ -37,22 +40,26 @@ def write_formats(folder: Path, formats: tuple[str, ...], document: Document) ->
             write_atomically(folder / file, data)
 
 
-def read_annotations(path: Path, video: Video) -> list[Answer]:
-    """The answers that a file of any format gives; it is known by what it holds.
+def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answer]:
+    """The answers that a file, a folder or a zip of any format gives; it is known by what it holds.
+
+    `images` are the names of the files that the frames come from, if there are such.
 
     Raises:
         MismatchError: it does not fit the video; says the first mismatch.
         OSError: it cannot be read.
     """
-    if path.is_dir():
-        return read_yolo(path, video)
-    if path.suffix.lower() == ".xml":
-        return read_cvat(path, video)
-    if path.suffix.lower() != ".json":
-        return read_mot(path, video)
-    content = read_json(path)
-    if isinstance(content, dict) and "images" in content:
-        return read_coco(path, video)
-    if isinstance(content, dict | list):
-        return read_label_studio(path, video)
+    with unpacked(path) as place:
+        found = annotations_in(place) if place.is_dir() else place
+        if found.is_dir():
+            return read_yolo(found, video, images)
+        if found.suffix.lower() == ".xml":
+            return read_cvat(found, video, images)
+        if found.suffix.lower() != ".json":
+            return read_mot(found, video)
+        content = read_json(found)
+        if isinstance(content, dict) and "images" in content:
+            return read_coco(found, video, images)
+        if isinstance(content, dict | list):
+            return read_label_studio(found, video)
     raise MismatchError(f"{path}: neither COCO nor Label Studio")

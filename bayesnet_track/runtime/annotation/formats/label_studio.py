@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Hashable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from bayesnet_track.runtime.annotation.answers import Answer
-from bayesnet_track.runtime.annotation.formats.coco import read_json
-from bayesnet_track.runtime.annotation.formats.document import (
-    Document,
-    MismatchError,
-    check_frames,
-    given_box,
-    label_of,
-    number_names,
-    tidy,
-)
+from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError, label_of, tidy
+from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
+from bayesnet_track.runtime.annotation.formats.shapes import turned_box
+from bayesnet_track.runtime.annotation.formats.texts import listed, needed, number, read_json, whole
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.fusing import Mark
+from bayesnet_track.sources.entrances.notices import notice
 
 
 def as_label_studio(document: Document) -> bytes:
@@ -74,57 +71,97 @@ def read_label_studio(path: Path, video: Video) -> list[Answer]:
         MismatchError: it does not fit the video, or is no video task of Label Studio.
         OSError: it cannot be read.
     """
-    content = read_json(path)
-    try:
-        tasks = content if isinstance(content, list) else [content]
-        if len(tasks) != 1:
-            raise MismatchError(f"{path}: {len(tasks)} tasks; one of one video is needed")
-        (task,) = tasks
-        results = [
-            one
-            for annotation in task["annotations"][:1]
-            for one in annotation["result"]
-            if one["type"] == "videorectangle"
-        ]
-        labels = [str((one["value"].get("labels") or ["target"])[0]) for one in results]
-        names = number_names((str(n), label) for n, label in enumerate(labels))
-        answers = []
-        for number, one in enumerate(results):
-            place = f"{path}, result {one.get('id', number)}"
-            if "framesCount" in one["value"]:
-                check_frames(one["value"]["framesCount"], video, f"{place}, framesCount")
-            meta = one.get("meta")
-            given = meta.get("given") if isinstance(meta, dict) else None
-            answers += [*read_key_frames(one["value"]["sequence"], names[str(number)], video, place, given)]
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
+    results = _results(read_json(path), path)
+    rows: list[Row] = []
+    names: dict[Hashable, str] = {}
+    for n, one in enumerate(results):
+        place = f"result {one.get('id', n)}"
+        value = needed(one["value"], ("sequence",), f"{path}, {place}, value")
+        if "framesCount" in value:
+            check_frames(value["framesCount"], video, f"{path}, {place}, framesCount")
+        meta = one.get("meta")
+        given = meta.get("given") if isinstance(meta, Mapping) else None
+        if given is not None and isinstance(meta, Mapping) and meta.get("text"):
+            names[n] = str(listed(meta["text"], f"{path}, {place}, meta")[0])
+        labels = value.get("labels") or value.get("rectanglelabels") or ["target"]
+        label = str(listed(labels, f"{path}, {place}, labels")[0])
+        rows += read_key_frames(value["sequence"], (n, label), video, place, path, given)
+    return answers_of(rows, video, path, names)
+
+
+def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
+    """The regions of the task's annotation, of an export as JSON or as JSON_MIN."""
+    tasks = content if isinstance(content, list) else [content]
+    if len(tasks) != 1:
+        raise MismatchError(f"{path}: {len(tasks)} tasks; one of one video is needed")
+    task = needed(tasks[0], (), f"{path}, task")
+    if "annotations" not in task:
+        regions = [one for values in task.values() if isinstance(values, list) for one in values]
+        values = [one for one in regions if isinstance(one, Mapping) and "sequence" in one]
+        if not values:
+            raise MismatchError(
+                f"{path}: no video task of Label Studio: the key 'annotations' is missing, or the regions of "
+                f"JSON_MIN; it has {', '.join(map(str, task)) or 'none'}"
+            )
+        return [{"value": value} for value in values]
+    annotations = [
+        needed(one, ("result",), f"{path}, annotations[{n}]")
+        for n, one in enumerate(listed(task["annotations"], f"{path}, annotations"))
+    ]
+    done = [one for one in annotations if one.get("was_cancelled") is not True]
+    if len(done) != 1:
+        ids = ", ".join(str(one.get("id")) for one in done)
         raise MismatchError(
-            f"{path}: no video task of Label Studio: annotations with results of type videorectangle are "
-            f"needed; {error!s} is not as it should be"
-        ) from error
-    return answers
+            f"{path}: the task has {len(done)} annotations"
+            + (f" (id {ids}); leave the one that is meant" if done else "")
+        )
+    found = listed(done[0]["result"], f"{path}, result")
+    results = [needed(one, ("type", "value"), f"{path}, result[{n}]") for n, one in enumerate(found)]
+    others = Counter(str(one["type"]) for one in results if one["type"] != "videorectangle")
+    for kind, count in others.items():
+        notice(f"{path}: {count} results of type {kind} are no boxes of a video, and are not used")
+    return [one for one in results if one["type"] == "videorectangle"]
 
 
 def read_key_frames(
-    sequence: Iterable[Mapping[str, Any]],
-    name: str,
+    sequence: object,
+    target: tuple[Hashable, str],
     video: Video,
     place: str,
+    path: Path,
     given: Collection[int] | None = None,
-) -> Iterator[Answer]:
-    """Key frames as boxes of the target `name`, and where the target is gone.
+) -> Iterator[Row]:
+    """Key frames as boxes of the target, its identity and label, and where it is gone.
 
     Boxes count only in the frames `given` (from 1), if there is such a list. Raises MismatchError.
     """
-    for one in sorted(sequence, key=lambda one: int(one["frame"])):
-        frame = int(one["frame"]) - 1
-        box = (
-            float(one["x"]) * video.width / 100.0,
-            float(one["y"]) * video.height / 100.0,
-            float(one["width"]) * video.width / 100.0,
-            float(one["height"]) * video.height / 100.0,
+    key, label = target
+    here = f"{path}, {place}"
+    frames = [needed(one, ("frame",), here) for one in listed(sequence, f"{here}, sequence")]
+    numbered = sorted(((whole(one["frame"], "frame", here) - 1, one) for one in frames), key=itemgetter(0))
+    for n, (frame, one) in enumerate(numbered):
+        where = f"{place}, frame {frame + 1} (counted from 1)"
+        needed(one, ("x", "y", "width", "height"), f"{path}, {where}")
+        x, w = (number(one[side], side, f"{path}, {where}") * video.width / 100.0 for side in ("x", "width"))
+        y, h = (
+            number(one[side], side, f"{path}, {where}") * video.height / 100.0 for side in ("y", "height")
         )
-        answer = given_box(frame, name, box, video, f"{place}, frame {frame + 1} (counted from 1)")
+        turn = number(one.get("rotation") or 0, "rotation", f"{path}, {where}")
+        box = turned_box((x, y, w, h), turn, corner=True) if turn else (x, y, w, h)
         if given is None or frame + 1 in given:
-            yield answer
-        if not one.get("enabled", True) and frame + 1 < video.frames:
-            yield Answer("gone", frame + 1, name)
+            yield Row(where, frame, key, label, box, "rotated box" if turn else "")
+        then = numbered[n + 1][0] if n + 1 < len(numbered) else None
+        if one.get("enabled", True) is False and then != frame + 1:
+            yield Row(where, frame + 1, key, label, None)
+
+
+def check_frames(frames: object, video: Video, place: str) -> None:
+    """Refuse another number of frames; one more or less comes of rounding. Raises MismatchError."""
+    found = whole(frames, "framesCount", place)
+    if abs(found - video.frames) > 1:
+        raise MismatchError(
+            f"{place}: {found} frames; the video has {video.frames}: `frameRate` of <Video> in the labelling "
+            "configuration has to be that of the video"
+        )
+    if found != video.frames:
+        notice(f"{place}: {found} frames; the video has {video.frames}")

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from bayesnet_track.runtime.annotation.answers import Answer
-from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError, given_box
+from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError
+from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.sources.mot_lines import parse_mot, read_text
+from bayesnet_track.sources.entrances.notices import few, notice
+from bayesnet_track.sources.mot_lines import MotLines, parse_mot, read_text
+
+NO_TRACK = -1
 
 
 def as_mot(document: Document) -> bytes:
@@ -23,6 +28,8 @@ def as_mot(document: Document) -> bytes:
 def read_mot(path: Path, video: Video) -> list[Answer]:
     """Every box as given: target N is the file's identity N. Frames without a box say nothing.
 
+    A class that the file, or CVAT's `labels.txt` beside it, gives a name to is the target's: "car 3".
+
     Raises:
         MismatchError: it does not fit the video, or is no MOT.
         OSError: it cannot be read.
@@ -31,9 +38,33 @@ def read_mot(path: Path, video: Video) -> list[Answer]:
         lines = parse_mot(read_text(path), str(path))
     except ValueError as error:
         raise MismatchError(str(error)) from error
-    return [
-        given_box(int(frame), f"target {int(number)}", box, video, lines.place(row))
-        for row, (frame, number, box) in enumerate(
-            zip(lines.frames, lines.ids, lines.boxes.tolist(), strict=True)
-        )
-    ]
+    rows = list(_rows(lines, _classes(path)))
+    free = [row for row in rows if row.key == NO_TRACK]
+    if free:
+        said = f"{len(free)} of {len(rows)} boxes have the identity -1, so that no target is known"
+        if len(free) == len(rows):
+            raise MismatchError(f"{path}: {said}")
+        notice(f"{path}: {said}, and are left out: at {few([row.place for row in free])}")
+        rows = [row for row in rows if row.key != NO_TRACK]
+    return answers_of(rows, video, path, {row.key: f"{row.label} {row.key}" for row in rows})
+
+
+def _rows(lines: MotLines, classes: list[str]) -> Iterator[Row]:
+    columns = (lines.numbers, lines.frames, lines.ids, lines.boxes, lines.classes)
+    for number, frame, identity, box, kind in zip(*(one.tolist() for one in columns), strict=True):
+        yield Row(f"line {number}", frame, identity, _label(kind, classes), tuple(box))
+
+
+def _label(kind: str, classes: list[str]) -> str:
+    """The name of a class that a file gives by name, or by number where `labels.txt` has the names."""
+    try:
+        number = int(float(kind)) - 1
+    except (ValueError, OverflowError):
+        return kind or "target"
+    return classes[number] if 0 <= number < len(classes) else "target"
+
+
+def _classes(path: Path) -> list[str]:
+    file = path.with_name("labels.txt")
+    is_there = file.is_file() and file != path
+    return [line.strip() or "target" for line in read_text(file).rstrip().split("\n")] if is_there else []

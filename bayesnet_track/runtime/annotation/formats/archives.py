@@ -1,0 +1,80 @@
+"""Which file of a folder or of a zip holds the annotations, as other tools lay them out."""
+
+from __future__ import annotations
+
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bayesnet_track.runtime.annotation.formats.document import MismatchError
+from bayesnet_track.sources.entrances.notices import heard, notice
+from bayesnet_track.sources.paths import is_junk
+
+TEXTS = frozenset({".xml", ".json", ".txt", ".names", ".data", ".yaml", ".yml", ".ini"})
+MOST_BYTES = 1 << 30
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """The folder with the texts of a zip, which is gone afterwards; any other path as it is.
+
+    Errors and notices name files below the zip.
+
+    Raises:
+        MismatchError: the zip is damaged, has a password or holds more than 1 GiB of text.
+    """
+    if path.is_dir() or not zipfile.is_zipfile(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="bayesnet_track_zip_") as folder:
+        root = Path(folder) / path.name
+        root.mkdir()
+        _unpack(path, root)
+        said: list[str] = []
+        try:
+            with heard(said.append):
+                yield root
+        except MismatchError as error:
+            raise MismatchError(str(error).replace(str(root), str(path))) from error
+        for sentence in said:
+            notice(sentence.replace(str(root), str(path)))
+
+
+def _unpack(path: Path, root: Path) -> None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [one for one in archive.infolist() if _is_text(one.filename)]
+            if sum(one.file_size for one in members) > MOST_BYTES:
+                raise MismatchError(f"{path}: more than 1 GiB of text in it; unzip it")
+            for member in members:
+                archive.extract(member, root)
+    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, ValueError) as error:
+        if isinstance(error, MismatchError):
+            raise
+        raise MismatchError(f"{path}: the zip cannot be read ({error}); unzip it") from error
+
+
+def _is_text(name: str) -> bool:
+    inside = Path(name)
+    return not name.endswith("/") and inside.suffix.lower() in TEXTS and not is_junk(inside)
+
+
+def annotations_in(folder: Path) -> Path:
+    """The annotations of a folder: its file in a known place, or itself where it is a folder of YOLO.
+
+    CVAT writes `annotations.xml`, `annotations/instances_default.json` and `gt/gt.txt`. Raises MismatchError
+    where several would do.
+    """
+    known = [folder / "annotations.xml", folder / "gt" / "gt.txt"]
+    known += sorted(folder.glob("annotations/instances_*.json"))
+    found = [file for file in known if file.is_file()]
+    texts = (file for file in folder.rglob("*.txt") if not is_junk(file.relative_to(folder)))
+    if not found and next(texts, None) is None:
+        others = [*folder.glob("*.xml"), *folder.glob("*.json"), *folder.glob("annotations/*.json")]
+        found = sorted(file for file in others if not is_junk(file))
+    if len(found) > 1:
+        names = ", ".join(str(file.relative_to(folder)) for file in found)
+        raise MismatchError(f"{folder}: {names}: name the one that is meant")
+    return found[0] if found else folder

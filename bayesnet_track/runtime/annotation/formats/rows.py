@@ -1,0 +1,185 @@
+"""The rows of a file as answers: what cannot be used is left out and said, what contradicts is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayesnet_track.runtime.annotation.answers import Answer, Box
+from bayesnet_track.runtime.annotation.formats.document import MismatchError
+from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
+from bayesnet_track.sources.entrances.notices import few, notice
+
+NO_FRAME = -1
+"""The frame of a row whose image is none of the video."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A box in a file, or where a target goes.
+
+    Attributes:
+        place: where in the file, for messages.
+        frame: from 0; may be none of the video.
+        key: the identity in the file.
+        label: its class.
+        box: x, y, width, height in px, as it stands there; None: the target is gone from this frame on.
+        shape: what an upright box was made of, such as "rotated box"; empty of a box.
+    """
+
+    place: str
+    frame: int
+    key: Hashable
+    label: str
+    box: Box | None
+    shape: str = ""
+
+
+def answers_of(
+    rows: Iterable[Row],
+    video: Video,
+    path: Path,
+    names: Mapping[Hashable, str] | None = None,
+    unnamed: str = "",
+) -> list[Answer]:
+    """The answers that rows give.
+
+    `names` are those of identities in the file; others are named by label and number: "ball 1", "ball 2".
+    `unnamed` says, of a format without identities, why two boxes of a label in a frame are refused. Warns of
+    every row that is left out, and of every shape that is not an upright box.
+
+    Raises:
+        MismatchError: no row can be used, or a target has two boxes in a frame.
+    """
+    rows = list(rows)
+    boxes = [row for row in rows if row.box is not None]
+    kept, said = _fitting(boxes, video)
+    if boxes and not kept:
+        raise MismatchError(f"{path}: no box can be used: {'; '.join(said)}")
+    shapes = Counter(row.shape for row in kept if row.shape)
+    said += [f"{_of(count, len(kept))} the upright box around a {shape}" for shape, count in shapes.items()]
+    kept, more = _once(kept, path, unnamed)
+    labels, others = _labels(kept)
+    for sentence in [*said, *more, *others] if rows else ["it holds no box"]:
+        notice(f"{path}: {sentence}")
+    named = number_names(labels, names or {})
+    gone = [row for row in rows if row.box is None and row.key in named and 0 <= row.frame < video.frames]
+    return [
+        Answer("gone" if row.box is None else "box", row.frame, named[row.key], row.box)
+        for row in [*kept, *gone]
+    ]
+
+
+def _fitting(boxes: list[Row], video: Video) -> tuple[list[Row], list[str]]:
+    """The rows in the video and in its frames, and sentences about the others."""
+    said = []
+    corners = np.array([row.box for row in boxes], dtype=np.float64).reshape(-1, 4)
+    good = usable(corners).tolist()
+    bad = [row.place for row, fits in zip(boxes, good, strict=True) if not fits]
+    if bad:
+        said.append(describe_unusable(len(boxes), bad, "at"))
+    boxes = [row for row, fits in zip(boxes, good, strict=True) if fits]
+    strange = [row for row in boxes if row.frame == NO_FRAME]
+    if strange:
+        said.append(
+            f"{_of(len(strange), len(boxes))} in images that the video does not have, and left out: "
+            f"at {few([row.place for row in strange])}"
+        )
+    late = [row.frame for row in boxes if row.frame != NO_FRAME and not 0 <= row.frame < video.frames]
+    if late:
+        said.append(
+            f"{_of(len(late), len(boxes))} in frames {min(late)} to {max(late)} (counted from 0), and left "
+            f"out; the video has frames 0 to {video.frames - 1}: is it the file of this video, "
+            "and of its frame rate?"
+        )
+    boxes = [row for row in boxes if 0 <= row.frame < video.frames]
+    outside = [row for row in boxes if row.box is not None and _is_outside(row.box, video)]
+    if outside:
+        x, y, right, bottom = _extent(outside)
+        said.append(
+            f"{_of(len(outside), len(boxes))} outside of the frame of {video.width}x{video.height} px, and "
+            f"left out (x {x:g} to {right:g}, y {y:g} to {bottom:g}): at "
+            f"{few([row.place for row in outside])}"
+        )
+    left_out = {id(row) for row in outside}
+    return [row for row in boxes if id(row) not in left_out], said
+
+
+def _of(count: int, total: int) -> str:
+    """How many of all boxes are.
+
+    >>> _of(1, 1), _of(2, 9)
+    ('1 of 1 box is', '2 of 9 boxes are')
+    """
+    return f"{count} of {total} box{'es' * (total != 1)} {'is' if count == 1 else 'are'}"
+
+
+def _is_outside(box: Box, video: Video) -> bool:
+    x, y, w, h = box
+    return x >= video.width or y >= video.height or x + w <= 0 or y + h <= 0
+
+
+def _extent(rows: Sequence[Row]) -> Box:
+    boxes = np.array([row.box for row in rows])
+    x, y = boxes[:, :2].min(axis=0)
+    right, bottom = (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
+    return float(x), float(y), float(right), float(bottom)
+
+
+def _once(rows: list[Row], path: Path, unnamed: str) -> tuple[list[Row], list[str]]:
+    """Each target once in a frame; raises MismatchError where its boxes differ."""
+    first: dict[tuple[Hashable, int], Row] = {}
+    for row in rows:
+        before = first.setdefault((row.key, row.frame), row)
+        if before.box != row.box:
+            why = (
+                f"a second box of {row.label!r}, at {before.place} and at {row.place}; {unnamed}"
+                if unnamed
+                else f"two boxes of identity {row.key} ({row.label}), at {before.place} and at {row.place}; "
+                "a target has one box in a frame"
+            )
+            raise MismatchError(f"{path}, frame {row.frame} (counted from 0): {why}")
+    again = len(rows) - len(first)
+    said = f"{_of(again, len(rows))} there twice, and taken once"
+    return list(first.values()), [said] if again else []
+
+
+def _labels(rows: Iterable[Row]) -> tuple[dict[Hashable, str], list[str]]:
+    """Identity -> its most frequent label, and sentences about the identities that have several."""
+    counts: dict[Hashable, Counter[str]] = {}
+    for row in rows:
+        counts.setdefault(row.key, Counter())[row.label] += 1
+    said = [
+        f"identity {key} has the classes {', '.join(own)}; it is taken as {own.most_common(1)[0][0]}"
+        for key, own in counts.items()
+        if len(own) > 1
+    ]
+    labels = {key: own.most_common(1)[0][0] for key, own in counts.items()}
+    return labels, [*said[:3], f"{len(said) - 3} more identities have several classes"] if len(
+        said
+    ) > 3 else said
+
+
+def number_names(labels: Mapping[Hashable, str], names: Mapping[Hashable, str]) -> dict[Hashable, str]:
+    """Identity -> name: that of the file, if no other has it, or else label and number.
+
+    >>> number_names({7: "ball", 9: "ball", 4: "cup"}, {9: "ball 1"})
+    {9: 'ball 1', 7: 'ball 2', 4: 'cup 1'}
+    """
+    counts = Counter(names.values())
+    found = {key: names[key] for key in labels if key in names and counts[names[key]] == 1}
+    taken = set(found.values())
+    numbers: Counter[str] = Counter()
+    for key, label in labels.items():
+        while key not in found:
+            numbers[label] += 1
+            name = f"{label} {numbers[label]}"
+            if name not in taken:
+                found[key] = name
+                taken.add(name)
+    return found
