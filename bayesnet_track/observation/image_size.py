@@ -1,4 +1,4 @@
-"""How large an image file says that it is, read from its header before it is decoded; and its pixels.
+"""How large an image file says that it is, read from its header before it is decoded.
 
 A file of a megabyte may declare a billion pixels, which a decoder allocates before it finds out. What is read
 is what the decoder itself goes by; where a file may say it more than once, the largest counts. Of JPEG, PNG,
@@ -9,12 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from struct import Struct, error, unpack_from
-
-import numpy as np
-
-from bayesnet_track.numerics.arrays import Array
 
 MAX_PIXELS = 1 << 27
 """Pixels of a picture, of a video as of an image file: 134 million."""
@@ -30,46 +25,6 @@ _TIFF_WIDTHS, _TIFF_HEIGHTS = (256, 322), (257, 323)  # of the image, of a tile
 _TIFF_TYPES = {1: 1, 3: 2, 4: 4, 16: 8}
 
 
-def read_checked(path: Path) -> bytes:
-    """The bytes of an image file of a size that may be decoded.
-
-    Raises:
-        PictureError: it cannot be read, is of no known format, or is larger than `MAX_BYTES` or `MAX_PIXELS`.
-    """
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1) if path.stat().st_size <= MAX_BYTES else None
-    except OSError as failed:
-        raise PictureError(f"{path.name}: {failed.strerror}") from failed
-    if data is None or len(data) > MAX_BYTES:
-        raise PictureError(f"{path.name}: an image file has at most {MAX_BYTES >> 20} MB; this one is larger")
-    size = declared_size(data)
-    if size is None:
-        raise PictureError(f"{path.name}: not a readable image")
-    check_size(path.name, *size)
-    return data
-
-
-def read_pixels(path: Path) -> tuple[bytes, Array]:
-    """The bytes of an image file, and the pixels in it as they are: (H, W) or (H, W, C).
-
-    Raises:
-        PictureError: as of `read_checked`; or it is cut off, or cannot be decoded.
-    """
-    import cv2
-
-    data = read_checked(path)
-    if is_cut_off(data):
-        raise PictureError(f"{path.name}: the image is cut off")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as failed:
-        raise PictureError(f"{path.name}: {str(failed).strip()}") from failed
-    if image is None:
-        raise PictureError(f"{path.name}: not a readable image")
-    return data, image
-
-
 def check_size(name: str, width: int, height: int) -> None:
     """Refuse a picture of more than `MAX_PIXELS`; raises PictureError."""
     if width * height > MAX_PIXELS:
@@ -78,7 +33,7 @@ def check_size(name: str, width: int, height: int) -> None:
         )
 
 
-def declared_size(data: bytes) -> Size | None:
+def declared_size(data: bytes | bytearray) -> Size | None:
     """Width and height of an image in px as its header has it; None where it is none that is known.
 
     >>> declared_size(b"P5 # a comment" + bytes([10]) + b"640 480 255 ")
@@ -100,33 +55,34 @@ def is_cut_off(data: bytes) -> bool:
     return data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]
 
 
-def _sizes(data: bytes) -> Iterable[Size]:
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+def _sizes(data: bytes | bytearray) -> Iterable[Size]:
+    head = bytes(data[:16])
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
         return [unpack_from(">II", data, 16)]
-    if data.startswith(b"\xff\xd8\xff"):
+    if head.startswith(b"\xff\xd8\xff"):
         return _jpeg(data)
-    if data.startswith(b"BM"):
+    if head.startswith(b"BM"):
         return _bmp(data)
-    if data[:4] in (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+"):
+    if head[:4] in (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+"):
         return _tiff(data)
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
         return _webp(data)
-    if data.startswith(b"P7"):
+    if head.startswith(b"P7"):
         sides = [(name, int(side)) for name, side in _PAM.findall(data[:4096])]
         widths = [side for name, side in sides if name == b"WIDTH"]
         heights = [side for name, side in sides if name == b"HEIGHT"]
         return [(max(widths), max(heights))] if widths and heights else []
-    if data[:1] == b"P":
+    if head[:1] == b"P":
         found = _PNM.match(data[:4096])
         return [(int(found[1]), int(found[2]))] if found else []
-    if data[4:8] == b"jP  " or data.startswith(b"\xff\x4f\xff\x51"):
+    if head[4:8] == b"jP  " or head.startswith(b"\xff\x4f\xff\x51"):
         # Right, bottom, left, top of the image on its canvas, in the codestream: what the box says is a copy.
         grids = [unpack_from(">4I", data, at.start() + 8) for at in re.finditer(b"\xff\x4f\xff\x51", data)]
         return [(max(right - left, 0), max(bottom - top, 0)) for right, bottom, left, top in grids]
     return []
 
 
-def _jpeg(data: bytes) -> Iterator[Size]:
+def _jpeg(data: bytes | bytearray) -> Iterator[Size]:
     """Of the first frame header: a decoder refuses a second one."""
     at = 2
     while (at := data.find(b"\xff", at)) >= 0 and at + 4 <= len(data):
@@ -143,7 +99,7 @@ def _jpeg(data: bytes) -> Iterator[Size]:
             at += 2 + max(unpack_from(">H", data, at + 2)[0], 2)
 
 
-def _bmp(data: bytes) -> Iterator[Size]:
+def _bmp(data: bytes | bytearray) -> Iterator[Size]:
     if unpack_from("<I", data, 14)[0] == 12:
         yield unpack_from("<HH", data, 18)
     else:
@@ -151,7 +107,7 @@ def _bmp(data: bytes) -> Iterator[Size]:
         yield abs(width), abs(height)  # a negative height begins at the top
 
 
-def _tiff(data: bytes) -> Iterator[Size]:
+def _tiff(data: bytes | bytearray) -> Iterator[Size]:
     """Of the first directory, that of a tile too: a tile is decoded whole, however little of it is seen."""
     order = "<" if data[:2] == b"II" else ">"
     big = data[2:4] in (b"+\0", b"\0+")
@@ -172,7 +128,7 @@ def _tiff(data: bytes) -> Iterator[Size]:
         yield max(sides.get(tag, 0) for tag in _TIFF_WIDTHS), max(sides.get(tag, 0) for tag in _TIFF_HEIGHTS)
 
 
-def _webp(data: bytes) -> Iterator[Size]:
+def _webp(data: bytes | bytearray) -> Iterator[Size]:
     kind = data[12:16]
     if kind == b"VP8X":
         yield 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.image_size import PictureError, read_pixels
+from bayesnet_track.observation.image_files import read_pixels
+from bayesnet_track.observation.image_size import PictureError
 
 
 @dataclass(frozen=True, eq=False)

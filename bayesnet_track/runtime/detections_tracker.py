@@ -31,8 +31,8 @@ from bayesnet_track.runtime.updates.given_detections import read_given
 from bayesnet_track.runtime.updates.looking import image_users
 from bayesnet_track.runtime.updates.standing import Standing
 from bayesnet_track.runtime.updates.turns import Turns
+from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.images import to_bgr
 
 NO_TARGET = -1
 """The `tracker_id` of a detection that belongs to no target, or to one that is not confirmed yet."""
@@ -66,11 +66,12 @@ class DetectionsTracker:
         seed: seed of all randomness.
         fps: nominal frames a second: numbers per frame in the graph, such as noise and speeds, count for
             1 / fps s, whenever frames really come (`time_s`). None for 25.
+        value_range: the values that become black and white in frames with more than 8 bits; see `Tracker`.
 
     Raises:
         GraphError: every error of the graph.
         DetectorError: nothing is born from `detections` in it.
-        ValueError: `size` is no size, or `fps` no number of frames a second.
+        ValueError: `size` is no size, `fps` no number of frames a second, or `value_range` no range.
 
     Example::
 
@@ -85,16 +86,19 @@ class DetectionsTracker:
         size: tuple[int, int] | None = None,
         seed: int = 0,
         fps: float | None = None,
+        value_range: ValueRange | None = None,
     ) -> None:
         self._graph, self._seed = load_graph(graph), seed
         say_unused_by_cues(self._graph)
         self._size = None if size is None else _checked(size)
         self._clock = FrameClock.of_rate(fps)
         self._turns = Turns("DetectionsTracker")
+        self._value_range = value_range_of(value_range)
         self._begin()
 
     def _begin(self) -> None:
         self._fed = _Fed()
+        self._levels = Levels("frame 0", self._value_range)
         self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
         self._users = image_users(self._engine)
         self._now: Standing | None = None
@@ -199,7 +203,7 @@ class DetectionsTracker:
             return np.zeros((size[1], size[0], 3), np.uint8), FrameKind(*size, True, 3, "uint8")
         if not isinstance(frame, np.ndarray):
             raise ValueError(f"a frame is an array of pixels, not {type(frame).__name__}")
-        image, has_color = to_bgr(np.array(frame))  # a copy: the caller may reuse its buffer
+        image, has_color = self._levels(np.array(frame))  # a copy: the caller may reuse its buffer
         seen = Frame(index, 0.0, image, has_color)
         kind = FrameKind.of(seen)
         if before is not None:

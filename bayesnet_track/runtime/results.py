@@ -20,8 +20,8 @@ from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
+from bayesnet_track.sources.entrances.levels import to_bgr
 from bayesnet_track.sources.frames import EndReason, SourceItem
-from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.view.overlay import draw_targets
 
 

@@ -91,6 +91,7 @@ def track(
     stride: int = 1,
     allow_network: bool = False,
     live: bool | None = None,
+    value_range: tuple[float, float] | None = None,
     max_side: int | None = None,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
@@ -125,6 +126,8 @@ def track(
         stride: track every `stride`-th frame of a `source` that is a text; see `open_source`.
         allow_network: let a `source` that is a text be a URL.
         live: of a URL, whether the newest frame is read, or every one; see `open_source`.
+        value_range: the values that become black and white in frames of 8 bits, of a `source` that is a text
+            with more bits; all that their type holds when None.
         max_side: track in frames whose longer side is at most so many px, 16 or more; boxes stay in the
             source's pixels, lengths in the graph count those of the smaller frames.
         sinks: further observers.
@@ -181,10 +184,17 @@ def track(
                     isolate_decoder=isolate_decoder,
                     stride=stride,
                     live=live,
+                    value_range=value_range,
                 )
             )
-        elif isolate_decoder or stride != 1 or live is not None:
-            option = "isolate_decoder" if isolate_decoder else "stride" if stride != 1 else "live"
+        elif isolate_decoder or stride != 1 or live is not None or value_range is not None:
+            usual = {
+                "isolate_decoder": not isolate_decoder,
+                "stride": stride == 1,
+                "live": live is None,
+                "value_range": value_range is None,
+            }
+            option = next(name for name, is_usual in usual.items() if not is_usual)
             raise ValueError(f"{option} is for a source that is opened here; this one is open already")
         else:
             opened = source

@@ -37,7 +37,7 @@ from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
 from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknown
 from bayesnet_track.runtime.updates.standing import Standing
 from bayesnet_track.runtime.updates.turns import Turns
-from bayesnet_track.sources.images import to_bgr
+from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.view.overlay import draw_targets
 
 ANEW = "call init(frame, box, time_s=...) again"
@@ -66,11 +66,14 @@ class Tracker(Boxed):
         copy_frames: False for a caller that never writes into a frame that it gave: nothing is copied then.
         fps: nominal frames a second: numbers per frame in the graph, such as noise and speeds, count for
             1 / fps s, whenever frames really come (`time_s`). None for 25.
+        value_range: the values that become black and white in the 8 bits in which frames are tracked, for
+            frames with more; all that their type holds when None.
 
     Raises:
         GraphError: every error of the graph.
         CueError: a cue cannot be loaded, or is not what its declaration says.
-        ValueError: `max_side` is less than 16, or `fps` is no number of frames a second.
+        ValueError: `max_side` is less than 16, `fps` is no number of frames a second, or `value_range` no
+            range.
 
     Example::
 
@@ -92,6 +95,7 @@ class Tracker(Boxed):
         max_side: int | None = None,
         copy_frames: bool = True,
         fps: float | None = None,
+        value_range: ValueRange | None = None,
     ) -> None:
         plugins.allow(allow_plugins)
         self._whole_px, self._copy_frames = whole_px, copy_frames
@@ -104,6 +108,7 @@ class Tracker(Boxed):
         self._max_side = max_side
         Resizing.to(1, 1, max_side)  # refuses what is none
         self._clock = FrameClock.of_rate(fps)
+        self._levels = Levels("frame 0", value_range_of(value_range))
         self._now: Standing | None = None
         self._turns = Turns("Tracker")
 
@@ -158,7 +163,8 @@ class Tracker(Boxed):
         refuse_unknown("init", unknown)
         with self._turns.take("init"):
             clock = self._clock.tick(time_s, ANEW)
-            first = _frame(frame, clock, depth, self._copy_frames)
+            levels = Levels("frame 0", self._levels.value_range)
+            first = _frame(frame, clock, depth, self._copy_frames, levels)
             starts = [] if box is None else [Start(box)]
             check_starts(self._graph, starts, first.width, first.height)
             resizing = Resizing.to(first.width, first.height, self._max_side)
@@ -171,7 +177,7 @@ class Tracker(Boxed):
             begun = start_targets(self._graph, engine, resizing.frame(first), placed)
             check_started(self._graph, begun)
             shown = resizing.outcome(begun)
-            self._engine = engine
+            self._engine, self._levels = engine, levels
             self._now = Standing(
                 begun.state, clock, shown.metrics, shown.events, FrameKind.of(first), resizing
             )
@@ -204,7 +210,7 @@ class Tracker(Boxed):
             if before is None:
                 raise RuntimeError("call init(frame, box) before update(frame)")
             clock = before.clock.tick(time_s, ANEW)
-            now = _frame(frame, clock, depth, self._copy_frames)
+            now = _frame(frame, clock, depth, self._copy_frames, self._levels)
             before.kind.check(now, "call init again")
             found = step(self._engine, before.state, before.resizing.frame(now))
             shown = before.resizing.outcome(found)
@@ -265,7 +271,7 @@ class Tracker(Boxed):
             ValueError: the frame is no picture.
         """
         targets = self.targets
-        return draw_targets(_picture(frame)[0], targets)
+        return draw_targets(_picture(frame, self._levels)[0], targets)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too.
@@ -346,16 +352,18 @@ def _first_line(now: Standing) -> FrameMetrics | None:
     return next((line for line in now.metrics if line.target in live), None)
 
 
-def _picture(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], bool]:
+def _picture(image: NDArray[np.uint8], levels: Levels) -> tuple[NDArray[np.uint8], bool]:
     if not isinstance(image, np.ndarray):
         raise ValueError(
             f"a frame is an array of pixels, not {type(image).__name__}; could the image be read?"
         )
-    return to_bgr(image)
+    return levels(image)
 
 
-def _frame(image: NDArray[np.uint8], clock: FrameClock, depth: Depth | None, copies: bool) -> Frame:
-    picture, has_color = _picture(image)
+def _frame(
+    image: NDArray[np.uint8], clock: FrameClock, depth: Depth | None, copies: bool, levels: Levels
+) -> Frame:
+    picture, has_color = _picture(image, levels)
     if copies and np.may_share_memory(picture, image):
         picture = picture.copy()  # the caller may reuse its buffer, and the next step looks at it again
     if depth is not None:

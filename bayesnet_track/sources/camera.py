@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.live import Image, LiveReader
 from bayesnet_track.sources.paths import SourceError
 
@@ -20,9 +21,10 @@ class Camera:
         SourceError: there is no such camera.
     """
 
-    def __init__(self, index: str) -> None:
+    def __init__(self, index: str, levels: Levels) -> None:
         import cv2
 
+        self._levels = levels
         self._camera: Any = cv2.VideoCapture(int(index))
         if not self._camera.isOpened():
             raise SourceError(
@@ -39,18 +41,19 @@ class Camera:
             ok, image = self._camera.read()
             if not ok:
                 raise OSError("the camera stopped giving pictures")
-            yield np.ascontiguousarray(image, dtype=np.uint8), True
+            yield self._levels(image)
 
     def close(self) -> None:
         """Let go of the camera."""
         self._camera.release()
 
 
-def camera_reader(index: str) -> LiveReader:
+def camera_reader(index: str, value_range: ValueRange | None = None) -> LiveReader:
     """The newest pictures of a camera, in units of the rate that it declares (else 30 a second).
 
     Raises:
         SourceError: there is no such camera.
     """
-    first = Camera(index)
-    return LiveReader(lambda: Camera(index), first.frame_interval_s, first)
+    levels = Levels(f"camera {index}", value_range)
+    first = Camera(index, levels)
+    return LiveReader(lambda: Camera(index, levels), first.frame_interval_s, first)

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.sources.entrances.levels import explain_loss, value_range_of
+from bayesnet_track.sources.entrances.notices import heard
 from bayesnet_track.sources.network.flow import Flow
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture, Reader
@@ -69,10 +71,10 @@ def opened(job: Mapping[str, Any]) -> Reader:
     if job["kind"] == "images":
         from bayesnet_track.sources.images import ImageReader
 
-        return ImageReader(job["text"], [Path(path) for path in job["paths"]])
+        return ImageReader(job["text"], [Path(path) for path in job["paths"]], value_range_of(job["range"]))
     from bayesnet_track.sources.video import VideoReader
 
-    return VideoReader(job["text"], bool(job["network"]))
+    return VideoReader(job["text"], bool(job["network"]), value_range_of(job["range"]))
 
 
 def _exactly(count: int) -> bytes:
@@ -100,6 +102,7 @@ def _load_libraries() -> None:
             import_module(module.name)
     frame = av.VideoFrame.from_ndarray(np.zeros((16, 16, 3), np.uint8), format="bgr24")
     frame.reformat(format="yuv420p").to_ndarray(format="bgr24")
+    explain_loss(np.arange(64, dtype=np.float32), np.zeros(1, np.uint8))  # parts of NumPy are imported late
 
 
 def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots, answers: int) -> None:
@@ -143,8 +146,11 @@ class _Slots:
             "time_s": float(picture.time_s),
         }
         if is_wanted:
+            notices: list[str] = []
             try:
-                image, has_color = picture.pixels()
+                with heard(notices.append):
+                    image, has_color = picture.pixels()
+                message["notices"] = [text[:2000] for text in notices]
             except PictureError as error:
                 message["error"] = str(error)[:2000]
             else:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.image_size import PictureError, check_size, read_checked
+from bayesnet_track.observation.image_files import read_checked
+from bayesnet_track.observation.image_size import PictureError, check_size
 from bayesnet_track.vision.stereo.stereo import RectifiedPair
 
 

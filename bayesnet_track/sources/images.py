@@ -1,4 +1,4 @@
-"""Image files as a source: their order, their times, and how any image becomes 8-bit BGR."""
+"""Image files as a source: their order and their times; also a single file that holds several images."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.image_size import PictureError, read_pixels
+from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.observation.image_files import read_pixels
+from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.sources.entrances.levels import Levels, ValueRange
+from bayesnet_track.sources.entrances.stacks import IMAGE_INTERVAL_S, stack_of
 from bayesnet_track.sources.paths import natural_key
 from bayesnet_track.sources.readers import Damage, Picture
 
-IMAGE_INTERVAL_S = 1.0 / 25.0
-ROWS_AT_ONCE = 256
 _LAST_NUMBER = re.compile(r"^(.*?)(\d+)(\D*)$")
 
 
@@ -26,23 +27,51 @@ class ImageReader:
 
     Images have no clock: one image is one interval, counted as 1/25 s. Where all names differ only in their
     last number and the numbers grow, the numbers are the times, in units of their usual (median) step: of
-    00001, 00002, 00007 the times are 0, 1, 6.
+    00001, 00002, 00007 the times are 0, 1, 6. Of a single file with several images each is a picture.
+
+    Raises:
+        SourceError: a file of several images cannot be read.
     """
 
     gap_from = 1.5
-    frame_interval_s = IMAGE_INTERVAL_S
 
-    def __init__(self, text: str, paths: Sequence[Path]) -> None:
+    def __init__(self, text: str, paths: Sequence[Path], value_range: ValueRange | None = None) -> None:
         self.paths = sorted(paths, key=natural_key)
-        self.times = times_of(self.paths)
-        self.declared_frames: int | None = len(self.paths)
+        self.value_range = value_range
+        self._levels = Levels(text, value_range)
+        self.stack = stack_of(self.paths[0]) if len(self.paths) == 1 else None
+        self.times = times_of(self.paths) if self.stack is None else self.stack.times
+        self.frame_interval_s = IMAGE_INTERVAL_S if self.stack is None else self.stack.interval_s
+        self.declared_frames: int | None = len(self.times)
 
     def __iter__(self) -> Iterator[Picture | Damage]:
-        for index, (path, time) in enumerate(zip(self.paths, self.times, strict=True)):
-            yield Picture(index, time, time * self.frame_interval_s, partial(read_image, path))
+        for index, time in enumerate(self.times):
+            yield Picture(index, time, time * self.frame_interval_s, partial(self._pixels, index))
+
+    def _pixels(self, index: int) -> tuple[NDArray[np.uint8], bool]:
+        path = self.paths[0 if self.stack else index]
+        image = read_pixels(path)[1] if self.stack is None else self.stack.read(index)
+        return _named(path, self._levels, image)
 
     def close(self) -> None:
         """Nothing stays open between images."""
+
+
+def read_image(path: Path) -> tuple[NDArray[np.uint8], bool]:
+    """The image at `path` as ((H, W, 3) uint8 BGR, has_color), by the rules of `to_bgr`.
+
+    Raises:
+        PictureError: it cannot be read, is too large (`image_size`), is cut off, is one of several in its
+            file, or holds values other than 8 or 16 bit.
+    """
+    return _named(path, Levels(path.name), read_pixels(path)[1])
+
+
+def _named(path: Path, levels: Levels, image: Array) -> tuple[NDArray[np.uint8], bool]:
+    try:
+        return levels(image)
+    except PictureError as error:
+        raise PictureError(f"{path.name}: {error}") from error
 
 
 def times_of(paths: Sequence[Path]) -> list[float]:
@@ -71,52 +100,3 @@ def times_of(paths: Sequence[Path]) -> list[float]:
         return plain
     usual = sorted(steps)[(len(steps) - 1) // 2]
     return [(number - numbers[0]) / usual for number in numbers]
-
-
-def read_image(path: Path) -> tuple[NDArray[np.uint8], bool]:
-    """The image at `path` as ((H, W, 3) uint8 BGR, has_color), by the rules of `to_bgr`.
-
-    Raises:
-        PictureError: it cannot be read, is too large (`image_size`), is cut off, or holds values other than
-            8 or 16 bit.
-    """
-    _, image = read_pixels(path)
-    try:
-        return to_bgr(image)
-    except PictureError as error:
-        raise PictureError(f"{path.name}: {error}") from error
-
-
-def to_bgr(image: NDArray[Any]) -> tuple[NDArray[np.uint8], bool]:
-    """Any image as ((H, W, 3) uint8 BGR, has_color).
-
-    - 16 bit to 8: ``round(value / 257)``, so that 0 stays 0 and 65535 becomes 255.
-    - Gray (H, W) or (H, W, 1): three equal channels, has_color False.
-    - Alpha (H, W, 4): laid over black, ``round(value * alpha / 255)``, since the colour below a transparent
-      pixel is arbitrary.
-
-    Raises:
-        PictureError: values of another type, another number of channels, or no pixel.
-    """
-    channels = image.shape[-1] if image.ndim == 3 else 1
-    known = image.dtype in (np.uint8, np.uint16) and image.ndim in (2, 3) and channels in (1, 3, 4)
-    if not known or image.size == 0:
-        raise PictureError(
-            f"{image.dtype} values of shape {image.shape}; allowed: 8 or 16 bit, 1, 3 or 4 channels"
-        )
-    if image.dtype == np.uint8 and channels == 3:
-        return np.ascontiguousarray(image), True
-    bgr = np.empty((*image.shape[:2], 3), np.uint8)
-    for top in range(0, len(bgr), ROWS_AT_ONCE):  # the steps between need several times its memory
-        rows = slice(top, top + ROWS_AT_ONCE)
-        bgr[rows] = _to_bgr(image[rows].reshape(-1, image.shape[1], channels))
-    return bgr, channels != 1
-
-
-def _to_bgr(rows: NDArray[Any]) -> NDArray[np.uint8]:
-    if rows.dtype == np.uint16:
-        rows = ((rows.astype(np.uint32) + 128) // 257).astype(np.uint8)
-    if rows.shape[2] == 4:
-        alpha = rows[..., 3:].astype(np.uint16)
-        rows = ((rows[..., :3] * alpha + 127) // 255).astype(np.uint8)
-    return rows

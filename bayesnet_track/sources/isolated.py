@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.decoding import OUT_OF_MEMORY, SLOT_BYTES, SLOTS
+from bayesnet_track.sources.entrances.levels import ValueRange
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.images import ImageReader
 from bayesnet_track.sources.network.flow import Flow
 from bayesnet_track.sources.paths import SourceError
@@ -33,6 +35,7 @@ from bayesnet_track.sources.sandbox import Limits
 
 MODULE = "bayesnet_track.sources.decoding"
 MAX_LINE = 1 << 16
+MOST_NOTICES = 3
 NETWORK_S = 30.0
 """Seconds for one picture of the network, which has its own waits."""
 
@@ -55,12 +58,13 @@ class IsolatedReader:
         start: int = 0,
         limits: Limits | None = None,
         command: Sequence[str] | None = None,
+        value_range: ValueRange | None = None,
     ) -> None:
         if os.name != "posix":
             found = "this system cannot hold a process down"
             raise SourceError(text, found, "isolation on Linux and macOS", "read it without isolation")
         self._text, self._index, self._buffer = text, start, b""
-        self.files = files
+        self.files, self._value_range = files, value_range
         self._limits = limits or Limits(picture_s=NETWORK_S if network else Limits.picture_s)
         self._shared = _shared_memory(SLOTS * SLOT_BYTES)
         held, self._lifeline = tie()
@@ -93,6 +97,7 @@ class IsolatedReader:
             "paths": [str(path) for path in self.files.paths] if self.files is not None else [],
             "network": network,
             "start": start,
+            "range": self._value_range,
             "files": None if network else 1,
             "limits": asdict(self._limits),
             "shared": self._shared,
@@ -161,6 +166,8 @@ class IsolatedReader:
             error = PictureError(str(answer.get("error", "the picture lies before the start")))
             return Picture(index, float(answer["time"]), time_s, _Refused(error))
         image, has_color = self._image(answer), bool(answer["has_color"])
+        for text in answer.get("notices", ())[:MOST_NOTICES]:
+            notice(str(text))
         return Picture(index, float(answer["time"]), time_s, lambda: (image, has_color))
 
     def _image(self, answer: Mapping[str, Any]) -> NDArray[np.uint8]:

@@ -59,6 +59,7 @@ class Origin:
         seed: of a scene.
         isolate_decoder: whether it is decoded in a process of its own.
         stride: every how many-th frame is read.
+        value_range: the values that become black and white; None for all that their type holds.
         absolute: a path as given -> the same from the root.
         fingerprint: source, right, depth, calibration -> what it held.
     """
@@ -76,6 +77,7 @@ class Origin:
     seed: int = 0
     isolate_decoder: bool = False
     stride: int = 1
+    value_range: tuple[float, float] | None = None
     absolute: Mapping[str, str] = field(default_factory=dict)
     fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)
 

@@ -92,6 +92,25 @@ IMAGE_SUFFIXES = frozenset(
 )
 
 
+OTHER_IMAGES = frozenset(
+    {
+        ".heic",
+        ".heif",
+        ".avif",
+        ".jxl",
+        ".exr",
+        ".gif",
+        ".apng",
+        ".fits",
+        ".dng",
+        ".cr2",
+        ".cr3",
+        ".nef",
+        ".arw",
+    }
+)
+
+
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".mj2", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts"}
     | {".mpg", ".mpeg", ".h264", ".264", ".h265", ".265", ".hevc", ".ivf", ".obu", ".ogg", ".ogv", ".flv"}

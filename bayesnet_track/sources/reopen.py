@@ -27,7 +27,13 @@ def reopen(origin: Origin) -> Source | SceneSource:
     # What is read again are files, however they are named: a run directory is data and allows nothing.
     window = (origin.start, origin.end, False, origin.on_resize)
     if origin.kind == "plain":
-        source = open_source(at[origin.text], *window, origin.isolate_decoder, origin.stride)
+        source = open_source(
+            at[origin.text],
+            *window,
+            origin.isolate_decoder,
+            origin.stride,
+            value_range=origin.value_range,
+        )
     else:
         source = open_stereo_source(
             at[origin.text],
@@ -38,6 +44,7 @@ def reopen(origin: Origin) -> Source | SceneSource:
             calibration=None if origin.calibration is None else at[origin.calibration],
             isolate_decoder=origin.isolate_decoder,
             stride=origin.stride,
+            value_range=origin.value_range,
         )
     source.description, source.origin = origin.description, origin
     return source

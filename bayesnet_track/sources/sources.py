@@ -7,7 +7,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.stacks import is_animated_png
 from bayesnet_track.sources.frames import OnResize, Source, SourceItem
 from bayesnet_track.sources.network.address import shown_address
 from bayesnet_track.sources.origin import Origin
@@ -42,6 +44,7 @@ def open_source(
     isolate_decoder: bool = False,
     stride: int = 1,
     live: bool | None = None,
+    value_range: ValueRange | None = None,
 ) -> Source:
     """The source that `text` names.
 
@@ -54,12 +57,14 @@ def open_source(
     Of a URL, `live` says whether the newest frame is to be read and a broken connection made again (True), or
     every frame up to the end (False). None finds out: RTSP, a multipart stream of images (MJPEG), a playlist
     without an end, and, with a notice, a stream of no declared length are live.
+    `value_range` are the values that become black and white in frames of 8 bits (`entrances.levels.to_bgr`).
 
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
-    reader = make_reader(text, allow_network, isolate_decoder, start or 0, live)
+    value_range = _checked_values(text, value_range)
+    reader = make_reader(text, allow_network, isolate_decoder, start or 0, live, value_range)
     reader = strided(text, reader, start, stride)
     shown = shown_address(text)
     origin = Origin(
@@ -72,6 +77,7 @@ def open_source(
         allow_network,
         isolate_decoder=isolate_decoder,
         stride=stride,
+        value_range=value_range,
     )
     return Source(shown, reader, start, end, on_resize, origin)
 
@@ -88,8 +94,20 @@ def check_range(text: str, start: int | None, end: int | None) -> None:
         )
 
 
+def _checked_values(text: str, value_range: ValueRange | None) -> ValueRange | None:
+    try:
+        return value_range_of(value_range)
+    except ValueError as error:
+        raise SourceError(text, str(error), "LOW,HIGH with LOW below HIGH", "give another range") from error
+
+
 def make_reader(
-    text: str, allow_network: bool, isolate: bool = False, start: int = 0, live: bool | None = None
+    text: str,
+    allow_network: bool,
+    isolate: bool = False,
+    start: int = 0,
+    live: bool | None = None,
+    value_range: ValueRange | None = None,
 ) -> Reader:
     """The reader of what `text` names, as `open_source` takes it; raises SourceError.
 
@@ -104,26 +122,26 @@ def make_reader(
             raise SourceError(text, "a camera has no end", "URLs that are read as files", "leave it out")
         from bayesnet_track.sources.camera import camera_reader
 
-        return camera_reader(text)
+        return camera_reader(text, value_range)
     path = Path(text)
     scheme = _SCHEME.match(text)
     if scheme:
         _check_scheme(text, scheme.group(1).lower(), allow_network)
         live = True if live is None and scheme.group(1).lower() in LIVE_SCHEMES else live
-        return _of_network(text, isolate, start, live)
+        return _of_network(text, isolate, start, live, value_range)
     if live:
         raise SourceError(
             text, "a file is not live: every frame of it is read", "cameras and URLs", "leave it out"
         )
     try:
         if path.is_dir():
-            return _images(text, _in_folder(text, path), isolate, start)
+            return _images(text, _in_folder(text, path), isolate, start, value_range)
         if path.is_file():
             if not os.access(path, os.R_OK):
                 raise SourceError(text, "permission denied", KINDS, "make the file readable")
-            if path.suffix.lower() in IMAGE_SUFFIXES:
-                return _images(text, [path], isolate, start)
-            return _video(text, False, isolate, start)
+            if path.suffix.lower() in IMAGE_SUFFIXES and not is_animated_png(path):
+                return _images(text, [path], isolate, start, value_range)
+            return _video(text, False, isolate, start, value_range)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
     except PermissionError as error:
@@ -131,12 +149,14 @@ def make_reader(
     except OSError as error:
         raise SourceError(text, f"{error.strerror}", KINDS, "check the name") from error
     if glob.has_magic(text):
-        return _images(text, _matching(text), isolate, start)
+        return _images(text, _matching(text), isolate, start, value_range)
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
 
 
-def _of_network(text: str, isolate: bool, start: int, live: bool | None) -> Reader:
-    reader = _video(text, True, isolate, 0 if live else start)
+def _of_network(
+    text: str, isolate: bool, start: int, live: bool | None, value_range: ValueRange | None
+) -> Reader:
+    reader = _video(text, True, isolate, 0 if live else start, value_range)
     flow = reader.flow
     if live is False or (live is None and flow.endless is None):
         return reader
@@ -147,10 +167,10 @@ def _of_network(text: str, isolate: bool, start: int, live: bool | None) -> Read
         )
     if start and not live:
         reader.close()  # an isolated one leaves out what comes first
-        reader = _video(text, True, isolate, 0)
+        reader = _video(text, True, isolate, 0, value_range)
     from bayesnet_track.sources.stream import stream_reader
 
-    return stream_reader(lambda: _video(text, True, isolate, 0), reader)
+    return stream_reader(lambda: _video(text, True, isolate, 0, value_range), reader)
 
 
 def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
@@ -170,22 +190,30 @@ def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
         )
 
 
-def _images(text: str, paths: list[Path], isolate: bool, start: int) -> Reader:
+def _images(
+    text: str, paths: list[Path], isolate: bool, start: int, value_range: ValueRange | None
+) -> Reader:
+    from bayesnet_track.sources.entrances.sequences import check_names, say_other_images
     from bayesnet_track.sources.images import ImageReader
 
-    reader = ImageReader(text, paths)
+    check_names(text, paths)
+    if Path(text).is_dir():
+        say_other_images(text, paths[0].parent)
+    reader = ImageReader(text, paths, value_range)
     if not isolate:
         return reader
     from bayesnet_track.sources.isolated import IsolatedReader
 
-    return IsolatedReader(text, reader, start=start)
+    return IsolatedReader(text, reader, start=start, value_range=value_range)
 
 
-def _video(text: str, network: bool, isolate: bool, start: int) -> IsolatedReader | VideoReader:
+def _video(
+    text: str, network: bool, isolate: bool, start: int, value_range: ValueRange | None
+) -> IsolatedReader | VideoReader:
     if isolate:
         from bayesnet_track.sources.isolated import IsolatedReader
 
-        return IsolatedReader(text, network=network, start=start)
+        return IsolatedReader(text, network=network, start=start, value_range=value_range)
     from bayesnet_track.sources.video import VideoReader
 
-    return VideoReader(text, network)
+    return VideoReader(text, network, value_range)

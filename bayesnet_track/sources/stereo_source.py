@@ -18,6 +18,7 @@ from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.depth import Depth, PointMap, RightEye
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.depth_files import read_points
+from bayesnet_track.sources.entrances.levels import ValueRange
 from bayesnet_track.sources.frames import OnResize, Source
 from bayesnet_track.sources.images import ImageReader, times_of
 from bayesnet_track.sources.live import LiveReader
@@ -52,6 +53,7 @@ def open_stereo_source(
     isolate_decoder: bool = False,
     stride: int = 1,
     live: bool | None = None,
+    value_range: ValueRange | None = None,
 ) -> Source:
     """A source whose frames carry a second eye or points.
 
@@ -61,8 +63,8 @@ def open_stereo_source(
         depth: instead of a right eye, depth images (16 bit, 0 for unknown) or ``.npy`` arrays, (H, W) depths
             or (H, W, 3) points in m, one per picture: a folder or a glob.
         calibration: OpenCV YAML file; only ``.npy`` points do without.
-        start, end, allow_network, on_resize, isolate_decoder, stride, live: as for `open_source`; depth
-            images are read in this process.
+        start, end, allow_network, on_resize, isolate_decoder, stride, live, value_range: as for
+            `open_source`; depth images are read in this process, and have no range.
 
     Raises:
         SourceError: nothing can be read, or the eyes do not belong together.
@@ -81,7 +83,7 @@ def open_stereo_source(
             "make one from chessboard pictures with `bayesnet-track calibrate`",
         )
     shown = shown_address(left)
-    first = make_reader(left, allow_network, isolate_decoder, start or 0, live)
+    first = make_reader(left, allow_network, isolate_decoder, start or 0, live, value_range)
     try:
         if side_by_side and rectifier is not None:
             description, reader = f"{shown} (side by side)", Joined(left, first, partial(halves, rectifier))
@@ -93,7 +95,7 @@ def open_stereo_source(
         else:
             assert right is not None and rectifier is not None
             description = f"{shown} + {shown_address(right)}"
-            second = make_reader(right, allow_network, isolate_decoder, start or 0, live)
+            second = make_reader(right, allow_network, isolate_decoder, start or 0, live, value_range)
             if (files := _files(second)) is not None:
                 _check_alike(first, files.paths, left, right)
             reader = Joined(left, first, partial(two_eyes, rectifier), second)
@@ -115,6 +117,7 @@ def open_stereo_source(
         calibration=pair,
         isolate_decoder=isolate_decoder,
         stride=stride,
+        value_range=value_range,
     )
     return Source(description, strided(left, reader, start, stride), start, end, on_resize, origin)
 
@@ -291,6 +294,6 @@ def _check_alike(first: Reader, paths: Sequence[Path], left: str, right: str) ->
 
 
 def _files(reader: Reader) -> ImageReader | None:
-    """The image files of a reader; None when it reads a video or a camera."""
+    """The image files of a reader; None when it reads a video, a camera or a file of several images."""
     files = getattr(reader, "files", reader)
-    return files if isinstance(files, ImageReader) else None
+    return files if isinstance(files, ImageReader) and files.stack is None else None

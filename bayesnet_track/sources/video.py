@@ -17,7 +17,9 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.image_size import MAX_PIXELS, PictureError
+from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.network.flow import Flow, flow_of
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture
@@ -60,8 +62,9 @@ class VideoReader:
         SourceError: not a video, or none of the formats that stand on their own.
     """
 
-    def __init__(self, text: str, network: bool = False) -> None:
+    def __init__(self, text: str, network: bool = False, value_range: ValueRange | None = None) -> None:
         self._text = text
+        self._levels = Levels(text, value_range)
         stamps: list[int] = []
         unordered = False
         if not network:
@@ -171,7 +174,7 @@ class VideoReader:
                 self._index, f"a frame's time, {seconds:.3f} s, is past the declared end, {limit:.3f} s"
             )
         self._end_s = max(self._end_s, seconds + self.frame_interval_s)
-        return Picture(self._index, time, seconds, partial(pixels_of, frame, self._reformatter))
+        return Picture(self._index, time, seconds, partial(pixels_of, frame, self._reformatter, self._levels))
 
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
@@ -199,20 +202,47 @@ class VideoReader:
                 yield Damage(self._index, reason, True)
 
 
-def pixels_of(frame: Any, reformatter: Any) -> tuple[NDArray[np.uint8], bool]:
+def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.uint8], bool]:
     """The pixels of a decoded frame, upright, as ((H, W, 3) uint8 BGR, has_color).
+
+    By a range the values are those of the file where it is gray, and 8 or 16 bit where it has colour.
 
     Raises:
         PictureError: the pixel format cannot be converted.
     """
-    has_color = not frame.format.name.startswith(("gray", "mono", "ya8", "ya16"))
+    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
+    has_color = not name.startswith(("gray", "mono", "ya8", "ya16"))
     try:
-        image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
+        if levels.value_range is not None:
+            wide = ("bgr48le" if bits > 8 else "bgr24") if has_color else _plain_gray(name, bits)
+            image = levels(_samples(frame if name == wide else reformatter.reformat(frame, format=wide)))[0]
+        else:
+            image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
+            if bits > 8 and not has_color:  # a colour format says itself which values are black and white
+                wide = _plain_gray(name, bits)
+                stored = frame if name == wide else reformatter.reformat(frame, format=wide)
+                levels.look(_samples(stored), image)
     except FAULTS as error:
         raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
-    if not has_color:
+    if image.ndim == 2:
         image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
     return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame))), has_color
+
+
+def _plain_gray(name: str, bits: int) -> str:
+    """The format in which the values of a gray one are read: its own where it has nothing else."""
+    return name if name.startswith("gray") else "gray16le" if bits > 8 else "gray"
+
+
+def _samples(frame: Any) -> Array:
+    """The values of a packed frame as they are stored, (H, W) or (H, W, 3)."""
+    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
+    channels = 3 if name.startswith("bgr") else 1
+    kind = "u1" if bits <= 8 else "f4" if bits == 32 else "u2"
+    values = np.frombuffer(frame.planes[0], f"{'>' if name.endswith('be') else '<'}{kind}")
+    rows = values.reshape(frame.planes[0].height, -1)[:, : channels * frame.width]
+    image = rows.astype(np.dtype(kind))
+    return image if channels == 1 else image.reshape(*rows.shape[:1], -1, channels)
 
 
 def _quarter_turns(frame: Any) -> int:

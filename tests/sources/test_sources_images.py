@@ -10,7 +10,7 @@ import pytest
 from bayesnet_track.journal.events.sources import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.images import to_bgr
+from bayesnet_track.sources.entrances.levels import to_bgr
 from bayesnet_track.sources.sources import SourceError, open_source
 
 

@@ -58,6 +58,7 @@ class Job:
         plugins: cues and detectors of other packages that may be loaded.
         cue_files: files with cues of one's own, from the root.
         max_side: longest side of the frames that are tracked in, px; None for those of the video.
+        value_range: the values that become black and white; None for all that their type holds.
     """
 
     graph: str
@@ -69,6 +70,7 @@ class Job:
     plugins: tuple[str, ...] = ()
     cue_files: tuple[str, ...] = ()
     max_side: int | None = None
+    value_range: tuple[float, float] | None = None
 
     @property
     def label(self) -> str:
@@ -84,6 +86,8 @@ class Job:
         """The inverse of `to_json`."""
         values: dict[str, Any] = json.loads(line)
         lists = {name: tuple(values[name]) for name in ("plugins", "cue_files")}
+        if values["value_range"] is not None:
+            lists["value_range"] = tuple(values["value_range"])
         return cls(**{**values, "video": Video(**values["video"]), **lists})
 
 

@@ -67,7 +67,9 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
             progress(summary.frames, None)
     elif now is None:
         on_resize: OnResize = "rescale" if job.on_resize == "rescale" else "stop"
-        with open_source(job.video.source, end=job.end, on_resize=on_resize) as source:
+        with open_source(
+            job.video.source, end=job.end, on_resize=on_resize, value_range=job.value_range
+        ) as source:
             expected = source.expected_frames
             results = track(
                 job.graph,
@@ -140,6 +142,7 @@ def _check_same(job: Job, recipe: Recipe) -> None:
         "end": (origin.end, job.end),
         "on_resize": (origin.on_resize, job.on_resize),
         "max_side": (recipe.max_side, job.max_side),
+        "range": (_range_text(origin.value_range), _range_text(job.value_range)),
     }
     others = [
         f"{name} {_word(was)}, now {_word(now)}" for name, (was, now) in was_and_is.items() if was != now
@@ -149,6 +152,10 @@ def _check_same(job: Job, recipe: Recipe) -> None:
             f"{job.out}: the run there was asked for otherwise: {'; '.join(others)}; "
             "give another --out, or remove it"
         )
+
+
+def _range_text(value_range: tuple[float, float] | None) -> str | None:
+    return None if value_range is None else "{:g},{:g}".format(*value_range)
 
 
 def _word(value: object) -> str:

@@ -21,7 +21,7 @@ from bayesnet_track.cli.commands.answer import (
     writing,
 )
 from bayesnet_track.cli.options.arguments import share, whole_number
-from bayesnet_track.cli.options.sources import add_size_option
+from bayesnet_track.cli.options.sources import add_range_option, add_size_option
 from bayesnet_track.cli.options.view import add_address_options
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
         kept = read_answers(folder / NAME).header
     graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
     _warn_of_score(graph)
-    with open_source(options.video) as source:
+    with open_source(options.video, value_range=options.value_range) as source:
         store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
     run_silently(lambda: sys.stderr.write("\n"))
     is_whole = source.end_reason == "end_of_source"
@@ -205,6 +205,7 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         help="frames in a row that may be below (default 20)",
     )
     add_size_option(annotate)
+    add_range_option(annotate)
     annotate.add_argument("--seed", type=whole_number(0), metavar="N", help="seed of all randomness (0)")
     annotate.add_argument(
         "--format", action="append", choices=FORMATS, help="format to write (default coco); may be repeated"

@@ -23,7 +23,7 @@ from bayesnet_track.cli.commands.answer import (
 )
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
-from bayesnet_track.cli.options.sources import add_size_option
+from bayesnet_track.cli.options.sources import add_range_option, add_size_option
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.batch.jobs import Job, Video
@@ -127,6 +127,7 @@ def _jobs(options: argparse.Namespace, videos: list[Video], out: Path) -> list[J
             plugins,
             files,
             options.max_side,
+            options.value_range,
         )
         for video in videos
         for seed in range(options.seeds)
@@ -192,6 +193,7 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )
     add_size_option(batch)
+    add_range_option(batch)
     batch.add_argument("-q", "--quiet", action="store_true", help="only errors and warnings")
     batch.add_argument("--json", action="store_true", help="at the end, one JSON object with one row per run")
     add_plugins(batch)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, say, users_mistake, writing
 from bayesnet_track.cli.options.arguments import metres
+from bayesnet_track.cli.options.sources import add_range_option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,7 +23,7 @@ def calibrate(options: argparse.Namespace) -> int:
     board = parse_board(options.board)
     out = Path(options.out)
     check_free(out, options.overwrite)
-    left, right = read_all(options.left), read_all(options.right)
+    left, right = (read_all(text, options.value_range) for text in (options.left, options.right))
     with users_mistake():
         fitted = fit(left, right, board, options.square_m)
     with writing(out):
@@ -55,7 +56,7 @@ def parse_board(text: str) -> tuple[int, int]:
     return board
 
 
-def read_all(text: str) -> list[NDArray[np.uint8]]:
+def read_all(text: str, value_range: tuple[float, float] | None = None) -> list[NDArray[np.uint8]]:
     """Every picture of a folder, glob or video.
 
     Raises:
@@ -65,7 +66,7 @@ def read_all(text: str) -> list[NDArray[np.uint8]]:
     from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.sources.sources import open_source
 
-    with open_source(text) as source:
+    with open_source(text, value_range=value_range) as source:
         items = list(source)
         if source.end_reason != "end_of_source":
             raise SourceError(
@@ -86,5 +87,6 @@ def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
     calibrate.add_argument(
         "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
     )
+    add_range_option(calibrate)
     calibrate.add_argument("-o", "--out", required=True, metavar="FILE", help="calibration file to write")
     calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

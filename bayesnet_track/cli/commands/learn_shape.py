@@ -16,6 +16,7 @@ from bayesnet_track.cli.commands.answer import (
     writing,
 )
 from bayesnet_track.cli.options.arguments import cells, gradient, share, whole_number
+from bayesnet_track.cli.options.sources import add_range_option
 from bayesnet_track.cli.slips import add_former_name
 
 if TYPE_CHECKING:
@@ -62,6 +63,8 @@ def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.sources.paths import images_in, natural_key
     from bayesnet_track.vision.shape.shape_examples import mask_example
 
+    if options.value_range is not None:
+        raise UsageError("--range is for --source; a mask is what is not black")
     folder, found = Path(options.masks), []
     with users_mistake():
         paths = sorted(images_in(folder), key=natural_key)
@@ -88,7 +91,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     with users_mistake():
         boxes = centre_from_corner(read_truth(options.truth))
     edges, found = EdgePlane(options.edge_gray), []
-    with open_source(options.source, None, len(boxes)) as source:
+    with open_source(options.source, None, len(boxes), value_range=options.value_range) as source:
         for item in source:
             if not isinstance(item, Frame) or item.index % options.every:
                 continue  # a notice, or not asked for
@@ -119,6 +122,7 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
     examples.add_argument("--source", help="video file, folder of images, or glob")
     shape.add_argument("--truth", metavar="FILE", help="ground-truth file of the boxes in --source")
     add_former_name(shape, "--boxes", "--truth")
+    add_range_option(shape)
     shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
     shape.add_argument("--grid", type=cells, default=16, metavar="G", help="cells per side (default 16)")
     shape.add_argument(

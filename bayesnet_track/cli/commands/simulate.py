@@ -11,6 +11,7 @@ from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.sources import add_range_option
 
 if TYPE_CHECKING:
     from bayesnet_track.engine.simulating import Simulated
@@ -102,7 +103,8 @@ def _first_frame(options: argparse.Namespace) -> Frame:
     from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.sources.sources import open_source
 
-    with open_source(options.source, options.start, options.start + 1, options.allow_network) as source:
+    window = (options.source, options.start, options.start + 1, options.allow_network)
+    with open_source(*window, value_range=options.value_range) as source:
         for item in source:
             if isinstance(item, Frame):
                 return item
@@ -137,5 +139,6 @@ def add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
     simulate.add_argument("--csv", metavar="FILE", help="write them, one row per trajectory and frame")
     simulate.add_argument("--overwrite", action="store_true", help="replace existing files")
     simulate.add_argument("--allow-network", action="store_true", help="let the source be a URL")
+    add_range_option(simulate)
     add_set_option(simulate)
     add_plugins(simulate)

@@ -22,6 +22,7 @@ from bayesnet_track.cli.fitting.written import (
 )
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.sources import add_range_option
 from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.text.wording import plural
 
@@ -181,6 +182,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     fit.add_argument(
         "--folder", metavar="DATA", help="folder of NAME/img with NAME/groundtruth.txt: all of them"
     )
+    add_range_option(fit)
     fit.add_argument("--end", type=whole_number(2), metavar="N", help="frame of each video to stop before")
     fit.add_argument(
         "--seeds", type=whole_number(1), default=2, metavar="N", help="runs over each video (default 2)"

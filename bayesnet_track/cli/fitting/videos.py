@@ -25,6 +25,7 @@ class Video:
     name: str
     source: str
     truth: NDArray[np.float64]
+    value_range: tuple[float, float] | None = None
 
 
 def find_videos(options: argparse.Namespace) -> Iterator[Video]:
@@ -47,7 +48,8 @@ def find_videos(options: argparse.Namespace) -> Iterator[Video]:
     for name, source, file in pairs:
         seen[name] = seen.get(name, 0) + 1
         with users_mistake():
-            yield Video(name if seen[name] == 1 else f"{name} {seen[name]}", source, read_truth(file))
+            unique = name if seen[name] == 1 else f"{name} {seen[name]}"
+            yield Video(unique, source, read_truth(file), options.value_range)
 
 
 @contextmanager
@@ -56,7 +58,7 @@ def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
     from bayesnet_track.observation.planes import Frame
     from bayesnet_track.sources.sources import open_source
 
-    with open_source(video.source, 0, end) as source:
+    with open_source(video.source, 0, end, value_range=video.value_range) as source:
         expected = source.expected_frames
         if expected is not None and end is None and expected != len(video.truth):
             raise UsageError(f"{video.name}: {expected} frames, and {len(video.truth)} boxes of ground truth")

@@ -48,8 +48,34 @@ def add_size_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def value_range(text: str) -> tuple[float, float]:
+    """Parser of LOW,HIGH."""
+    from bayesnet_track.sources.entrances.levels import value_range_of
+
+    try:
+        found = value_range_of(text.split(","))
+    except ValueError:
+        found = None
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r}: LOW,HIGH is needed, two numbers, the lower one first")
+    return found
+
+
+def add_range_option(parser: argparse.ArgumentParser) -> None:
+    """`--range`."""
+    parser.add_argument(
+        "--range",
+        dest="value_range",
+        type=value_range,
+        metavar="LOW,HIGH",
+        help="values that become black and white in the 8 bits in which frames are tracked, of images and "
+        "videos with more bits; for negative ones --range=LOW,HIGH (default: all of 16 bits)",
+    )
+
+
 def add_window_options(parser: argparse.ArgumentParser) -> None:
-    """`--start`, `--end`, `--stride`, `--on-resize`, `--allow-network`, `--live`, `--isolate-decoder`."""
+    """The frames, `--range`, `--on-resize`, and how a source may be opened."""
+    add_range_option(parser)
     parser.add_argument(
         "--start", type=whole_number(0), default=0, metavar="N", help="first frame (default 0)"
     )
@@ -85,7 +111,7 @@ def open_given(options: argparse.Namespace) -> Source:
     if options.calibration is not None:
         raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
     window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
-    return open_source(*window, options.isolate_decoder, options.stride, options.live)
+    return open_source(*window, options.isolate_decoder, options.stride, options.live, options.value_range)
 
 
 def open_depth(options: argparse.Namespace, end: int | None) -> Source:
@@ -105,4 +131,5 @@ def open_depth(options: argparse.Namespace, end: int | None) -> Source:
         isolate_decoder=options.isolate_decoder,
         stride=options.stride,
         live=options.live,
+        value_range=options.value_range,
     )

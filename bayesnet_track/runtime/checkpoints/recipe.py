@@ -141,8 +141,9 @@ class Recipe:
         for name in ("cue_files", "own_cues", "masks", "models"):
             if not plain[name]:  # as a recipe was before there were any
                 del plain[name]
-        if plain["origin"]["stride"] == 1:
-            del plain["origin"]["stride"]
+        for name, usual in {"stride": 1, "value_range": None}.items():
+            if plain["origin"][name] == usual:
+                del plain["origin"][name]
         return json.dumps(plain, indent=1) + "\n"
 
     def write(self, directory: RunDirectory | str | PathLike[str]) -> None:

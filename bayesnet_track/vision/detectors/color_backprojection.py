@@ -158,7 +158,8 @@ def _make(parameters: ColorBackprojectionParameters) -> Detector:
     detector = ColorBackprojection(parameters, nothing)
     if parameters.picture is None:
         return detector
-    from bayesnet_track.observation.image_size import PictureError, read_checked
+    from bayesnet_track.observation.image_files import read_checked
+    from bayesnet_track.observation.image_size import PictureError
 
     try:
         data = np.frombuffer(read_checked(Path(parameters.picture)), np.uint8)

@@ -1,0 +1,182 @@
+"""How the values of an image become 8 bits, by a range of values, and what is said where levels are lost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.sources.entrances.notices import notice
+
+ValueRange = tuple[float, float]
+"""The values that become 0 and 255; what lies beyond becomes one of them."""
+
+ROWS_AT_ONCE = 256
+FEW_LEVELS = 64
+MOST_CLIPPED = 0.5
+MIDDLE = (0.1, 99.9)
+"""Percentiles between which the values lie that a range should cover: a broken pixel is beyond."""
+
+
+def value_range_of(given: object) -> ValueRange | None:
+    """A range as it is given: None, or two finite numbers, the lower one first.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if given is None:
+        return None
+    try:
+        low, high = (float(value) for value in given)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        low, high = math.nan, math.nan
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ValueError(
+            f"value range {given!r}: two finite numbers are needed, the value that becomes black and the "
+            "higher one that becomes white, such as 8000, 8063"
+        )
+    return low, high
+
+
+def to_bgr(image: NDArray[Any], value_range: ValueRange | None = None) -> tuple[NDArray[np.uint8], bool]:
+    """Any image as ((H, W, 3) uint8 BGR, has_color).
+
+    - By a range LOW, HIGH: ``round(255 * (value - LOW) / (HIGH - LOW))``, kept within 0..255; NaN becomes 0.
+    - Without one, 16 bit to 8: ``round(value / 257)``, so that 0 stays 0 and 65535 becomes 255.
+    - Gray (H, W) or (H, W, 1): three equal channels, has_color False.
+    - Alpha (H, W, 4): laid over black, ``round(value * alpha / 255)``, since the colour below a transparent
+      pixel is arbitrary.
+
+    Raises:
+        PictureError: values of another type, another number of channels, or no pixel.
+    """
+    channels = image.shape[-1] if image.ndim == 3 else 1
+    deep = image.dtype.kind in "fiu" if value_range is not None else image.dtype == np.uint16
+    known = image.ndim in (2, 3) and channels in (1, 3, 4)
+    if channels == 4 and image.dtype not in (np.uint8, np.uint16):
+        known = False
+    if not ((image.dtype == np.uint8 or deep) and known) or image.size == 0:
+        raise PictureError(
+            f"{image.dtype} values of shape {image.shape}; allowed: 8 or 16 bit, 1, 3 or 4 channels"
+            + _other(image)
+        )
+    if image.dtype == np.uint8 and channels == 3 and value_range is None:
+        return np.ascontiguousarray(image), True
+    bgr = np.empty((*image.shape[:2], 3), np.uint8)
+    for top in range(0, len(bgr), ROWS_AT_ONCE):  # the steps between need several times its memory
+        rows = slice(top, top + ROWS_AT_ONCE)
+        bgr[rows] = _to_bgr(image[rows].reshape(-1, image.shape[1], channels), value_range)
+    return bgr, channels != 1
+
+
+def _other(image: NDArray[Any]) -> str:
+    """How values of another type can be used."""
+    if image.dtype.kind not in "fiu" or image.dtype.itemsize == 1 or image.size == 0:
+        return ""
+    low, high = _middle(image)
+    return f"; values of another type need a range: {_flag((low, high))}"
+
+
+def _to_bgr(rows: NDArray[Any], value_range: ValueRange | None) -> NDArray[np.uint8]:
+    alpha = _eight_bits(rows[..., 3:], None).astype(np.uint16) if rows.shape[2] == 4 else None
+    rows = _eight_bits(rows[..., :3], value_range)
+    if alpha is not None:
+        rows = ((rows * alpha + 127) // 255).astype(np.uint8)
+    return rows
+
+
+def _eight_bits(values: NDArray[Any], value_range: ValueRange | None) -> NDArray[np.uint8]:
+    if value_range is not None:
+        low, high = value_range
+        shares = (np.nan_to_num(values.astype(np.float64), nan=low) - low) / (high - low)
+        return np.asarray(np.rint(np.clip(shares, 0.0, 1.0) * 255.0), np.uint8)
+    if values.dtype == np.uint16:
+        return np.asarray((values.astype(np.uint32) + 128) // 257, np.uint8)
+    return np.asarray(values, np.uint8)
+
+
+class Levels:
+    """Makes 8 bits of the images of a source by one range, and says once what is lost in the first of them.
+
+    Attributes:
+        value_range: the range; None for all that the type of the values holds.
+    """
+
+    def __init__(self, name: str, value_range: ValueRange | None = None) -> None:
+        self.value_range, self._name, self._is_said = value_range, name, False
+        self._dtype: np.dtype[Any] | None = None
+
+    def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.uint8], bool]:
+        """As `to_bgr`; a range holds for values of one type. Raises PictureError."""
+        self._dtype = image.dtype if self._dtype is None else self._dtype
+        if self.value_range is not None and image.dtype != self._dtype:
+            raise PictureError(f"{image.dtype} values, and a range that counts those of {self._dtype}")
+        made = to_bgr(image, self.value_range)
+        self.look(image, made[0])
+        return made
+
+    def look(self, before: NDArray[Any], after: NDArray[np.uint8]) -> None:
+        """Say what the first image lost; the values before may be of one channel of several."""
+        if self._is_said:
+            return
+        self._is_said = True
+        reason = explain_loss(before, after, self.value_range)
+        if reason is not None:
+            notice(f"{self._name}: {reason}")
+
+
+def explain_loss(
+    before: NDArray[Any], after: NDArray[np.uint8], value_range: ValueRange | None = None
+) -> str | None:
+    """A sentence on the gray levels that are lost where values become 8 bits; None where they are not.
+
+    >>> print(explain_loss(np.arange(8000, 8064, dtype=np.uint16), np.full(64, 31, np.uint8)).split(";")[0])
+    the values of the first frame lie in 8000..8063, 64 levels, of which 1 is left in 8 bits
+    """
+    if before.dtype == np.uint8 and value_range is None:
+        return None
+    colors = before[..., :3] if before.ndim == 3 else before
+    finite = colors[np.isfinite(colors)] if colors.dtype.kind == "f" else colors
+    if finite.size == 0:
+        return "no value of the first frame is a finite number"
+    found = f"{_text(finite.min())}..{_text(finite.max())}"
+    if value_range is not None:
+        clipped = float(np.mean((finite < value_range[0]) | (finite > value_range[1])))
+        if clipped > MOST_CLIPPED:
+            return (
+                f"{100 * clipped:.0f} % of the values of the first frame lie outside of the range "
+                f"{_text(value_range[0])}..{_text(value_range[1])} and become black or white: "
+                f"they lie in {found}"
+            )
+    levels, left = len(np.unique(finite)), len(np.unique(after))
+    if left > FEW_LEVELS or levels < 2 * left or levels == 1:
+        return None
+    return (
+        f"the values of the first frame lie in {found}, {levels} levels, of which {left} "
+        f"{'is' if left == 1 else 'are'} left in 8 bits; give the range that counts: {_flag(_middle(finite))}"
+    )
+
+
+def _middle(values: NDArray[Any]) -> ValueRange:
+    """Where all finite values lie, or nearly all where a few are far away."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(finite, MIDDLE))
+    least, most = float(finite.min()), float(finite.max())
+    if low == high or most - least <= 2.0 * (high - low):
+        low, high = least, most
+    return low, high if high > low else low + 1.0
+
+
+def _flag(value_range: Sequence[float]) -> str:
+    low, high = (_text(value) for value in value_range)
+    return f"--range {low},{high}, in Python value_range=({low}, {high})"
+
+
+def _text(value: Any) -> str:
+    return f"{float(value):.6g}"
