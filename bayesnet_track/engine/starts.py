@@ -18,6 +18,7 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.stereo_source import WAYS
 
@@ -31,15 +32,40 @@ class Start:
 
     Attributes:
         box: top-left corner box x, y, w, h in px, as OpenCV has it.
-        plate: name of the plate in the graph; None for the graph's first.
+        plate: name of the plate in the graph; None where it has one.
     """
 
     box: CornerBox
     plate: str | None = None
 
 
+MOSTLY_OUTSIDE, SOME_OUTSIDE = 0.5, 0.1
+"""Shares of a start box outside of the frame from which it is said: of any, of one that fits as corners."""
+
+NOISE = 2
+"""Gray levels by which the values of a black frame may differ."""
+
+
 class StartError(ValueError):
     """A start box, a plate or a first frame from which no target can be tracked."""
+
+
+def check_given(graph: CheckedGraph, starts: Sequence[Start], width: int, height: int) -> None:
+    """Refuse starts as `check_starts` does, and those that fit two classes; say which lie mostly outside.
+
+    Raises:
+        StartError: as of `check_starts`, or a start names no class and the graph has several.
+    """
+    check_starts(graph, starts, width, height)
+    for start in starts:
+        if start.plate is None and len(graph.targets) > 1:
+            box = ",".join(f"{float(value):g}" for value in start.box)
+            ways = " or ".join(f"{name}:{box}" for name in graph.targets)
+            raise StartError(
+                f"start box {box}: the graph {graph.spec.name} has the classes {', '.join(graph.targets)}, "
+                f"and the box names none; write {ways} (in Python Start(box, {next(iter(graph.targets))!r}))"
+            )
+        _say_outside(start.box, width, height)
 
 
 def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, height: int) -> None:
@@ -95,6 +121,34 @@ def check_box(box: object, width: int, height: int) -> Floats:
             "x,y is the top-left corner"
         )
     return corner
+
+
+def _say_outside(box: CornerBox, width: int, height: int) -> None:
+    x, y, w, h = (float(value) for value in box)
+    columns, rows = min(x + w, width) - max(x, 0.0), min(y + h, height) - max(y, 0.0)
+    outside = 1.0 - columns * rows / (w * h)
+    fits_as_corners = 0 <= x < w <= width and 0 <= y < h <= height
+    if outside <= (MOSTLY_OUTSIDE if not fits_as_corners else SOME_OUTSIDE):
+        return
+    other = ""
+    if fits_as_corners:
+        other = f"; if its numbers are left, top, right, bottom, write {x:g},{y:g},{w - x:g},{h - y:g}"
+    notice(
+        f"start box {x:g},{y:g},{w:g},{h:g} (left, top, width, height): {100 * outside:.0f} % of it lies "
+        f"outside of the {width}x{height} frame{other}"
+    )
+
+
+def say_blank(frame: Frame, starts: Sequence[Start]) -> None:
+    """Say so where targets are to start in a frame of one value, which shows none of them."""
+    if not starts:
+        return
+    least, most = int(frame.image.min()), int(frame.image.max())
+    if least == most or (not frame.has_color and most - least <= NOISE) or most <= NOISE:
+        notice(
+            f"frame {frame.index}, in which the target starts, shows nothing: its values are "
+            f"{least if least == most else f'{least} to {most}'} everywhere; start in another one (--start N)"
+        )
 
 
 def start_targets(

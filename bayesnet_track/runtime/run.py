@@ -8,7 +8,14 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Protocol
 
-from bayesnet_track.engine.starts import Start, StartError, check_started, check_starts, start_targets
+from bayesnet_track.engine.starts import (
+    Start,
+    StartError,
+    check_started,
+    check_starts,
+    say_blank,
+    start_targets,
+)
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
@@ -159,6 +166,7 @@ def run(
                     started = replace(started, tracked=resizing.tracked)
                 for event in (started, *totals.notices):
                     emit(event)
+                say_blank(item, starts)
                 given = external_inputs(item.index)
                 outcome = start_targets(graph, engine, seen, placed, given)
             else:

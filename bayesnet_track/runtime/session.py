@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.engine.starts import Start, StartError, check_depth, check_starts
+from bayesnet_track.engine.starts import Start, StartError, check_depth, check_given
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
@@ -198,7 +198,7 @@ def track(
             raise ValueError(f"{option} is for a source that is opened here; this one is open already")
         else:
             opened = source
-        check_starts(checked, starts, opened.width, opened.height)
+        check_given(checked, starts, opened.width, opened.height)
         resizing = resizing_of(opened, max_side)
         for start in starts:
             resizing.start(start)  # raises before anything is written

@@ -16,7 +16,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import Forecast, forecast
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.scoring.assurance import said_status
-from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
+from bayesnet_track.engine.starts import Start, check_given, check_started, say_blank, start_targets
 from bayesnet_track.engine.step import Engine, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
@@ -140,7 +140,7 @@ class Tracker(Boxed):
     def init(
         self,
         frame: NDArray[np.uint8],
-        box: CornerBox | None = None,
+        box: CornerBox | Start | None = None,
         *,
         depth: Depth | None = None,
         time_s: float | None = None,
@@ -148,7 +148,8 @@ class Tracker(Boxed):
     ) -> None:
         """Start on the target inside `box` = (x, y, w, h), top-left corner, of the BGR or gray `frame`.
 
-        Without a box, on what the detectors of the graph's births find.
+        Without a box, on what the detectors of the graph's births find. Where the graph has several classes,
+        `box` is a `Start`, which names one.
 
         May be called again, to start anew on another target or in another video. `depth` is the rectified
         right picture or the points that belong to `frame`, for graphs with a stereo agent. `time_s` is when
@@ -165,8 +166,9 @@ class Tracker(Boxed):
             clock = self._clock.tick(time_s, ANEW)
             levels = Levels("frame 0", self._levels.value_range)
             first = _frame(frame, clock, depth, self._copy_frames, levels)
-            starts = [] if box is None else [Start(box)]
-            check_starts(self._graph, starts, first.width, first.height)
+            starts = [] if box is None else [box if isinstance(box, Start) else Start(box)]
+            check_given(self._graph, starts, first.width, first.height)
+            say_blank(first, starts)
             resizing = Resizing.to(first.width, first.height, self._max_side)
             if depth is not None and not resizing.is_none:
                 raise ValueError(

@@ -165,11 +165,11 @@ def _word(value: object) -> str:
 
 
 def _starts(job: Job) -> list[Start] | None:
+    from bayesnet_track.cli.commands.start_boxes import parse_start
     from bayesnet_track.evaluate.truth import read_truth
 
     if job.video.init is not None:
-        x, y, w, h = (float(part) for part in job.video.init.split(","))
-        return [Start((x, y, w, h))]
+        return [parse_start(job.video.init)]
     if job.video.init_from is None:
         return None
     x, y, w, h = (float(value) for value in read_truth(job.video.init_from)[0])

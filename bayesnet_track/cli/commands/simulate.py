@@ -24,7 +24,7 @@ def simulate(options: argparse.Namespace) -> int:
     """Draw trajectories, print how far they go, and write picture and CSV."""
     from bayesnet_track.engine.simulating import Simulation
     from bayesnet_track.engine.simulating import simulate as draw
-    from bayesnet_track.engine.starts import check_starts
+    from bayesnet_track.engine.starts import check_given
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.numerics.boxes import centre_from_corner
 
@@ -42,7 +42,7 @@ def simulate(options: argparse.Namespace) -> int:
             check_free(Path(getattr(options, name)), options.overwrite)
     frame = _first_frame(options)
     with users_mistake():
-        check_starts(graph, [start], frame.width, frame.height)
+        check_given(graph, [start], frame.width, frame.height)
     plate = graph.targets[start.plate or next(iter(graph.targets))]
     chosen = Simulation(options.frames, options.draws, options.seed, (frame.width, frame.height))
     drawn = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), chosen)

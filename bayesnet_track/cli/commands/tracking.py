@@ -217,7 +217,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         action="append",
         metavar="X,Y,W,H",
         help="start box in the first frame that is read (frame N with --start N), top-left corner, px; "
-        "PLATE:X,Y,W,H names the plate; "
+        "CLASS:X,Y,W,H names the class of target, where the graph has several; "
         "repeat it for further targets; needed unless the graph has `birth`",
     )
     start.add_argument(

@@ -9,7 +9,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
-from bayesnet_track.engine.starts import Start, check_starts
+from bayesnet_track.engine.starts import Start, check_given
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
@@ -104,7 +104,7 @@ class LiveView:
         with self._news:
             self._about["first"] = first.index
         return self.controls.choose(
-            partial(check_starts, graph, width=source.width, height=source.height), give_up
+            partial(check_given, graph, width=source.width, height=source.height), give_up
         )
 
     def event(self, event: Event) -> None:
