@@ -14,6 +14,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.runtime.recording.exports import as_coco, as_csv, as_jsonl, as_mot
 from bayesnet_track.runtime.recording.tables import AGENT_COLUMNS, TRACK_COLUMNS
+from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scenes import make_scene
 
 COLUMNS = (
@@ -164,3 +165,43 @@ def test_the_command_writes_and_does_not_overwrite(run, tmp_path, capsys):
 def test_a_folder_that_is_no_run(tmp_path, capsys):
     assert main(["export", str(tmp_path), "--format", "csv"]) == 4
     assert "no journal.jsonl in it" in capsys.readouterr().err
+
+
+def test_coco_names_the_images_of_the_source_while_they_are_there(tmp_path, monkeypatch):
+    import cv2
+
+    scene = make_scene("two_squares")
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for index in range(5):
+        cv2.imwrite(str(folder / f"shot-{index + 7}.PNG"), scene.frames[index])
+    monkeypatch.chdir(tmp_path)
+    box = ",".join(str(value) for value in scene.start_box)
+    line = [
+        "run",
+        "gray_square",
+        "--source",
+        "frames",
+        "--start",
+        "1",
+        "--init",
+        box,
+        "--quiet",
+        "--out",
+        "run",
+    ]
+    assert main(line) == 0
+    names = [image["file_name"] for image in json.loads(as_coco(open_run("run")))["images"]]
+    assert names == [f"shot-{index}.PNG" for index in (8, 9, 10, 11)]
+    monkeypatch.chdir(folder)  # the folder is found from everywhere
+    run = open_run(tmp_path / "run")
+    assert [image["file_name"] for image in json.loads(as_coco(run))["images"]] == names
+    (folder / "shot-9.PNG").write_bytes((folder / "shot-8.PNG").read_bytes() + b"more")
+    with pytest.warns(InputNotice, match="frames: changed since the run; images are named by frame"):
+        text = as_coco(run)
+    assert [image["file_name"] for image in json.loads(text)["images"]] == [
+        f"{n:06d}.jpg" for n in (1, 2, 3, 4)
+    ]
+    for file in folder.iterdir():
+        file.unlink()
+    assert json.loads(as_coco(run))["images"][0]["file_name"] == "000001.jpg"

@@ -6,13 +6,16 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
 from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS, Row, track_rows
 from bayesnet_track.runtime.recording.tracks import mot_line
+from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.paths import SourceError, image_names
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.run_reader import Run
@@ -45,8 +48,8 @@ def as_jsonl(run: Run, lost: bool = True) -> str:
 def as_coco(run: Run, lost: bool = False) -> str:
     """COCO JSON with tracks: images (one per frame), annotations with `track_id` and `score`, categories.
 
-    Categories are the graph's plates, from 1; images are numbered by frame + 1 and named ``000000.jpg`` by
-    frame, in px from the top-left corner.
+    Categories are the graph's plates, from 1; images are numbered by frame + 1 and named as the images of the
+    source, or ``000000.jpg`` by frame where it has none. Boxes are in px from the top-left corner.
     """
     started = run.started
     numbers = _numbers(run)
@@ -55,6 +58,7 @@ def as_coco(run: Run, lost: bool = False) -> str:
     if strange:
         raise JournalError(f"{run.directory.journal}: no target type {min(strange)!r} in the run's graph")
     frames = sorted({line.frame for line in run.metrics} | run.seconds.keys())
+    names = _image_names(run, frames)
     annotations = [
         {
             "id": number,
@@ -76,7 +80,7 @@ def as_coco(run: Run, lost: bool = False) -> str:
         "images": [
             {
                 "id": frame + 1,
-                "file_name": f"{frame:06d}.jpg",
+                "file_name": names[frame] if names else f"{frame:06d}.jpg",
                 "width": started.width,
                 "height": started.height,
                 "video_id": 1,
@@ -98,6 +102,22 @@ FORMATS: Mapping[str, Callable[[Run, bool], str]] = {
     "csv": as_csv,
     "jsonl": as_jsonl,
 }
+
+
+def _image_names(run: Run, frames: Sequence[int]) -> tuple[str, ...]:
+    """Names of the image files that the run read; none of another source, or where they are gone."""
+    try:
+        origin = Recipe.read(run.directory).origin
+        part = origin.fingerprint.get("source")
+        names = image_names(origin.places()[origin.text], part.files) if part and origin.parts() else ()
+        if not names or not frames or len(names) <= frames[-1]:
+            return ()
+        changes = origin.changes()
+    except (RecipeError, OSError, SourceError):
+        return ()
+    if changes:
+        notice(f"{origin.text}: changed since the run; images are named by frame, not by their files")
+    return () if changes else names
 
 
 def _rows(run: Run, lost: bool) -> list[Row]:
