@@ -106,8 +106,10 @@ def _load_libraries() -> None:
 
 
 def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots, answers: int) -> None:
+    notices: list[str] = []
     try:
-        reader = opener(job)
+        with heard(notices.append):
+            reader = opener(job)
     except SourceError as error:
         said = {name: getattr(error, name) for name in ("given", "found", "allowed", "mend")}
         return _send(answers, {"is": "refused", **said})
@@ -118,16 +120,18 @@ def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots,
             "declared_frames": reader.declared_frames,
             "frame_interval_s": float(reader.frame_interval_s),
             "gap_from": float(reader.gap_from),
+            "notices": [text[:2000] for text in notices],
             "flow": asdict(getattr(reader, "flow", Flow())),
         },
     )
-    for item in reader:
-        if isinstance(item, Damage):
-            what = {"reason": item.reason[:2000], "truncated": item.truncated}
-            _send(answers, {"is": "damage", "index": item.index, **what})
-        elif isinstance(item, Picture):  # files and URLs give nothing else
-            slots.show(item, is_wanted=item.index >= job["start"])
-        begin_picture(limits)
+    with heard(slots.notices.append):
+        for item in reader:
+            if isinstance(item, Damage):
+                what = {"reason": item.reason[:2000], "truncated": item.truncated}
+                _send(answers, {"is": "damage", "index": item.index, **what})
+            elif isinstance(item, Picture):  # files and URLs give nothing else
+                slots.show(item, is_wanted=item.index >= job["start"])
+            begin_picture(limits)
     _send(answers, {"is": "end"})
 
 
@@ -137,6 +141,7 @@ class _Slots:
     def __init__(self, shared: int, answers: int) -> None:
         self._view, self._answers = mmap.mmap(shared, SLOTS * SLOT_BYTES), answers
         self._free = list(range(SLOTS))
+        self.notices: list[str] = []
 
     def show(self, picture: Picture, is_wanted: bool) -> None:
         message: dict[str, Any] = {
@@ -146,11 +151,10 @@ class _Slots:
             "time_s": float(picture.time_s),
         }
         if is_wanted:
-            notices: list[str] = []
             try:
-                with heard(notices.append):
-                    image, has_color = picture.pixels()
-                message["notices"] = [text[:2000] for text in notices]
+                image, has_color = picture.pixels()
+                message["notices"] = [text[:2000] for text in self.notices]
+                self.notices.clear()
             except PictureError as error:
                 message["error"] = str(error)[:2000]
             else:

@@ -114,6 +114,7 @@ class IsolatedReader:
             self.frame_interval_s = float(answer["frame_interval_s"])
             self.gap_from = float(answer["gap_from"])
             self.flow = Flow(**answer["flow"])
+            _repeat(answer)
         except _Ended as error:
             mend = "check that it is whole, and where it comes from"
             raise SourceError(self._text, str(error), "a source that can be decoded", mend) from None
@@ -166,8 +167,7 @@ class IsolatedReader:
             error = PictureError(str(answer.get("error", "the picture lies before the start")))
             return Picture(index, float(answer["time"]), time_s, _Refused(error))
         image, has_color = self._image(answer), bool(answer["has_color"])
-        for text in answer.get("notices", ())[:MOST_NOTICES]:
-            notice(str(text))
+        _repeat(answer)
         return Picture(index, float(answer["time"]), time_s, lambda: (image, has_color))
 
     def _image(self, answer: Mapping[str, Any]) -> NDArray[np.uint8]:
@@ -237,6 +237,12 @@ class IsolatedReader:
 
 
 NONSENSE = "the decoder gave an answer that makes no sense"
+
+
+def _repeat(answer: Mapping[str, Any]) -> None:
+    """Give the notices that the other process had to give."""
+    for text in answer.get("notices", ())[:MOST_NOTICES]:
+        notice(str(text))
 
 
 class _Ended(Exception):

@@ -6,20 +6,27 @@ OpenCV's reader is not used: at damage it ends as if the file did, and it rescal
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import av
-import numpy as np
 from av.video.reformatter import VideoReformatter
-from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.image_size import MAX_PIXELS, PictureError
+from bayesnet_track.observation.image_size import MAX_PIXELS
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
+from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.streams import (
+    FAULTS,
+    NETWORK_TIMEOUT_S,
+    explain_frame,
+    explain_stream,
+    pixels_of,
+    shown_streams,
+    words,
+)
+from bayesnet_track.sources.network.address import shown_address
 from bayesnet_track.sources.network.flow import Flow, flow_of
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture
@@ -32,19 +39,16 @@ FORMATS = (
 )
 NETWORK_FORMATS = f"{FORMATS},hls,dash,rtsp,sdp,rtp,mpjpeg,live_flv"
 NETWORK_PROTOCOLS = "http,https,httpproxy,tcp,tls,udp,rtp,rtsp"
-NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
 MAX_FAILURES = 50
 MOST_UNREAD = 0.1
 """Share of a Matroska file that may follow the last picture: its index, its tags, the end of the sound."""
-ATTACHED_PICTURE = 0x0400
 # Titles need not be UTF-8, and are not needed. From PyAV 19 they are always read so, without an option.
 TOLERANT_METADATA: dict[str, Any] = (
     {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
 )
 # In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
-FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
 END_OF_JPEG, PADDING = b"\xff\xd9", 1 << 12
 """The marker that ends an image, and how many bytes may follow it."""
 
@@ -72,6 +76,8 @@ class VideoReader:
                 stamps, unordered = _probe(container, _video_stream(text, container))
         self._container = _open(text, network)
         self._stream = _video_stream(text, self._container)
+        for reason in explain_stream(self._container, self._stream):
+            notice(f"{shown_address(text)}: {reason}")
         self._stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         self._timing: Timing = timing_of(self._stream, stamps)
         self._declared: Declared = declared_by(self._container, self._stream, self._timing)
@@ -110,10 +116,10 @@ class VideoReader:
             except StopIteration:
                 break
             except self._broken as error:
-                yield Damage(self._index, f"the connection broke: {_words(error)}")
+                yield Damage(self._index, f"the connection broke: {words(error)}")
                 break
             except FAULTS as error:
-                yield Damage(self._index, f"the container is damaged: {_words(error)}")
+                yield Damage(self._index, f"the container is damaged: {words(error)}")
                 failures += 1
                 packets = self._container.demux(self._stream)
                 continue
@@ -143,7 +149,7 @@ class VideoReader:
         try:
             frames = self._stream.codec_context.decode(packet)
         except FAULTS as error:
-            yield Damage(self._index, f"the decoder refused a frame: {_words(error)}")
+            yield Damage(self._index, f"the decoder refused a frame: {words(error)}")
             if packet is not None:
                 self._lost = int(packet.is_corrupt)  # the last one is where the file was cut
                 self._index += 1
@@ -167,6 +173,8 @@ class VideoReader:
         else:
             self._origin = stamp if self._origin is None else self._origin
             time = self._timing.intervals(stamp - self._origin)
+        if self._index == 0 and (reason := explain_frame(frame)) is not None:
+            notice(f"{shown_address(self._text)}: {reason}")
         seconds = time * self.frame_interval_s
         limit = self._declared.duration_s
         if limit is not None and seconds > limit + 1.0:
@@ -202,59 +210,6 @@ class VideoReader:
                 yield Damage(self._index, reason, True)
 
 
-def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.uint8], bool]:
-    """The pixels of a decoded frame, upright, as ((H, W, 3) uint8 BGR, has_color).
-
-    By a range the values are those of the file where it is gray, and 8 or 16 bit where it has colour.
-
-    Raises:
-        PictureError: the pixel format cannot be converted.
-    """
-    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    has_color = not name.startswith(("gray", "mono", "ya8", "ya16"))
-    try:
-        if levels.value_range is not None:
-            wide = ("bgr48le" if bits > 8 else "bgr24") if has_color else _plain_gray(name, bits)
-            image = levels(_samples(frame if name == wide else reformatter.reformat(frame, format=wide)))[0]
-        else:
-            image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
-            if bits > 8 and not has_color:  # a colour format says itself which values are black and white
-                wide = _plain_gray(name, bits)
-                stored = frame if name == wide else reformatter.reformat(frame, format=wide)
-                levels.look(_samples(stored), image)
-    except FAULTS as error:
-        raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
-    if image.ndim == 2:
-        image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
-    return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame))), has_color
-
-
-def _plain_gray(name: str, bits: int) -> str:
-    """The format in which the values of a gray one are read: its own where it has nothing else."""
-    return name if name.startswith("gray") else "gray16le" if bits > 8 else "gray"
-
-
-def _samples(frame: Any) -> Array:
-    """The values of a packed frame as they are stored, (H, W) or (H, W, 3)."""
-    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    channels = 3 if name.startswith("bgr") else 1
-    kind = "u1" if bits <= 8 else "f4" if bits == 32 else "u2"
-    values = np.frombuffer(frame.planes[0], f"{'>' if name.endswith('be') else '<'}{kind}")
-    rows = values.reshape(frame.planes[0].height, -1)[:, : channels * frame.width]
-    image = rows.astype(np.dtype(kind))
-    return image if channels == 1 else image.reshape(*rows.shape[:1], -1, channels)
-
-
-def _quarter_turns(frame: Any) -> int:
-    """How many quarter turns against the clock bring the stored picture upright."""
-    degrees = getattr(frame, "rotation", None)
-    if degrees is None:  # PyAV 12; asking for side data leaves frames to the garbage collector
-        stored = frame.side_data.get("DISPLAYMATRIX")
-        matrix = np.array([1, 0]) if stored is None else np.frombuffer(stored, dtype=np.int32)
-        degrees = math.degrees(-math.atan2(matrix[1], matrix[0]))
-    return round(degrees / 90) % 4
-
-
 def _open(text: str, network: bool) -> Any:
     options = {"protocol_whitelist": NETWORK_PROTOCOLS, "format_whitelist": NETWORK_FORMATS}
     if not network:
@@ -266,8 +221,8 @@ def _open(text: str, network: bool) -> Any:
         return av.open(name, mode="r", options=options, timeout=timeout, **TOLERANT_METADATA)
     except FAULTS as error:
         if network:
-            raise _unreachable(text, _words(error)) from error
-        raise _not_a_video(text, _words(error)) from error
+            raise _unreachable(text, words(error)) from error
+        raise _not_a_video(text, words(error)) from error
 
 
 def _unreachable(text: str, found: str) -> SourceError:
@@ -280,14 +235,8 @@ def _unreachable(text: str, found: str) -> SourceError:
 
 
 def _video_stream(text: str, container: Any) -> Any:
-    for stream in container.streams.video:
-        if stream.codec_context is None:  # and PyAV 12 would say that its flags are None
-            continue
-        # A cover picture is a video stream of one frame. Its flag is an enum or, in older versions, absent.
-        flags = getattr(stream, "disposition", 0)
-        cover = bool(getattr(flags, "value", flags) & ATTACHED_PICTURE)
-        if not cover:
-            return stream
+    for stream in shown_streams(container):
+        return stream
     raise _not_a_video(text, "no video stream that can be decoded in it")
 
 
@@ -320,9 +269,3 @@ def _probe(container: Any, stream: Any) -> tuple[list[int], bool]:
     except FAULTS:
         pass
     return sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until), all_decoding
-
-
-def _words(error: BaseException) -> str:
-    if isinstance(error, av.error.ExitError):  # only the time-out asks for that
-        return f"no answer within {NETWORK_TIMEOUT_S:g} s"
-    return str(getattr(error, "strerror", None) or error or type(error).__name__)
