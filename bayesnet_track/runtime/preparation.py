@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
-from os import PathLike
-from pathlib import Path
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
@@ -20,7 +18,7 @@ from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource
-from bayesnet_track.sources.detection_files import file_detector
+from bayesnet_track.sources.detection_files import FileDetector
 
 
 def place_cues(
@@ -45,12 +43,11 @@ def prepare_engine(
     graph: CheckedGraph,
     seed: int,
     motion: MotionModel | None,
-    detections: str | PathLike[str] | None,
-    resizing: Resizing,
+    detector: FileDetector | None,
 ) -> Engine:
-    """The engine of a run; raises as `track`."""
+    """The engine of a run, with the detector of a file where there is one; raises as `track`."""
     own = None if motion is None else dict.fromkeys(graph.targets, motion)
-    given = {} if detections is None else {GIVEN: resizing.detector(file_detector(Path(detections)))}
+    given = {} if detector is None else {GIVEN: detector}
     return make_engine(graph, seed, motion=own, detectors=given)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack
 from functools import partial, wraps
@@ -44,8 +43,9 @@ from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import run
-from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
-from bayesnet_track.runtime.unused_detections import warn_unused
+from bayesnet_track.runtime.unused_by_cues import frames_of, say_unused_by_cues
+from bayesnet_track.runtime.unused_detections import GivenFrames
+from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
 
 P = ParamSpec("P")
@@ -110,7 +110,7 @@ def track(
         seed: seed of all randomness.
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
         detections: a file of detections, MOT or JSON Lines, for births by `detections`. A warning says
-            which of them will not be used, where `source` is a text.
+            which of them will not be used.
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
@@ -203,11 +203,12 @@ def track(
         for start in starts:
             resizing.start(start)  # raises before anything is written
         seen = resizing.graph(checked)
-        engine = prepare_engine(seen, seed, motion, detections, resizing)
-        if detections is not None and opened is not source:  # who opened the source knows its frames
-            end = getattr(opened, "declared_frames", None)
-            frames = range(0, sys.maxsize if end is None else end, stride)
-            warn_unused(seen, Path(detections), resizing, frames)
+        detector = None if detections is None else resizing.detector(file_detector(Path(detections)))
+        engine = prepare_engine(seen, seed, motion, detector)
+        given: GivenFrames | None = None
+        if detector is not None and detections is not None:
+            given = GivenFrames(Path(detections), detector.found, frames_of(opened))
+            given.say(seen, resizing.tracked)
         say_unused_by_cues(seen, opened)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
@@ -251,7 +252,8 @@ def track(
             if checkpointer is not None:
                 stack.enter_context(checkpointer)
         yield None
-        yield from run(
+        last: int | None = None
+        for result in run(
             checked,
             opened,
             starts,
@@ -264,7 +266,11 @@ def track(
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             checkpointer=checkpointer,
             max_side=max_side,
-        )
+        ):
+            last = result.frame.index
+            yield result
+        if given is not None and last is not None:
+            given.say_at_end(last)
         if recorder is not None and totals.frames:
             finish(directory, recorder.finish(), files)
 

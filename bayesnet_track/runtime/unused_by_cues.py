@@ -14,7 +14,7 @@ from bayesnet_track.sources.frames import Source
 
 def say_unused_by_cues(graph: CheckedGraph, source: FrameSource | None = None) -> None:
     """A notice for each thing that the agents' files hold and a run through `source` does not use."""
-    for text in dict.fromkeys(_unused_by_cues(graph, _frames_of(source))):
+    for text in dict.fromkeys(_unused_by_cues(graph, frames_of(source))):
         notice(text)
 
 
@@ -26,7 +26,7 @@ def _unused_by_cues(graph: CheckedGraph, frames: range) -> Iterator[str]:
                 yield from declaration.unused(cue_parameters(chosen, declaration), frames)
 
 
-def _frames_of(source: FrameSource | None) -> range:
+def frames_of(source: FrameSource | None) -> range:
     """Numbers of the frames that a source gives; up to `sys.maxsize` where it does not say."""
     if isinstance(source, Source):
         return source.numbers

@@ -2,33 +2,58 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from math import gcd
 from pathlib import Path
 from sys import maxsize
 
+import numpy as np
+
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
-from bayesnet_track.runtime.resizing import Resizing
-from bayesnet_track.sources.detection_files import file_detector
+from bayesnet_track.sources.entrances.line_forms import far_outside
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.vision.detectors.left_out import left_out
 
+Found = Mapping[int, Detections]
 
-def warn_unused(graph: CheckedGraph, detections: Path, resizing: Resizing, frames: range) -> None:
-    """A warning, at the caller of `track`, for each reason that `explain_unused` gives."""
-    found = resizing.detector(file_detector(detections)).found
-    for reason in explain_unused(graph, found, resizing.tracked, frames):
-        warnings.warn(f"{detections}: {reason}", stacklevel=4)
+LONG, LONG_SHARE = 10, 0.25
+"""Frames without detections before the first, or after the last one, from which on they are spoken of."""
+
+QUESTION = ": is the file of this video, and of its frame rate?"
 
 
-def explain_unused(
-    graph: CheckedGraph,
-    found: Mapping[int, Detections],
-    size: tuple[int, int],
-    frames: range,
-) -> Iterator[str]:
+@dataclass(frozen=True)
+class GivenFrames:
+    """A file of detections, and the frames that were to be read.
+
+    Attributes:
+        file: its name.
+        found: index of a frame -> its detections.
+        frames: indices of the frames to read; up to `sys.maxsize` where their number is not known.
+    """
+
+    file: Path
+    found: Found
+    frames: range
+
+    def say(self, graph: CheckedGraph, size: tuple[int, int]) -> None:
+        """A notice for each reason that `explain_unused` gives."""
+        for reason in explain_unused(graph, self.found, size, self.frames):
+            notice(f"{self.file}: {reason}")
+
+    def say_at_end(self, last: int) -> None:
+        """A notice of detections after frame `last`, the last one that there was, if not said before."""
+        stop = last + self.frames.step
+        if stop < self.frames.stop:
+            for reason in _explain_frames(self.found, range(self.frames.start, stop, self.frames.step)):
+                notice(f"{self.file}: {reason}")
+
+
+def explain_unused(graph: CheckedGraph, found: Found, size: tuple[int, int], frames: range) -> Iterator[str]:
     """A sentence for each reason to think that detections, video and graph do not go together.
 
     Args:
@@ -37,13 +62,8 @@ def explain_unused(
         size: width and height of these frames, px.
         frames: indices of the frames that are read; up to `sys.maxsize` where their number is not known.
     """
+    yield from _explain_frames(found, frames)
     read = {index: one for index, one in found.items() if index in frames}
-    if found and not read:
-        last = " and later ones" if frames.stop == maxsize else f" to {frames.stop - 1}"
-        yield (
-            f"no detection is of a frame that is read: they are of the frames {min(found)} to {max(found)}, "
-            f"and {frames.start}{last} are read (both counted from 0; a MOT file counts from 1)"
-        )
     first = min(read, default=0)
     step = gcd(*(index - first for index in read))
     if step > frames.step:
@@ -52,6 +72,7 @@ def explain_unused(
             f"only one frame in {step} has detections, and in the others nobody is detected: "
             f"{begin}--stride {step} reads only those that have some"
         )
+    yield from _explain_places(read, size)
     total = sum(map(len, read.values()))
     for plate in graph.targets.values():
         birth = plate.spec.birth
@@ -61,3 +82,62 @@ def explain_unused(
         if unused:
             reasons = "; ".join(f"{count} {reason}" for reason, count in unused.items())
             yield f"{sum(unused.values())} of {total} detections are not used: {reasons}"
+
+
+def _explain_frames(found: Found, frames: range) -> Iterator[str]:
+    """What lies outside of the frames that are read, between them, and which of them have nothing."""
+    read = sorted(index for index in found if index in frames)
+    is_endless = frames.stop == maxsize
+    span = f"{frames.start}" + (" and later ones" if is_endless else f" to {max(frames.stop - 1, 0)}")
+    if found and not read:
+        yield (
+            f"no detection is of a frame that is read: they are of the frames {min(found)} to {max(found)}, "
+            f"and {span} are read (both counted from 0; a MOT file counts from 1){QUESTION}"
+        )
+        return
+    total = sum(map(len, found.values()))
+    within = range(frames.start, frames.stop)
+    outside = {
+        f"before the first one that is read{QUESTION}": [one for one in found if one < frames.start],
+        f"after the last one that is read{QUESTION}": [one for one in found if one >= frames.stop],
+        f"which a stride of {frames.step} leaves out": [
+            one for one in found if one in within and one not in frames
+        ],
+    }
+    for where, indices in outside.items():
+        if indices:
+            place, _, question = where.partition(":")
+            yield (
+                f"{sum(len(found[one]) for one in indices)} of {total} detections are of frames {place} "
+                f"({min(indices)} to {max(indices)}; {span} are read, counted from 0)"
+                f"{':' * bool(question)}{question}"
+            )
+    if not read or is_endless:
+        return
+    empty = {"first": (frames.start, read[0] - 1), "last": (read[-1] + 1, frames.stop - 1)}
+    for which, (first, last) in empty.items():
+        length = (last - first + 1) // frames.step
+        if length >= LONG and length >= LONG_SHARE * len(frames):
+            yield (
+                f"no detection is of the {which} {length} frames ({first} to {last}; {span} are read, "
+                f"counted from 0){QUESTION}"
+            )
+
+
+def _explain_places(read: Found, size: tuple[int, int]) -> Iterator[str]:
+    """Boxes that begin inside and reach far out of the frame, as corners do that are given as sizes."""
+    if not read:
+        return
+    boxes = corner_from_centre(np.concatenate([one.boxes for one in read.values()]))
+    far = far_outside(boxes, size)
+    if far.mean() > 0.5:
+        fits = (boxes[:, 2:] > boxes[:, :2]) & (boxes[:, 2:] <= np.array(size) + 1)
+        cause = (
+            "they can be corners left,top,right,bottom, which a header line frame,id,x1,y1,x2,y2,.. names"
+            if fits.all(axis=1).mean() > 0.9
+            else "are they boxes left,top,width,height of this video, and of its size?"
+        )
+        yield (
+            f"{far.sum()} of {len(boxes)} detections begin inside of the frames of {size[0]}x{size[1]} px "
+            f"and reach far beyond them: {cause}"
+        )

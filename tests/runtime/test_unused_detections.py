@@ -26,7 +26,11 @@ SPARSE = (
         (
             {0: SEEN, 1: POOR, 9: POOR},
             range(9),
-            ["1 of 2 detections are not used: 1 score less than min_score 0.2"],
+            [
+                "1 of 3 detections are of frames after the last one that is read (9 to 9; 0 to 8 are read, "
+                "counted from 0): is the file of this video, and of its frame rate?",
+                "1 of 2 detections are not used: 1 score less than min_score 0.2",
+            ],
         ),
         (
             {1: SEEN, 4: SEEN},
@@ -38,7 +42,8 @@ SPARSE = (
             range(5, 6),
             [
                 "no detection is of a frame that is read: they are of the frames 7 to 7, and 5 to 5 are read "
-                "(both counted from 0; a MOT file counts from 1)"
+                "(both counted from 0; a MOT file counts from 1): is the file of this video, and of its "
+                "frame rate?"
             ],
         ),
         (
@@ -46,7 +51,8 @@ SPARSE = (
             range(8, sys.maxsize),
             [
                 "no detection is of a frame that is read: they are of the frames 7 to 7, and 8 and later "
-                "ones are read (both counted from 0; a MOT file counts from 1)"
+                "ones are read (both counted from 0; a MOT file counts from 1): is the file of this "
+                "video, and of its frame rate?"
             ],
         ),
     ],

@@ -19,7 +19,6 @@ from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.changes import add_set_option, set_values
-from bayesnet_track.cli.options.given_detections import say_unused
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.runs import (
     add_outside_options,
@@ -93,8 +92,7 @@ def track_source(
     detections = getattr(options, "detections", None)
     if detections is not None:
         with users_file("--detections", f"a text file with MOT lines ({COLUMNS}) or JSON Lines"):
-            given = file_detector(detections)
-        say_unused(options, graph, source, given)
+            file_detector(detections)
     inputs = getattr(options, "inputs", None)
     if inputs is not None:
         with users_mistake():

@@ -62,6 +62,7 @@ from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import Resumed, RunPosition, run
+from bayesnet_track.sources.detection_files import file_detector
 
 __all__ = ["ResumeError", "resume"]
 
@@ -138,10 +139,11 @@ def resume(
         checkpoint = _checkpoint(directory, say)
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
-        detections = None if recipe.detections is None else recipe.detections.place
         resizing = resizing_of(opened, recipe.max_side)
         seen = resizing.graph(graph)
-        engine = prepare_engine(seen, recipe.seed, motion, detections, resizing)
+        given = recipe.detections
+        detector = None if given is None else resizing.detector(file_detector(given.place))
+        engine = prepare_engine(seen, recipe.seed, motion, detector)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms

@@ -125,3 +125,13 @@ def count_up(column: Floats | Ints) -> bool:
     """
     lines = np.arange(len(column))
     return len(column) >= LEAST_LINES and (bool((column == lines).all()) or bool((column == lines + 1).all()))
+
+
+def far_outside(boxes: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(N,) whether boxes (N, 4) begin in frames of this width and height, and end a tenth of it beyond.
+
+    >>> far_outside(np.array([[50.0, 40, 110, 85], [100, 40, 25, 20]]), (120, 90)).tolist()
+    [True, False]
+    """
+    inside = (boxes[:, :2] < size).all(axis=1)
+    return np.asarray(inside & (boxes[:, :2] + boxes[:, 2:] > 1.1 * np.array(size)).any(axis=1))
