@@ -14,7 +14,7 @@ from bayesnet_track.evaluate.clear_mot import clear_mot
 from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa
 from bayesnet_track.evaluate.hota import ALPHAS, hota
 from bayesnet_track.evaluate.identity import identity
-from bayesnet_track.evaluate.mot_files import read_mot_tracks, read_mot_truth
+from bayesnet_track.evaluate.mot_files import read_pair
 from bayesnet_track.evaluate.mot_pairs import Tracks, pair
 from bayesnet_track.evaluate.ospa2 import ospa2
 from bayesnet_track.evaluate.scores import meanings
@@ -194,20 +194,11 @@ def score_mot_files(
 ) -> MotScore:
     """Scores of a tracks file against a ground-truth file, both MOT; see `score_mot`.
 
-    With `frames` only these count, as of a run that read every few frames of its source.
+    With `frames` only these count, as of a run that read every few frames of its source. Scores by class
+    are in `evaluate.classes`.
 
     Raises:
         OSError: a file cannot be read.
         ValueError: a malformed file; says file and line.
     """
-    truth, tracks = read_mot_truth(truth_path), read_mot_tracks(tracks_path)
-    if frames is not None:
-        truth, tracks = _renumbered(truth, frames), _renumbered(tracks, frames)
-    return score_mot(truth, tracks, cutoff_px, trajectories)
-
-
-def _renumbered(tracks: Tracks, frames: Collection[int]) -> Tracks:
-    """What is in these frames, numbered from 0 without gaps."""
-    places = np.array(sorted(frames), dtype=np.int64)
-    kept = np.isin(tracks.frames, places)
-    return Tracks(np.searchsorted(places, tracks.frames[kept]), tracks.ids[kept], tracks.boxes[kept])
+    return score_mot(*read_pair(tracks_path, truth_path, frames), cutoff_px, trajectories)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
@@ -21,14 +22,21 @@ class Tracks:
         frames: (N,) indices of frames, from 0.
         ids: (N,) whole numbers; which target each box is of.
         boxes: (N, 4) corner boxes left, top, width, height in px.
+        classes: (N,) names of classes, empty where there is none; None if no box has one.
     """
 
     frames: Ints
     ids: Ints
     boxes: Floats
+    classes: NDArray[np.str_] | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def only(self, keep: NDArray[np.bool_]) -> Tracks:
+        """The boxes with `keep` (N,)."""
+        classes = None if self.classes is None else self.classes[keep]
+        return Tracks(self.frames[keep], self.ids[keep], self.boxes[keep], classes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,39 +2,55 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from math import gcd
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from bayesnet_track.evaluate.scores import Score, score
-from bayesnet_track.evaluate.truth import read_truth
-from bayesnet_track.journal.events.runs import RunEnded
+from bayesnet_track.evaluate.truth import TruthForm, read_truth
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.timings import read_seconds
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.sources.entrances.misfits import explain_places
+from bayesnet_track.sources.entrances.notices import notice
+
+E = TypeVar("E", bound=Event)
 
 _NOTHING = (math.nan,) * 4
 """The row of a frame in which the target has ended."""
 
 
-def score_run(run_directory: str | Path, truth_path: str | Path, target: str | None = None) -> Score:
+def score_run(
+    run_directory: str | Path,
+    truth_path: str | Path,
+    target: str | None = None,
+    form: TruthForm | None = None,
+) -> Score:
     """Scores of one target of a run; row i of the truth belongs to the frame with index i.
 
     Reads ``frames.jsonl`` and, where there is one, ``timings.jsonl``. Frames beyond the end of the truth are
     not scored, nor are those before the target's first line. After that, a frame of the run without a line of
     the target, which has ended, counts as lost with an IoU of 0. `target` may be left out when the run has
-    only one.
+    only one. `form` is that of `read_truth`. A notice says where ground truth and run do not go together.
 
     Raises:
         OSError: a file cannot be read.
         ValueError: a malformed file (says file and line), no frame with a true box, or an unclear target.
     """
     folder = Path(run_directory)
-    truth = read_truth(truth_path)
+    truth = read_truth(truth_path, form)
+    say_misplaced(folder, truth_path, truth[np.isfinite(truth).all(axis=1)])
+    _say_lengths(folder, truth_path, len(truth))
     every = list(read_metrics(folder / "frames.jsonl"))
     seconds = dict(read_seconds(folder / "timings.jsonl"))
     lines = {line.frame: line for line in _of_target(every, target, folder)}
@@ -56,10 +72,54 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
     return found if found.first_lost is None else replace(found, first_lost=frames[found.first_lost])
 
 
+def say_misplaced(run_directory: Path, truth_path: str | Path, boxes: Floats) -> None:
+    """A notice for each sign that true boxes (N, 4) are not of the images of a run."""
+    started = next(iter(_events(run_directory, RunStarted)), None)
+    if started is not None:
+        for reason in explain_places(boxes, (started.width, started.height), "true boxes"):
+            notice(f"{truth_path}: {reason}")
+
+
+def frames_of_run(run_directory: Path) -> tuple[set[int] | None, range | None]:
+    """The frames of a run that read every few of its source, else None; the range of all if it is whole."""
+    frames = {frame for frame, _ in read_seconds(run_directory / "timings.jsonl")}
+    ended = _events(run_directory, RunEnded)
+    if not frames or not ended:
+        return None, None
+    step = gcd(*(frame - min(frames) for frame in frames)) or 1
+    whole = range(min(frames), max(frames) + 1, step) if ended[-1].complete else None
+    return (frames if step > 1 else None), whole
+
+
+def _say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
+    """A notice where the ground truth is shorter than the run, or longer than one of the whole source."""
+    strided, ran = frames_of_run(folder)
+    if strided is not None or ran is None or rows == ran.stop or (rows > ran.stop and _is_part(folder)):
+        return
+    left = f"frames {rows} to {ran.stop - 1}" if rows < ran.stop else f"rows {ran.stop} to {rows - 1}"
+    notice(
+        f"{truth_path} has {rows} rows, the run {len(ran)} frames: is it of this video? Not scored: {left}, "
+        "counted from 0"
+    )
+
+
+def _is_part(folder: Path) -> bool:
+    """Whether a run was asked for only a part of its source, or nothing is known of that."""
+    try:
+        origin = json.loads((folder / "run.json").read_text(encoding="utf-8"))["origin"]
+        return origin.get("start") is not None or origin.get("end") is not None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return True
+
+
+def _events(folder: Path, kind: type[E]) -> list[E]:
+    journal = folder / "journal.jsonl"
+    return [one for one in read_events(journal) if isinstance(one, kind)] if journal.is_file() else []
+
+
 def _timed(folder: Path, seconds: Mapping[int, float]) -> set[int]:
     """The frames that have a time and are whole: a killed run can have timed one that it did not measure."""
-    journal = folder / "journal.jsonl"
-    is_ended = journal.is_file() and any(isinstance(event, RunEnded) for event in read_events(journal))
+    is_ended = bool(_events(folder, RunEnded))
     return set(seconds) if is_ended or not seconds else set(seconds) - {max(seconds)}
 
 

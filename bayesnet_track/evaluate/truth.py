@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.sources.entrances.column_names import CORNERS, is_kitti, layout_of, plain
 from bayesnet_track.sources.entrances.line_forms import (
     count_up,
@@ -68,6 +69,21 @@ def parse_truth(text: str, name: str = "<truth>", form: TruthForm | None = None)
     absent = ~np.isfinite(boxes).all(axis=1) | (boxes[:, 2:] <= 0).any(axis=1)
     boxes[absent] = np.nan
     return boxes
+
+
+def start_box(path: str | Path, frame: int, form: TruthForm | None = None) -> CornerBox:
+    """The corner box that a ground-truth file has for a frame, by its index from 0.
+
+    Raises:
+        OSError, ValueError: as `read_truth`, or there is no box for this frame.
+    """
+    boxes = read_truth(path, form)
+    if frame >= len(boxes):
+        raise ValueError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")
+    x, y, w, h = (float(value) for value in boxes[frame])
+    if math.isnan(x):
+        raise ValueError(f"{path}: the target is absent in frame {frame}; choose another --start")
+    return x, y, w, h
 
 
 def is_mot(path: str | Path, form: TruthForm | None = None) -> bool:

@@ -14,16 +14,11 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
-from bayesnet_track.sources.entrances.line_forms import far_outside
+from bayesnet_track.sources.entrances.misfits import LONG, LONG_SHARE, QUESTION, explain_corners
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.vision.detectors.left_out import left_out
 
 Found = Mapping[int, Detections]
-
-LONG, LONG_SHARE = 10, 0.25
-"""Frames without detections before the first, or after the last one, from which on they are spoken of."""
-
-QUESTION = ": is the file of this video, and of its frame rate?"
 
 
 @dataclass(frozen=True)
@@ -129,15 +124,4 @@ def _explain_places(read: Found, size: tuple[int, int]) -> Iterator[str]:
     if not read:
         return
     boxes = corner_from_centre(np.concatenate([one.boxes for one in read.values()]))
-    far = far_outside(boxes, size)
-    if far.mean() > 0.5:
-        fits = (boxes[:, 2:] > boxes[:, :2]) & (boxes[:, 2:] <= np.array(size) + 1)
-        cause = (
-            "they can be corners left,top,right,bottom, which a header line frame,id,x1,y1,x2,y2,.. names"
-            if fits.all(axis=1).mean() > 0.9
-            else "are they boxes left,top,width,height of this video, and of its size?"
-        )
-        yield (
-            f"{far.sum()} of {len(boxes)} detections begin inside of the frames of {size[0]}x{size[1]} px "
-            f"and reach far beyond them: {cause}"
-        )
+    yield from explain_corners(boxes, size, "detections")

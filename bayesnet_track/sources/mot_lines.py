@@ -127,7 +127,7 @@ def _checked(read: Rows, name: str) -> MotLines:
         if keep[row]:
             raise ValueError(f"{name}:{numbers[row]}: {what}")
     frames = np.array(read.frames, dtype=np.int64) - read.first_frame
-    for place in np.flatnonzero(keep & ((frames < 0) | (frames >= LARGEST))):
+    for place in np.flatnonzero(keep & ((frames < 0) | (frames >= LARGEST))).tolist():
         raise ValueError(f"{name}:{numbers[place]}: {_explain_frame(read.frames[place], read.first_frame)}")
     ids = np.array(read.ids, dtype=np.int64)
     found = MotLines(name, numbers, frames, ids, boxes, read.values[:, 6:], read.classes)

@@ -582,7 +582,9 @@ MISTAKES = {
     ),
     "run general --source {images} --out {out} --init-from {wrong}/words.txt": (
         2,
-        "bayesnet-track run: {wrong}/words.txt:1: 'no' is not a number; expected x,y,w,h",
+        "bayesnet-track run: {wrong}/words.txt:1: a header line (no,boxes,in,here) in which no column is "
+        "called left, top, width or right, height or bottom; rename the columns (frame,id,left,top,width,"
+        "height,confidence,class, or x1,y1,x2,y2 for corners), or remove the line",
     ),
     "run general --source {images} --init 1,2,5,5 --out {out}/x.mp4": (
         2,
@@ -629,7 +631,9 @@ MISTAKES = {
     "score {demo} --target 2": (2, "bayesnet-track score: {demo}: no target '2'; there are 1"),
     "score {demo} --truth {wrong}/words.txt": (
         2,
-        "bayesnet-track score: {wrong}/words.txt:1: 'no' is not a number; expected x,y,w,h",
+        "bayesnet-track score: {wrong}/words.txt:1: a header line (no,boxes,in,here) in which no column is "
+        "called left, top, width or right, height or bottom; rename the columns (frame,id,left,top,width,"
+        "height,confidence,class, or x1,y1,x2,y2 for corners), or remove the line",
     ),
     # a wrong graph
     "run generl --source {images} --out {out} --init 1,2,3,4": (

@@ -87,7 +87,9 @@ def test_score_of_several_targets(cli, write, of_a_run):
     given = tracks.parent if of_a_run else tracks
     code, out, err = cli("score", given, "--truth", truth, "--json")
     shown = json.loads(out)
-    assert (code, err) == (0, "") and {name: shown[name] for name in FIGURES} == FIGURES
+    assert (code, err) == (0, f"{truth}: 1 of 4 boxes have confidence 0 and are not scored\n") and {
+        name: shown[name] for name in FIGURES
+    } == FIGURES
     code, out, _ = cli("score", given, "--truth", truth)
     assert code == 0 and "\nidsw           1           identity switches\n" in out
 
@@ -113,7 +115,7 @@ def test_a_run_brings_its_own_truth_of_several_targets(cli, write):
 
 
 def test_what_cannot_be_scored_is_the_users_mistake(cli, write, tmp_path):
-    tracks, truth = write("tracks.txt", TRACKS), write("gt.txt", TRUTH)
+    tracks, truth = write("tracks.txt", TRACKS), write("gt.txt", TRACKS.replace("10,10,0,-1", "10,10,1,-1"))
     boxes, detections = write("boxes.txt", "1,2,3,4\n"), write("det.txt", "1,-1,0,0,9,9\n1,-1,5,5,9,9\n")
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\xff")

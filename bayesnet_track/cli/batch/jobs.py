@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from bayesnet_track.evaluate.truth import TruthForm
 from bayesnet_track.sources.mot_lines import read_text
 from bayesnet_track.sources.paths import is_junk
 
@@ -59,6 +60,7 @@ class Job:
         cue_files: files with cues of one's own, from the root.
         max_side: longest side of the frames that are tracked in, px; None for those of the video.
         value_range: the values that become black and white; None for all that their type holds.
+        truth_format: what lines of ground truth hold; None for what they look like.
     """
 
     graph: str
@@ -71,6 +73,7 @@ class Job:
     cue_files: tuple[str, ...] = ()
     max_side: int | None = None
     value_range: tuple[float, float] | None = None
+    truth_format: TruthForm | None = None
 
     @property
     def label(self) -> str:

@@ -112,7 +112,7 @@ def row_of(job: Job) -> Row:
         "reason": "" if is_complete else "no end" if ended is None else ended.reason,
     }
     if job.video.truth is not None and metrics:
-        found = score_run(job.out, job.video.truth, target=metrics[0].target)
+        found = score_run(job.out, job.video.truth, metrics[0].target, job.truth_format)
         row |= {name: getattr(found, name) for name in ROW if name in _SCORES}
     return {name: round(value, 6) if isinstance(value, float) else value for name, value in row.items()}
 
@@ -166,14 +166,13 @@ def _word(value: object) -> str:
 
 def _starts(job: Job) -> list[Start] | None:
     from bayesnet_track.cli.commands.start_boxes import parse_start
-    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.evaluate.truth import start_box
 
     if job.video.init is not None:
         return [parse_start(job.video.init)]
     if job.video.init_from is None:
         return None
-    x, y, w, h = (float(value) for value in read_truth(job.video.init_from)[0])
-    return [Start((x, y, w, h))]
+    return [Start(start_box(job.video.init_from, 0, job.truth_format))]
 
 
 def _mean(values: list[float]) -> float | None:

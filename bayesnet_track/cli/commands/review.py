@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake
 from bayesnet_track.cli.options.arguments import pixels, whole_number
+from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event
@@ -132,62 +135,48 @@ def score(options: argparse.Namespace) -> int:
     if not os.path.isfile(truth):  # noqa: PTH113
         raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
     with users_mistake():
-        if is_mot(truth):
-            return _score_several(directory.mot, truth, options, _frames_read(directory))
-        if options.cutoff is not None or options.trajectories:
-            option = "--trajectories" if options.cutoff is None else "--cutoff"
-            raise UsageError(f"{option}: {truth} is the ground truth of one target, not MOT; leave it out")
-        result = score_run(directory.path, truth, options.target)
-        _warn_of_rows(directory, truth)
+        if is_mot(truth, options.truth_format):
+            return _score_several(directory.mot, truth, options, directory)
+        for option in ("--cutoff", "--trajectories", "--class"):
+            if getattr(options, option[2:].replace("class", "classes")):
+                raise UsageError(
+                    f"{option}: {truth} is the ground truth of one target, not MOT; leave it out"
+                )
+        result = score_run(directory.path, truth, options.target, options.truth_format)
     say(result.json() if options.json else result.text(explained=True))
     return OK
 
 
-def _warn_of_rows(directory: RunDirectory, truth: Path) -> None:
-    """Say that the ground truth is shorter than the run, or longer than one of the whole source."""
-    from bayesnet_track.evaluate.truth import read_truth
-    from bayesnet_track.journal.events.runs import RunEnded
-    from bayesnet_track.journal.reader import read_events
-
-    ended = [one for one in read_events(directory.journal) if isinstance(one, RunEnded)]
-    if not ended or not ended[-1].complete or _frames_read(directory) is not None:
-        return
-    rows, frames = len(read_truth(truth)), ended[-1].frames
-    if rows < frames or (rows > frames and _is_of_whole_source(directory)):
-        complain(f"{truth} has {rows} rows, the run {frames} frames: is it of this video?")
-
-
-def _is_of_whole_source(directory: RunDirectory) -> bool:
-    from bayesnet_track.runtime.checkpoints.recipe import Recipe
-
-    if not directory.recipe.is_file():
-        return False
-    origin = Recipe.read(directory).origin
-    return origin.start is None and origin.end is None
-
-
-def _frames_read(directory: RunDirectory) -> set[int] | None:
-    """The frames of a run that read every few frames of its source; None where it read them all."""
-    from bayesnet_track.journal.timings import read_seconds
-    from bayesnet_track.runtime.checkpoints.recipe import Recipe
-
-    if not directory.recipe.is_file() or Recipe.read(directory).origin.stride == 1:
-        return None
-    return {frame for frame, _ in read_seconds(directory.timings)}
-
-
 def _score_several(
-    tracks: Path, truth: Path, options: argparse.Namespace, frames: set[int] | None = None
+    tracks: Path, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
 ) -> int:
+    from bayesnet_track.evaluate.classes import class_names, class_table, of_classes, score_classes
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
-    from bayesnet_track.evaluate.mot import score_mot_files
+    from bayesnet_track.evaluate.mot import score_mot
+    from bayesnet_track.evaluate.mot_files import read_pair
+    from bayesnet_track.evaluate.runs import frames_of_run, say_misplaced
 
     if options.target is not None:
         raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
     cutoff = CUTOFF_PX if options.cutoff is None else options.cutoff
     with users_mistake():
-        result = score_mot_files(tracks, truth, cutoff, options.trajectories, frames)
-    say(result.json() if options.json else result.text(explained=True))
+        strided, ran = (None, None) if run is None else frames_of_run(run.path)
+        true, tracked = read_pair(tracks, truth, strided, ran, options.truth_format)
+        if run is not None:
+            say_misplaced(run.path, truth, true.boxes)
+        chosen = options.classes or class_names(true)
+        pair = of_classes(true, tracked, chosen) if options.classes else (true, tracked)
+        result = score_mot(*pair, cutoff, options.trajectories)
+        by_class = score_classes(true, tracked, chosen, cutoff) if len(chosen) > 1 else {}
+    if options.json:
+        classes = {"classes": {name: asdict(one) for name, one in by_class.items()}} if by_class else {}
+        say(json.dumps(asdict(result) | classes))
+        return OK
+    say(result.text(explained=True))
+    if by_class:
+        say("\n" + class_table(by_class))
+        if not class_names(tracked):
+            say("the tracks have no classes: for each class, boxes on targets of another one are left out")
     return OK
 
 
@@ -237,4 +226,13 @@ def add_score(commands: argparse._SubParsersAction[Any]) -> None:
         action="store_true",
         help="several targets: also trajectory GOSPA; slow if many cross",
     )
+    score.add_argument(
+        "--class",
+        dest="classes",
+        action="append",
+        metavar="CLASS",
+        help="several targets: only those of this class of the ground truth, a name or number; repeat it for "
+        "more, which are also scored one by one (default: all)",
+    )
+    add_truth_format(score)
     score.add_argument("--json", action="store_true", help="print the scores as JSON")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesnet_track.cli.commands.answer import UsageError, users_file
 
 if TYPE_CHECKING:
+    from bayesnet_track.evaluate.truth import TruthForm
     from bayesnet_track.runtime.run import Start
 
 
@@ -34,23 +34,17 @@ def run_folder(text: str) -> Path:
     return out
 
 
-def read_start(path: Path, frame: int) -> Start:
-    """The start that a ground-truth file has for `frame`.
+def read_start(path: Path, frame: int, form: TruthForm | None = None) -> Start:
+    """The start that a ground-truth file has for `frame`; `form` is that of `read_truth`.
 
     Raises:
         UsageError: the file cannot be read, or has no box for this frame.
     """
-    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.evaluate.truth import start_box
     from bayesnet_track.runtime.run import Start
 
     with users_file("--init-from", TRUTH_LINES):
-        boxes = read_truth(path)
-    if frame >= len(boxes):
-        raise UsageError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")
-    x, y, w, h = (float(value) for value in boxes[frame])
-    if math.isnan(x):
-        raise UsageError(f"{path}: the target is absent in frame {frame}; choose another --start")
-    return Start((x, y, w, h))
+        return Start(start_box(path, frame, form))
 
 
 def parse_start(text: str) -> Start:
