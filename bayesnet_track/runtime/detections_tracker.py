@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import Any, Never, Self
+from typing import Any, ClassVar, Never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknow
 from bayesnet_track.runtime.updates.given_detections import read_given
 from bayesnet_track.runtime.updates.looking import image_users
 from bayesnet_track.runtime.updates.standing import Standing
+from bayesnet_track.runtime.updates.storable import Storable
 from bayesnet_track.runtime.updates.turns import Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
@@ -57,7 +58,7 @@ class _Fed:
         return self.now, state
 
 
-class DetectionsTracker:
+class DetectionsTracker(Storable):
     """Give the detections of each frame the identities of targets, by a graph whose births use `detections`.
 
     Args:
@@ -80,6 +81,8 @@ class DetectionsTracker:
         detections.tracker_id                    # (n,) int: the target of each box, -1 for none
     """
 
+    _kind: ClassVar[str] = "DetectionsTracker"
+
     def __init__(
         self,
         graph: str | PathLike[str] | GraphSpec | CheckedGraph = "kalman_detections",
@@ -88,20 +91,16 @@ class DetectionsTracker:
         fps: float | None = None,
         value_range: ValueRange | None = None,
     ) -> None:
-        self._graph, self._seed = load_graph(graph), seed
+        self._graph, self._seed = load_graph(graph), whole("seed", seed, 0)
         say_unused_by_cues(self._graph)
         self._size = None if size is None else _checked(size)
         self._clock = FrameClock.of_rate(fps)
-        self._turns = Turns("DetectionsTracker")
-        self._value_range = value_range_of(value_range)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._fed = _Fed()
-        self._levels = Levels("frame 0", self._value_range)
-        self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
+        self._turns = Turns(self._kind)
+        self._levels = Levels("frame 0", value_range_of(value_range))
+        self._renew_engine()
         self._users = image_users(self._engine)
         self._now: Standing | None = None
+        self._own = frozenset({*vars(self), "_own"})
 
     def reset(self) -> None:
         """Forget all targets: another video begins.
@@ -110,19 +109,18 @@ class DetectionsTracker:
             RuntimeError: another thread is at work with this tracker.
         """
         with self._turns.take("reset"):
-            self._begin()
+            self._now, self._levels = None, Levels("frame 0", self._levels.value_range)
 
-    def __copy__(self) -> Self:
-        """A tracker that goes on from here by itself."""
-        other, now = type(self).__new__(type(self)), self._now
-        other.__dict__.update(self.__dict__, _turns=Turns("DetectionsTracker"))
-        other._begin()
-        other._now = now
-        return other
+    def _options(self) -> Mapping[str, Any]:
+        made_with = {"size": self._size, "seed": self._seed, "fps": self._clock.fps}
+        return {**made_with, "value_range": self._levels.value_range}
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """As `copy.copy`: no tracker changes what copies share."""
-        return copy.copy(self)
+    def _make_again(self, graph: CheckedGraph, options: Mapping[str, Any]) -> None:
+        DetectionsTracker.__init__(self, graph, **options)
+
+    def _renew_engine(self) -> None:
+        self._fed = _Fed()
+        self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from os import PathLike
-from typing import Any, Never, NoReturn, Self
+from typing import Any, ClassVar, Never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +29,14 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.arguments import longest_side, whole
 from bayesnet_track.runtime.frame_kind import FrameKind
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
 from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknown
 from bayesnet_track.runtime.updates.standing import Standing
+from bayesnet_track.runtime.updates.storable import Storable
 from bayesnet_track.runtime.updates.turns import Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.view.overlay import draw_targets
@@ -46,7 +47,7 @@ NO_BOX = (-0.5, -0.5, 0.0, 0.0)
 """The centre box of zeros as a corner box: what stands for an estimate where there is no target."""
 
 
-class Tracker(Boxed):
+class Tracker(Boxed, Storable):
     """Track by a graph, frame by frame: one target from a box, and those that detectors find.
 
     The estimate of the first target is `xywh`, `xyxy` or `cxcywh`: float64 arrays (4,) in parts of a pixel.
@@ -84,6 +85,8 @@ class Tracker(Boxed):
         tracker.score                           # 0..1; a probability where the graph is calibrated
     """
 
+    _kind: ClassVar[str] = "Tracker"
+
     def __init__(
         self,
         graph: str | PathLike[str] | GraphSpec | CheckedGraph = "general",
@@ -98,6 +101,15 @@ class Tracker(Boxed):
         value_range: ValueRange | None = None,
     ) -> None:
         plugins.allow(allow_plugins)
+        self._clock = FrameClock.of_rate(fps)
+        self._made_with: dict[str, Any] = {
+            "seed": whole("seed", seed, 0),
+            "whole_px": bool(whole_px),
+            "max_side": longest_side(max_side),
+            "copy_frames": bool(copy_frames),
+            "fps": self._clock.fps,
+            "value_range": value_range_of(value_range),
+        }
         self._whole_px, self._copy_frames = whole_px, copy_frames
         self._graph = load_graph(graph, tuple(cues))
         say_unused_by_cues(self._graph)
@@ -106,11 +118,10 @@ class Tracker(Boxed):
         self._make = partial(make_engine, seed=seed, motion=own)
         self._engine: Engine = self._make(self._graph)
         self._max_side = max_side
-        Resizing.to(1, 1, max_side)  # refuses what is none
-        self._clock = FrameClock.of_rate(fps)
-        self._levels = Levels("frame 0", value_range_of(value_range))
+        self._levels = Levels("frame 0", self._made_with["value_range"])
         self._now: Standing | None = None
-        self._turns = Turns("Tracker")
+        self._turns, self._has_own_motion = Turns(self._kind), motion is not None
+        self._own = frozenset({*vars(self), "_own"})
 
     def __repr__(self) -> str:
         """Graph, and how the first target is."""
@@ -120,22 +131,15 @@ class Tracker(Boxed):
         shown = ", ".join(map(repr, self.targets[:3]))
         return f"<Tracker {name!r}, {plural(len(self.targets), 'target')}: {shown}>"
 
-    def __copy__(self) -> Self:
-        """A tracker that goes on from here by itself; what never changes is shared."""
-        other = type(self).__new__(type(self))
-        other.__dict__.update(self.__dict__, _turns=Turns("Tracker"))
-        return other
+    def _options(self) -> Mapping[str, Any]:
+        return self._made_with
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """As `copy.copy`: no tracker changes what copies share."""
-        return copy.copy(self)
+    def _make_again(self, graph: CheckedGraph, options: Mapping[str, Any]) -> None:
+        Tracker.__init__(self, graph, **options)
 
-    def __reduce__(self) -> NoReturn:
-        """Refuse pickling; raises TypeError, which says what to use."""
-        raise TypeError(
-            "a Tracker cannot be pickled; copy.copy(tracker) gives another one in this process, and a run of "
-            "track(..., out=FOLDER) goes on in another process by `bayesnet-track resume FOLDER`"
-        )
+    def _renew_engine(self) -> None:
+        if self._now is not None and self._graph.masks:  # these are resized as the frames are
+            self._engine = self._make(self._now.resizing.graph(self._graph))
 
     def init(
         self,

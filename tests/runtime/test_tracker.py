@@ -2,7 +2,6 @@
 
 import copy
 import json
-import pickle
 import subprocess
 import sys
 import threading
@@ -417,12 +416,6 @@ def test_a_copy_goes_on_by_itself(way):
     unstarted = way(Tracker("two_squares"))
     unstarted.init(SCENE.frames[0], BOX)
     assert follow(unstarted, frames(6)) == wanted
-
-
-def test_pickling_says_what_to_use():
-    for tracker in (started(), Tracker("two_squares")):
-        with pytest.raises(TypeError, match=r"cannot be pickled; copy\.copy\(tracker\).*resume FOLDER"):
-            pickle.dumps(tracker)
 
 
 def test_two_threads_give_what_one_gives():

@@ -98,8 +98,8 @@ class StateError(ValueError):
 
 
 @cache
-def _known() -> Mapping[str, type]:
-    return {kind.__name__: kind for kind in CLASSES}
+def _by_name(classes: tuple[type, ...]) -> Mapping[str, type]:
+    return {kind.__name__: kind for kind in classes}
 
 
 @cache
@@ -108,20 +108,29 @@ def _names(kind: Any) -> tuple[str, ...]:
 
 
 @cache
-def state_format() -> str:
+def state_format(classes: tuple[type, ...] = CLASSES) -> str:
     """A hash of the classes and their fields: bytes of another format are of another version."""
-    text = json.dumps([[kind.__name__, *_names(kind)] for kind in CLASSES])
+    text = json.dumps([[kind.__name__, *_names(kind)] for kind in classes])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def encode_state(state: State) -> bytes:
-    """The state as bytes.
+    """The state as bytes, but for its last frame.
 
     Raises:
         StateError: it holds something of a class that is not known here.
     """
-    encoder = _Encoder(state.previous)
-    structure = json.dumps(encoder.node(state), separators=(",", ":")).encode("ascii")
+    return encode(state, CLASSES, state.previous)
+
+
+def encode(value: Any, classes: tuple[type, ...], outside: Frame | None = None) -> bytes:
+    """A value made of `classes`, plain values, tuples, mappings and arrays as bytes; without `outside`.
+
+    Raises:
+        StateError: it holds something else.
+    """
+    encoder = _Encoder(outside, _by_name(classes))
+    structure = json.dumps(encoder.node(value), separators=(",", ":")).encode("ascii")
     line = json.dumps([len(structure), encoder.places], separators=(",", ":")).encode("ascii")
     return b"".join((line, b"\n", structure, *encoder.blobs))
 
@@ -132,27 +141,38 @@ def decode_state(data: bytes, engine: Engine, frame: Frame | None) -> State:
     Raises:
         StateError: they are no state of this version, or none of this engine's graph.
     """
-    try:
-        line, rest = data.split(b"\n", 1)
-        length, places = json.loads(line)
-        decoder = _Decoder(engine, frame, _arrays(places, memoryview(rest)[length:]))
-        state = decoder.value(json.loads(rest[:length]))
-    except StateError:
-        raise
-    except Exception as error:  # whatever a class says of values that are not its own
-        raise StateError(f"damaged: {type(error).__name__}: {error}") from error
+    state = decode(data, CLASSES, engine, frame)
     if not isinstance(state, State):
         raise StateError(f"damaged: a {type(state).__name__} in place of the state")
     return state
 
 
+def decode(
+    data: bytes, classes: tuple[type, ...], engine: Engine | None = None, outside: Frame | None = None
+) -> Any:
+    """The inverse of `encode`; plans are compiled with `engine`.
+
+    Raises:
+        StateError: the bytes hold something else.
+    """
+    try:
+        line, rest = data.split(b"\n", 1)
+        length, places = json.loads(line)
+        arrays = _arrays(places, memoryview(rest)[length:])
+        return _Decoder(engine, outside, arrays, _by_name(classes)).value(json.loads(rest[:length]))
+    except StateError:
+        raise
+    except Exception as error:  # whatever a class says of values that are not its own
+        raise StateError(f"damaged: {type(error).__name__}: {error}") from error
+
+
 class _Encoder:
     """Values as JSON: plain ones as they are, others as a list that begins with a letter."""
 
-    def __init__(self, previous: Frame | None) -> None:
+    def __init__(self, outside: Frame | None, known: Mapping[str, type]) -> None:
         self.blobs: list[bytes] = []
         self.places: list[list[Any]] = []
-        self._previous = previous
+        self._outside, self._known = outside, known
         self._seen: dict[int, int] = {}
 
     def node(self, value: Any) -> Any:
@@ -175,11 +195,11 @@ class _Encoder:
             return ["m", *[[self.node(key), self.node(item)] for key, item in value.items()]]
         if isinstance(value, np.ndarray | np.generic):
             return ["a", self._array(value)]
-        if value is self._previous:
+        if value is self._outside:
             return ["p"]
         if isinstance(value, Plan):
             return ["c", value.target, sorted(value.active)]
-        if is_dataclass(value) and _known().get(type(value).__name__) is type(value):
+        if is_dataclass(value) and self._known.get(type(value).__name__) is type(value):
             kind: Any = type(value)
             return ["o", kind.__name__, *[self.node(getattr(value, name)) for name in _names(kind)]]
         raise StateError(f"a {type(value).__module__}.{type(value).__qualname__} cannot be stored")
@@ -232,8 +252,10 @@ def _lay_out(values: Array, strides: list[int]) -> Array:
 class _Decoder:
     """The inverse of `_Encoder`."""
 
-    def __init__(self, engine: Engine, frame: Frame | None, arrays: list[Any]) -> None:
-        self._engine, self._frame, self._arrays = engine, frame, arrays
+    def __init__(
+        self, engine: Engine | None, outside: Frame | None, arrays: list[Any], known: Mapping[str, type]
+    ) -> None:
+        self._engine, self._outside, self._arrays, self._known = engine, outside, arrays, known
         self._made: list[Any] = []
 
     def value(self, node: Any) -> Any:
@@ -256,12 +278,14 @@ class _Decoder:
         if letter == "a":
             return self._arrays[node[1]]
         if letter == "p":
-            return self._frame
+            return self._outside
         if letter == "c":
+            if self._engine is None:
+                raise StateError("damaged: a plan without an engine")
             compiled = self._engine.plates[node[1]]
             return compile_plan(compiled.plate, node[2], compiled.cues)
         if letter == "o":
-            kind = _known()[node[1]]
+            kind = self._known[node[1]]
             names = _names(kind)
             if len(node) != len(names) + 2:
                 raise StateError(f"damaged: {node[1]} has {len(names)} fields, not {len(node) - 2}")

@@ -110,6 +110,16 @@ class Levels:
         self.value_range, self._name, self._is_said = value_range, name, False
         self._dtype: np.dtype[Any] | None = None
 
+    @property
+    def dtype(self) -> str | None:
+        """Type of the values of the first image; None before it."""
+        return None if self._dtype is None else self._dtype.str
+
+    def go_on(self, dtype: str | None) -> None:
+        """Go on after a first image of this type, of which all was said; before it with None."""
+        if dtype is not None:
+            self._dtype, self._is_said = np.dtype(dtype), True
+
     def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.uint8], bool]:
         """As `to_bgr`; a range holds for values of one type. Raises PictureError."""
         self._dtype = image.dtype if self._dtype is None else self._dtype
