@@ -1,6 +1,8 @@
 """Files as other tools write them (`tests/fixtures/annotations`): every box, identity and class."""
 
 import json
+import random
+import re
 import shutil
 import warnings
 import zipfile
@@ -8,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from bayesnet_track.runtime.annotation.answers import read_answer
 from bayesnet_track.runtime.annotation.formats.document import MismatchError
 from bayesnet_track.runtime.annotation.formats.formats import read_annotations
 from bayesnet_track.runtime.annotation.frame_store import Video
@@ -479,3 +482,57 @@ def test_a_notice_is_a_warning_in_python():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_annotations(FIXTURES / "cvat_coco", VIDEO)
+
+
+WORDS = ("nan", "inf", "-1", "1e999", "", "x", "\u00b2", "0", "9" * 5000, "1.5", "\0", "1_0", "<", "&", '"')
+VALUES = (
+    None,
+    True,
+    -1,
+    1e999,
+    float("nan"),
+    2**63,
+    10**400,
+    "",
+    "x",
+    [],
+    {},
+    [[]],
+    {"a": 1},
+    ["1", 2, 3, 4],
+)
+
+
+def damage(path, generator):
+    """Another word in place of a number, or another value in a JSON file."""
+    text = path.read_text()
+    if path.suffix != ".json":
+        start, end = generator.choice([one.span() for one in re.finditer(r"[0-9.]+", text)])
+        path.write_text(text[:start] + generator.choice(WORDS) + text[end:])
+        return
+    places = []
+    content = json.loads(text, object_hook=lambda one: places.extend((one, key) for key in one) or one)
+    one, key = generator.choice(places)
+    one[key] = generator.choice(VALUES)
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize("name", list(SCENE))
+def test_a_damaged_file_is_refused_in_a_sentence_or_gives_answers_that_can_be_kept(name, tmp_path):
+    generator = random.Random(name)
+    kept = 0
+    for number in range(25):
+        folder = tmp_path / str(number)
+        shutil.copytree(FIXTURES / name, folder)
+        files = [file for file in folder.rglob("*") if file.suffix in (".json", ".xml", ".txt")]
+        damage(generator.choice([file for file in files if re.search(r"\d", file.read_text())]), generator)
+        try:
+            with heard(list().append):
+                found = read_annotations(folder, VIDEO, generator.choice([(), IMAGES]))
+        except MismatchError as error:
+            assert str(folder) in str(error)
+        else:
+            kept += 1
+            for one in found:
+                read_answer(one.as_dict(), VIDEO.frames, VIDEO.width, VIDEO.height)
+    assert kept < 25

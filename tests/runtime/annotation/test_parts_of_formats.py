@@ -110,6 +110,7 @@ def test_names_are_frames(names, images, frames):
     ("names", "said"),
     [
         (["a.txt"], "no number in the name 'a.txt'"),
+        (["9" * 5000 + ".txt"], "no number in the name '9999"),
         (["000003.txt", "3.png"], "have the same number"),
         (["000003.txt", "000004.txt"], "two readings"),
         (["000020.txt"], "two readings"),
@@ -164,11 +165,27 @@ def test_a_damaged_zip_and_one_with_a_way_out_are_harmless(tmp_path):
             assert "unzip it" in str(error)
 
 
-def test_a_folder_with_several_annotations_is_refused(tmp_path):
-    for name in ("a.json", "b.xml"):
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (["a.json", "b.xml"], r"a\.json, b\.xml: name the file"),
+        (["a.json", "000001.txt"], r"a\.json, 000001\.txt: name the file"),
+        (["a.json", "README.dataset.txt", "._b.json"], "a.json"),
+        (["train/_annotations.coco.json", "README.roboflow.txt"], "train/_annotations.coco.json"),
+        (["labels/1.txt", "classes.txt", "notes.json"], "."),
+        (["annotations.xml", "images/1.txt"], "annotations.xml"),
+        (["train/labels/1.txt", "data.yaml"], "."),
+    ],
+)
+def test_the_annotations_of_a_folder(names, found, tmp_path):
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
-    with pytest.raises(MismatchError, match=r"b\.xml, a\.json|a\.json, b\.xml"):
-        annotations_in(tmp_path)
+    if "name the file" in found:
+        with pytest.raises(MismatchError, match=found):
+            annotations_in(tmp_path)
+    else:
+        assert annotations_in(tmp_path) == tmp_path / found
 
 
 def test_lines_of_as_many_numbers_are_read_alike():

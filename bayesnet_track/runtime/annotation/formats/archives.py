@@ -10,10 +10,13 @@ from pathlib import Path
 
 from bayesnet_track.runtime.annotation.formats.document import MismatchError
 from bayesnet_track.sources.entrances.notices import heard, notice
-from bayesnet_track.sources.paths import is_junk
+from bayesnet_track.sources.mot_lines import NotTextError, read_text
+from bayesnet_track.sources.paths import is_junk, natural_key
 
 TEXTS = frozenset({".xml", ".json", ".txt", ".names", ".data", ".yaml", ".yml", ".ini"})
 MOST_BYTES = 1 << 30
+LISTS = frozenset({"classes", "labels", "train", "val", "valid", "validation", "test", "trainval"})
+"""Names of text files that list classes or images."""
 
 
 @contextmanager
@@ -64,17 +67,45 @@ def _is_text(name: str) -> bool:
 def annotations_in(folder: Path) -> Path:
     """The annotations of a folder: its file in a known place, or itself where it is a folder of YOLO.
 
-    CVAT writes `annotations.xml`, `annotations/instances_default.json` and `gt/gt.txt`. Raises MismatchError
-    where several would do.
+    CVAT writes `annotations.xml`, `annotations/instances_default.json` and `gt/gt.txt`, Roboflow
+    `train/_annotations.coco.json`. Raises MismatchError where several would do.
     """
     known = [folder / "annotations.xml", folder / "gt" / "gt.txt"]
     known += sorted(folder.glob("annotations/instances_*.json"))
     found = [file for file in known if file.is_file()]
-    texts = (file for file in folder.rglob("*.txt") if not is_junk(file.relative_to(folder)))
-    if not found and next(texts, None) is None:
-        others = [*folder.glob("*.xml"), *folder.glob("*.json"), *folder.glob("annotations/*.json")]
-        found = sorted(file for file in others if not is_junk(file))
+    if not found and not label_folders(folder):
+        patterns = ("*.xml", "*.json", "annotations/*.json", "*/_annotations.coco.json")
+        found = sorted(file for one in patterns for file in folder.glob(one) if not is_junk(file))
+        found += label_files(folder)[:1] if found else []
     if len(found) > 1:
         names = ", ".join(str(file.relative_to(folder)) for file in found)
-        raise MismatchError(f"{folder}: {names}: name the one that is meant")
+        raise MismatchError(f"{folder}: {names}: name the file that is meant, or leave the others out")
     return found[0] if found else folder
+
+
+def label_folders(folder: Path) -> list[Path]:
+    """Where YOLO's labels are below a folder, if they are not in itself."""
+    found = [folder / "labels", *sorted(folder.glob("obj_*_data")), *sorted(folder.glob("*/labels"))]
+    return [one for one in found if one.is_dir()]
+
+
+def label_files(folder: Path) -> list[Path]:
+    """The files of YOLO's labels below a folder, in natural order; lists of classes and images are none."""
+    below = [file for one in label_folders(folder) for file in one.rglob("*.txt")]
+    return sorted(
+        (file for file in below or folder.glob("*.txt") if _has_labels(file, folder)), key=natural_key
+    )
+
+
+def _has_labels(file: Path, folder: Path) -> bool:
+    stem = file.stem.lower()
+    is_list = stem in LISTS or stem.startswith("readme")
+    return not is_list and not is_junk(file.relative_to(folder)) and file.is_file()
+
+
+def text_of(file: Path) -> str:
+    """A whole file as text; raises MismatchError where it is none."""
+    try:
+        return read_text(file)
+    except NotTextError as error:
+        raise MismatchError(str(error)) from error

@@ -157,7 +157,7 @@ def read_key_frames(
 
 def check_frames(frames: object, video: Video, place: str) -> None:
     """Refuse another number of frames; one more or less comes of rounding. Raises MismatchError."""
-    found = whole(frames, "framesCount", place)
+    found = whole(frames, "frames", place)
     if abs(found - video.frames) > 1:
         raise MismatchError(
             f"{place}: {found} frames; the video has {video.frames}: `frameRate` of <Video> in the labelling "

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bayesnet_track.runtime.annotation.answers import Answer
+from bayesnet_track.runtime.annotation.formats.archives import text_of
 from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError
 from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.notices import few, notice
-from bayesnet_track.sources.mot_lines import MotLines, parse_mot, read_text
+from bayesnet_track.sources.mot_lines import MotLines, parse_mot
 
 NO_TRACK = -1
 
@@ -35,7 +36,7 @@ def read_mot(path: Path, video: Video) -> list[Answer]:
         OSError: it cannot be read.
     """
     try:
-        lines = parse_mot(read_text(path), str(path))
+        lines = parse_mot(text_of(path), str(path))
     except ValueError as error:
         raise MismatchError(str(error)) from error
     rows = list(_rows(lines, _classes(path)))
@@ -67,4 +68,4 @@ def _label(kind: str, classes: list[str]) -> str:
 def _classes(path: Path) -> list[str]:
     file = path.with_name("labels.txt")
     is_there = file.is_file() and file != path
-    return [line.strip() or "target" for line in read_text(file).rstrip().split("\n")] if is_there else []
+    return [line.strip() or "target" for line in text_of(file).rstrip().split("\n")] if is_there else []

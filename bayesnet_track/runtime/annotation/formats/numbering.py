@@ -12,7 +12,7 @@ from bayesnet_track.runtime.annotation.frame_store import Video
 
 _HASH = re.compile(r"[_.](?:jpe?g|png|bmp)\.rf\.[0-9A-Za-z]+$")
 """What Roboflow puts behind a name."""
-_LAST_NUMBER = re.compile(r"(\d+)\D*$", re.ASCII)
+_LAST_NUMBER = re.compile(r"(?<!\d)(\d{1,18})\D*$", re.ASCII)
 _ZEROS = re.compile(r"(?<!\d)0+(?=\d)", re.ASCII)
 _CVAT = re.compile(r"frame_\d{6}$", re.ASCII)
 _ULTRALYTICS = re.compile(r".+_(?:0|[1-9]\d*)$", re.ASCII)

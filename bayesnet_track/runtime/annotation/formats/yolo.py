@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from bayesnet_track.runtime.annotation.answers import Answer
+from bayesnet_track.runtime.annotation.formats.archives import LISTS, label_files, text_of
 from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError, label_of
 from bayesnet_track.runtime.annotation.formats.numbering import frames_of_names
 from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
@@ -16,11 +17,8 @@ from bayesnet_track.runtime.annotation.formats.texts import whole
 from bayesnet_track.runtime.annotation.formats.yolo_lines import Line, boxes_of, parse_line
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.mot_lines import read_text
-from bayesnet_track.sources.paths import IMAGE_SUFFIXES, is_junk, natural_key
+from bayesnet_track.sources.paths import IMAGE_SUFFIXES
 
-NO_LABELS = frozenset({"classes", "labels", "train", "val", "valid", "validation", "test", "trainval"})
-"""Names of text files that list classes or images."""
 CLASS_FILES = ("classes.txt", "obj.names", "data.yaml", "dataset.yaml", "data.yml", "dataset.yml")
 UNNAMED = "without an identity (`class cx cy w h id`) it is not said which target it is"
 
@@ -47,40 +45,26 @@ def read_yolo(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
             class without identities.
         OSError: it cannot be read.
     """
-    files = {str(file.relative_to(path)): file for file in _label_files(path)}
+    files = {str(file.relative_to(path)): file for file in label_files(path)}
     if not files:
         raise MismatchError(f"{path}: no file of labels (*.txt) in it, in labels/ or in obj_train_data/")
     about = _about(path)
     frames = _frames(path, list(files), video, images)
     lines = []
     for name, file in files.items():
-        for n, line in enumerate(read_text(file).splitlines(), 1):
+        for n, line in enumerate(text_of(file).splitlines(), 1):
             if line.strip():
                 lines.append((frames[name], parse_line(line, f"{name}:{n}", str(path))))
     _say_late(path, set(frames.values()) - {frame for frame, _ in lines}, video)
     return answers_of(_rows(lines, about, video, path), video, path, unnamed=UNNAMED)
 
 
-def _label_files(path: Path) -> list[Path]:
-    folders = [path / "labels", *sorted(path.glob("obj_*_data")), *sorted(path.glob("*/labels"))]
-    found = [folder for folder in folders if folder.is_dir()]
-    files = [file for folder in found for file in folder.rglob("*.txt")] if found else [*path.glob("*.txt")]
-    return sorted(
-        (
-            file
-            for file in files
-            if not is_junk(file.relative_to(path)) and file.stem.lower() not in NO_LABELS and file.is_file()
-        ),
-        key=natural_key,
-    )
-
-
 def _frames(path: Path, names: Sequence[str], video: Video, images: Sequence[str]) -> dict[str, int]:
     """Name of a file -> frame. Images that the folder lists or holds show where numbers begin, too."""
     listed = set[str]()
-    for list_file in (path / f"{stem}.txt" for stem in sorted(NO_LABELS - {"classes", "labels"})):
+    for list_file in (path / f"{stem}.txt" for stem in sorted(LISTS - {"classes", "labels"})):
         if list_file.is_file():
-            listed |= {line.strip() for line in read_text(list_file).splitlines() if line.strip()}
+            listed |= {line.strip() for line in text_of(list_file).splitlines() if line.strip()}
     listed |= {file.name for file in (path / "images").rglob("*") if file.suffix.lower() in IMAGE_SUFFIXES}
     return frames_of_names(names, video, images, str(path), listed)
 
@@ -94,14 +78,14 @@ def _about(path: Path) -> Mapping[str, Any]:
             continue
         if file.suffix in (".yaml", ".yml"):
             return _about_of_yaml(file)
-        lines = read_text(file).rstrip().split("\n")
+        lines = text_of(file).rstrip().split("\n")
         return {"names": {n: line.strip() for n, line in enumerate(lines) if line.strip()}}
     return {"names": {}}
 
 
 def _about_of_yaml(file: Path) -> Mapping[str, Any]:
     try:
-        given = yaml.safe_load(read_text(file))
+        given = yaml.safe_load(text_of(file))
     except (yaml.YAMLError, RecursionError) as error:
         raise MismatchError(f"{file}: it is no YAML ({str(error).splitlines()[0]})") from error
     names = given.get("names") if isinstance(given, Mapping) else None

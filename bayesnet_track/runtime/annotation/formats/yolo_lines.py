@@ -15,7 +15,7 @@ from bayesnet_track.runtime.annotation.frame_store import Video
 
 BEYOND = 1.5
 """Parts of the frame beyond which numbers must be px."""
-_WHOLE = re.compile(r"[+-]?\d+$", re.ASCII)
+_WHOLE = re.compile(r"[+-]?\d{1,30}$", re.ASCII)
 
 
 @dataclass(frozen=True)
