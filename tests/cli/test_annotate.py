@@ -3,6 +3,7 @@
 import errno
 import json
 import shutil
+import time
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.writer import LineFile, OutputError
+from bayesnet_track.runtime.annotation.desk import Desk
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.tracker import Tracker
@@ -120,6 +122,40 @@ def test_a_box_too_small_for_the_frames_that_are_tracked_in_is_named(video, tmp_
     assert annotate(folder, tmp_path / "a", "--max-side", "32", "--import", str(mot)) == 5
     out = capsys.readouterr().out
     assert "open: target 2, frame 0: not tracked" in out and "0.8x0.8 px" in out
+
+
+def test_a_box_with_which_nothing_can_be_computed_stops_no_other_target_and_no_file(video, tmp_path, capsys):
+    folder, boxes = video
+    everything = [
+        word for name in ("coco", "cvat", "mot", "yolo", "label-studio") for word in ("--format", name)
+    ]
+    assert annotate(folder, tmp_path / "a", "--threshold", "0.01", "--import", str(boxes)) == 0
+    with (tmp_path / "a/answers.jsonl").open("a") as file:
+        line = {"kind": "box", "frame": 2, "target": "far", "box": [-1e308, 10, 1.5e308, 1e308]}
+        file.write(json.dumps(line) + "\n")
+    assert annotate(folder, tmp_path / "a", *everything) == 5
+    assert "open: far, frame 2: not tracked: start box -1e+308,10,1.5e+308" in capsys.readouterr().out
+    assert len((tmp_path / "a/mot.txt").read_text().splitlines()) == FRAMES
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # its thread is left
+def test_answers_that_are_not_tracked_when_the_page_is_left_are_no_success(
+    video, tmp_path, capsys, monkeypatch
+):
+    folder, boxes = video
+    update = Tracker.update
+
+    def slow(self, frame):
+        time.sleep(0.3)
+        return update(self, frame)
+
+    monkeypatch.setattr(Tracker, "update", slow)
+    monkeypatch.setattr(Desk, "wait", lambda self, give_up: None)  # as Ctrl-C at once
+    command = ["annotate", str(folder), "--out", str(tmp_path / "a"), "--graph", "gray_square"]
+    assert main([*command, "--import", str(boxes)]) == 5
+    assert "the last answers are not tracked yet" in capsys.readouterr().err
+    monkeypatch.setattr(Tracker, "update", update)
+    assert main([*command, "--no-view", "--threshold", "0.01"]) == 0
 
 
 def test_a_failure_of_the_tracker_concerns_one_target(video, tmp_path, capsys, monkeypatch):

@@ -6,9 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
 from bayesnet_track.runtime.annotation.answers import Answer
 from bayesnet_track.runtime.annotation.fusing import Mark, between, fuse
 from bayesnet_track.runtime.annotation.tracked import Runs
+from bayesnet_track.sources.entrances.boxes import usable
 
 THRESHOLD, PATIENCE = 0.8, 20
 """Chosen on 13 videos: docs/annotate.md has the figures, and those of 12 others."""
@@ -95,8 +98,15 @@ def annotate_target(
 
 
 def fail(target: str, answers: Sequence[Answer], frame: int, reason: str) -> tuple[dict[int, Mark], Question]:
-    """The marks of a target that cannot be tracked, the given ones, and the question that says why."""
-    marks = {one.frame: _given(one) for one in answers}
+    """The marks of a target that cannot be tracked, the given ones, and the question that says why.
+
+    A box with which nothing can be computed is none of them.
+    """
+    marks = {
+        one.frame: _given(one)
+        for one in answers
+        if one.box is None or usable(np.array([one.box], dtype=np.float64))[0]
+    }
     shown = marks.get(frame, Mark(frame, None, "gone", 0.0))
     return marks, Question(target, frame, shown, f"not tracked: {reason}", True)
 

@@ -59,6 +59,7 @@ class Session:
     annotations: Annotations = field(default_factory=Annotations)
     version: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock)
+    _is_closed: bool = False
 
     def give(self, given: Mapping[str, Any]) -> None:
         """Take an answer, or an undo; raises AnswerError, or OutputError where it cannot be kept."""
@@ -106,7 +107,7 @@ class Session:
             version, answers = self.version, by_target(in_force(self.answers))
 
         def is_stale() -> bool:
-            return self.version != version
+            return self.version != version or self._is_closed
 
         marks: dict[str, Mapping[int, Mark]] = {}
         questions = []
@@ -142,8 +143,10 @@ class Session:
             return fail(target, own, watched.frame, said)
 
     def close(self) -> None:
-        """Write no more."""
-        self.file.close()
+        """Write no more, and take nothing from what is still being tracked."""
+        with self._lock:
+            self._is_closed = True
+            self.file.close()
 
     @property
     def frames(self) -> int:

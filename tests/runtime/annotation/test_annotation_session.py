@@ -101,6 +101,16 @@ def test_an_answer_that_comes_while_it_tracks_ends_that(tmp_path):
     assert session.annotations.marks["ball 1"][5].how == "given"
 
 
+def test_what_is_still_tracked_when_a_session_is_closed_changes_nothing(tmp_path):
+    session, _ = open_session(tmp_path, HEADER)
+    session.give(box(0))
+    assert session.update(MadeUp())
+    before = session.annotations
+    session.give(box(3, "ball 2"))
+    assert not session.update(MadeUp(), lambda target, frame: session.close())
+    assert session.annotations is before
+
+
 def test_a_line_torn_by_a_crash_is_cut_off_and_others_are_refused(tmp_path):
     session, _ = open_session(tmp_path, HEADER)
     session.give(box(0))
