@@ -15,6 +15,10 @@ from contextlib import contextmanager
 Listener = Callable[[], object]
 
 
+class CacheWarning(UserWarning):
+    """A file of compiled kernels that is damaged: the kernel is compiled anew, and the file replaced."""
+
+
 class _OfThread(threading.local):
     seconds = 0.0  # of the class: to ask for what an object lacks takes five times as long
 

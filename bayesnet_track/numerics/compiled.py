@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import pickle
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from numba.core.caching import IndexDataCacheFile
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.compile_watch import WATCH
+from bayesnet_track.numerics.compile_watch import WATCH, CacheWarning
 from bayesnet_track.numerics.kernel_sources import fingerprint
+
+MARK = b"\nbayesnet_track sha256 "
+SEAL_BYTES = len(MARK) + 32
+STOP = b"."
+"""The last byte of a pickle."""
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -18,9 +29,10 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 def compiled(function: Kernel) -> Kernel:
     """`function` compiled in no-Python mode, serial, releasing the interpreter lock.
 
-    Where the cache on disk cannot be written (read-only, full) or read (damaged), it compiles in memory. It
-    is compiled anew when something that it refers to has changed, in this file or in another. A division by
-    zero is infinite or NaN, of whole numbers 0; none raises.
+    Where the cache on disk cannot be written (read-only, full), it compiles in memory. What is damaged there
+    is compiled anew, with a warning (`SealedFiles`), and so is a kernel when something that it refers to has
+    changed, in this file or in another. A division by zero is infinite or NaN, of whole numbers 0; none
+    raises.
     """
     return _compiled(function, False)
 
@@ -77,6 +89,7 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
 
     cache.load_overload, cache.save_overload = load_or_begin, save_at_the_end
     if hasattr(cache, "_index_key"):  # there is a folder for it
+        cache._cache_file.__class__ = SealedFiles
         key_of = cache._index_key
         cache._index_key = lambda *arguments: (*key_of(*arguments), fingerprint(kernel))
     compiled_kernel: Kernel = kernel
@@ -93,3 +106,75 @@ def _at_best(use: Callable[..., Any]) -> Callable[..., Any]:
             return None
 
     return tried
+
+
+class SealedFiles(IndexDataCacheFile):  # type: ignore[misc,unused-ignore]
+    """The index and the data of one kernel, with a digest behind each.
+
+    Numba loads what lies there unchecked. With a changed bit it may end the process, or compute something
+    else. The files stay as Numba writes and reads them: it does not look at what follows a pickle.
+    """
+
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + seal(data)
+
+    def _load_index(self) -> Any:
+        path, version = Path(self._index_path), pickle.dumps(self._version, protocol=-1)
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            return {}
+        if not data.startswith(version) or _is_numbas(data):
+            return {}
+        whole = unsealed(data[len(version) :])
+        if whole is None:
+            _drop(path)
+            return {}
+        stamp, overloads = pickle.loads(whole)
+        return overloads if stamp == self._source_stamp else {}
+
+    def _load_data(self, name: str) -> Any:
+        path = Path(self._data_path(name))
+        whole = unsealed(path.read_bytes())
+        if whole is None:
+            _drop(path)
+            raise FileNotFoundError(str(path))  # as Numba takes it: compiled anew, and replaced
+        return pickle.loads(whole)
+
+
+def seal(data: bytes) -> bytes:
+    """What follows `data` in a file."""
+    return MARK + sha256(data).digest()
+
+
+def unsealed(data: bytes) -> bytes | None:
+    """What stands before the seal; None where it is not what was sealed.
+
+    >>> unsealed(b"code" + seal(b"code")), unsealed(b"c0de" + seal(b"code")), unsealed(b"code")
+    (b'code', None, None)
+    """
+    held = data[:-SEAL_BYTES]
+    return held if data[-SEAL_BYTES:] == seal(held) else None
+
+
+def is_whole(path: Path) -> bool:
+    """Whether an index or data file is what was sealed, or was never sealed; raises OSError."""
+    data, version = path.read_bytes(), pickle.dumps(numba.__version__, protocol=-1)
+    if path.suffix == ".nbi":
+        data = data.removeprefix(version)
+    return unsealed(data) is not None or _is_numbas(data)
+
+
+def _is_numbas(data: bytes) -> bool:
+    """Whether Numba alone has written it: such a file ends in its pickle."""
+    return MARK not in data and data.endswith(STOP)
+
+
+def _drop(path: Path) -> None:
+    """Say that a file is damaged, and remove it."""
+    warnings.warn(
+        f"{path}: damaged, so its kernel is compiled anew and the file replaced", CacheWarning, stacklevel=2
+    )
+    with suppress(OSError):
+        path.unlink()

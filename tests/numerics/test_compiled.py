@@ -4,10 +4,14 @@ import importlib.util
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 
 import numba
 import pytest
+
+from bayesnet_track.numerics.compile_watch import CacheWarning
+from bayesnet_track.numerics.compiled import MARK, SEAL_BYTES
 
 SOURCE = """
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
@@ -81,11 +85,44 @@ def test_a_full_disk_loses_the_cache_only(load, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", [b"", b"garbage", None])
+@pytest.mark.filterwarnings("ignore::bayesnet_track.numerics.compile_watch.CacheWarning")
 def test_a_damaged_cache_is_not_used(load, tmp_path, damage):
     load().double(2.5)
     for path in cached(tmp_path):
         path.write_bytes(path.read_bytes()[:-20] if damage is None else damage)
     assert load().double(2.5) == 5.0
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.99, 1.0])
+def test_a_changed_bit_is_found_said_and_mended(load, tmp_path, suffix, share):
+    """Also in the machine code itself, which Numba would run, and in the seal."""
+    load().double(2.5)
+    (path,) = [one for one in cached(tmp_path) if one.suffix == suffix]
+    whole = path.read_bytes()
+    data = bytearray(whole)
+    data[int(share * (len(data) - 1))] ^= 4
+    path.write_bytes(data)
+    with pytest.warns(CacheWarning, match=f"{path.name}: damaged, so its kernel is compiled anew") as said:
+        again = load()
+        assert again.double(2.5) == 5.0
+    assert len(said) == 1
+    assert not again.double.stats.cache_hits
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        third = load()
+        assert third.double(2.5) == 5.0 and third.double.stats.cache_hits
+
+
+def test_files_of_numba_alone_are_replaced_without_a_word(load, tmp_path):
+    load().double(2.5)
+    for path in cached(tmp_path):
+        path.write_bytes(path.read_bytes()[:-SEAL_BYTES])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert load().double(2.5) == 5.0
+        assert load().double(2.5) == 5.0
+    assert all(MARK in path.read_bytes() for path in cached(tmp_path))
 
 
 def test_importing_the_kernels_of_the_library_does_not_need_a_cache(tmp_path):

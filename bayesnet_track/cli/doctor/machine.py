@@ -14,8 +14,8 @@ from bayesnet_track.cli.doctor.finding import Finding, try_code
 THREAD_SETTINGS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 _CACHE = """
-import pickle, sys
 from pathlib import Path
+from bayesnet_track.numerics.compiled import is_whole
 from bayesnet_track.numerics.kernels import resampling_kernels
 from bayesnet_track.vision.kernels import gradient_kernels
 from bayesnet_track.vision.kernels.histograms import histogram_kernels
@@ -33,14 +33,10 @@ homes += [Path(folder) for folder in folders if folder]
 files = {f for home in homes for end in ("nbi", "nbc") for f in home.rglob(f"*.{end}")}
 for file in sorted(files):
     try:
-        with file.open("rb") as opened:
-            pickle.load(opened)
-            rest = opened.read()
-        if file.suffix == ".nbi":
-            pickle.loads(rest)
-    except (FileNotFoundError, ImportError):  # of a module that is gone: never looked at again
-        pass
-    except Exception:
+        whole = is_whole(file)
+    except FileNotFoundError:
+        continue
+    if not whole:
         print(file)
 """
 
@@ -57,7 +53,7 @@ def check_cache() -> Iterator[Finding]:
     if damaged:
         which = damaged[0] + (f" and {len(damaged) - 1} more" if len(damaged) > 1 else "")
         cure = f"delete them: {' '.join(damaged[:3])}{' ...' if len(damaged) > 3 else ''}"
-        yield Finding("kernel cache", "note", f"damaged, so compiled anew at each start: {which}", cure)
+        yield Finding("kernel cache", "note", f"damaged, so compiled anew at the next start: {which}", cure)
     if not folder or not _can_write(Path(folder)):
         summary = f"{folder} cannot be written" if folder else "no folder for it can be written"
         text = f"{summary}: every start compiles for some ten seconds"

@@ -9,12 +9,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
+from bayesnet_track.numerics.compile_watch import CacheWarning
+
 PACKAGE = str(Path(__file__).resolve().parents[2])
 SHOWN = 5
 
 
 class InputNotice(UserWarning):
     """Part of an input is not used, or not as it stands there. The command line prints the sentence."""
+
+
+HEARD = (InputNotice, CacheWarning)
+"""What the command line prints by itself."""
 
 
 def notice(text: str) -> None:
@@ -47,14 +53,15 @@ def heard(hear: Callable[[str], object]) -> Iterator[None]:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        if not issubclass(category, InputNotice):
+        if not issubclass(category, HEARD):
             former(message, category, filename, lineno, file, line)
         elif str(message) not in said:
             said.add(str(message))
             hear(str(message))
 
     with warnings.catch_warnings():
-        warnings.simplefilter("always", InputNotice)
+        for kind in HEARD:
+            warnings.simplefilter("always", kind)
         warnings.showwarning = show
         yield
 
