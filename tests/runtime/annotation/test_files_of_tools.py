@@ -536,3 +536,61 @@ def test_a_damaged_file_is_refused_in_a_sentence_or_gives_answers_that_can_be_ke
             for one in found:
                 read_answer(one.as_dict(), VIDEO.frames, VIDEO.width, VIDEO.height)
     assert kept < 25
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.json", '[{"image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}]', "neither COCO .* nor a task"),
+        ("a.json", '{"info": {}, "categories": {}, "items": []}', "neither COCO .* nor a task"),
+        ("a.json", "[]", "neither COCO .* nor a task"),
+        ("a.json", "7", "neither COCO .* nor a task"),
+        ("a.tar.gz", "x", "only a zip is read; unpack it"),
+        ("labels/1.txt", b"\xff\xfe\x00", "not a text file"),
+        ("data.yaml", "a: &a [x,x,x]\nb: &b [*a,*a,*a]\nnames: [*b]\n", "`names` of the classes are needed"),
+        ("data.yaml", "names: [a]\nkpt_shape: [[3, 3]]\n", "kpt_shape in its YAML"),
+        ("data.yaml", "names: {" + "9" * 5000 + ": a}\n", "it is no YAML|a whole number"),
+        ("data.yaml", "names: [\n", "it is no YAML"),
+    ],
+)
+def test_what_is_of_no_known_format_is_refused_with_what_would_be(name, text, said, tmp_path):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    if not name.startswith("a."):
+        yolo(tmp_path, [BOX])
+        path = tmp_path
+    with pytest.raises(MismatchError, match=said):
+        read(path)
+
+
+def test_a_project_of_cvat_is_checked_by_its_task(tmp_path):
+    def change(text):
+        text = text.replace("<task>", "<project><tasks><task>").replace(
+            "</task>", "</task></tasks></project>"
+        )
+        return text.replace('label="car"', 'label="car" task_id="7"').replace(
+            'label="person"', 'label="person" task_id="7"'
+        )
+
+    path = cvat(tmp_path, change)
+    assert_scene(read(path)[0])
+    with pytest.raises(MismatchError, match="size: 12 frames; the video has 13"):
+        read(path, Video("other.mp4", 13, 160, 120, 0.04))
+
+
+def test_our_coco_of_a_part_of_a_video_is_read_for_the_whole(tmp_path):
+    def change(content):
+        content["images"] = [{**one, "frame_id": one["id"] - 1} for one in content["images"][:11]][5:]
+        content["annotations"] = content["annotations"][2:]
+
+    boxes, _, _ = read(coco(tmp_path, change))
+    assert sorted(boxes) == [(name, n) for name in NAMED for n in (5, 10)]
+
+
+def test_identities_of_mot_up_to_2_63_are_exact(tmp_path):
+    ids = (2**63 - 1, 2**63 - 2)
+    (tmp_path / "a.txt").write_text(
+        "".join(f"1,{one},{9 * n + 1},1,5,5,1,-1,-1,-1\n" for n, one in enumerate(ids))
+    )
+    assert sorted(read(tmp_path / "a.txt")[0]) == [(f"target {one}", 0) for one in sorted(ids)]

@@ -14,6 +14,7 @@ from bayesnet_track.sources.mot_lines import NotTextError, read_text
 from bayesnet_track.sources.paths import is_junk, natural_key
 
 TEXTS = frozenset({".xml", ".json", ".txt", ".names", ".data", ".yaml", ".yml", ".ini"})
+OTHERS = frozenset({".gz", ".tgz", ".tar", ".bz2", ".xz", ".7z", ".rar", ".zst"})
 MOST_BYTES = 1 << 30
 LISTS = frozenset({"classes", "labels", "train", "val", "valid", "validation", "test", "trainval"})
 """Names of text files that list classes or images."""
@@ -26,8 +27,11 @@ def unpacked(path: Path) -> Iterator[Path]:
     Errors and notices name files below the zip.
 
     Raises:
-        MismatchError: the zip is damaged, has a password or holds more than 1 GiB of text.
+        MismatchError: the zip is damaged, has a password or holds more than 1 GiB of text, or another archive
+            is given.
     """
+    if path.suffix.lower() in OTHERS and path.is_file():
+        raise MismatchError(f"{path}: of archives only a zip is read; unpack it")
     if path.is_dir() or not zipfile.is_zipfile(path):
         yield path
         return

@@ -139,6 +139,8 @@ def _frames(given: list[Any], video: Video, images: Sequence[str], path: Path) -
     if found and all("frame_id" in one for one in found):
         numbers = [whole(one["frame_id"], "frame_id", f"{path}, images[{n}]") for n, one in enumerate(found)]
         first = first_of_numbers(numbers, video.frames)
+        if first is None and all(key == str(value + 1) for key, value in zip(ids, numbers, strict=True)):
+            first = 0  # ids of images count from 1
         if first is not None:
             if first == 1:
                 notice(f"{path}: its frame_id count from 1")

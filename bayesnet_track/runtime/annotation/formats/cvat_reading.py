@@ -55,7 +55,7 @@ def read_cvat(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     tasks = {track.get("task_id") for track in (*root.findall("track"), *root.findall("image"))}
     if len(tasks) > 1:
         raise MismatchError(f"{path}: it holds {len(tasks)} tasks; export that of the video alone")
-    task = _check_meta(root, video, path)
+    task = _check_meta(root, next(iter(tasks), None), video, path)
     tracks = root.findall("track")
     if not tracks and root.find("image") is not None:
         return answers_of(_image_rows(root, video, images, path), video, path, unnamed=UNNAMED)
@@ -70,10 +70,12 @@ def read_cvat(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     return answers_of(_track_rows(tracks, task, video, path), video, path, names)
 
 
-def _check_meta(root: Tree.Element, video: Video, path: Path) -> Task:
-    meta = root.find("meta")
+def _check_meta(root: Tree.Element, chosen: str | None, video: Video, path: Path) -> Task:
+    """How the task, of a project the `chosen` one, numbers its frames; raises MismatchError."""
+    of_project = root.findall("meta/project/tasks/task")
+    jobs = [*root.findall("meta/task"), *root.findall("meta/job")]
     task = Task()
-    for job in [] if meta is None else [*meta.findall("task"), *meta.findall("job")]:
+    for job in jobs + [one for one in of_project if chosen is not None and one.findtext("id") == chosen]:
         size = job.find("original_size")
         if size is not None:
             w, h = (whole(size.findtext(side), side, f"{path}, meta") for side in ("width", "height"))

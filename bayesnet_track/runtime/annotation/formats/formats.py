@@ -60,6 +60,10 @@ def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> li
         content = read_json(found)
         if isinstance(content, dict) and "images" in content:
             return read_coco(found, video, images)
-        if isinstance(content, dict | list):
-            return read_label_studio(found, video)
-    raise MismatchError(f"{path}: neither COCO nor Label Studio")
+        first = content[0] if isinstance(content, list) and content else content
+        if not isinstance(first, dict) or "bbox" in first or "items" in first:
+            raise MismatchError(
+                f"{found}: neither COCO (an object with images and annotations) nor a task of Label Studio; "
+                "results of detections and Datumaro's JSON do not say which image is which frame"
+            )
+        return read_label_studio(found, video)

@@ -86,13 +86,15 @@ def _about(path: Path) -> Mapping[str, Any]:
 def _about_of_yaml(file: Path) -> Mapping[str, Any]:
     try:
         given = yaml.safe_load(text_of(file))
-    except (yaml.YAMLError, RecursionError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise MismatchError(f"{file}: it is no YAML ({str(error).splitlines()[0]})") from error
     names = given.get("names") if isinstance(given, Mapping) else None
     if isinstance(names, list):
         names = dict(enumerate(names))
-    if not isinstance(names, Mapping):
-        raise MismatchError(f"{file}: `names` of the classes are needed, a list or numbers with names")
+    if not isinstance(names, Mapping) or any(not isinstance(one, str | int) for one in names.values()):
+        raise MismatchError(
+            f"{file}: `names` of the classes are needed, a list of texts or numbers with texts"
+        )
     named = {whole(key, "class", str(file)): str(name) for key, name in names.items()}
     return {"names": named, "kpt_shape": given.get("kpt_shape")}
 

@@ -93,7 +93,7 @@ def _points(keypoints: object, path: Path) -> int:
     match keypoints:
         case [int(points), int(size)] if points > 0 and size in (2, 3):
             return points * size
-    raise MismatchError(f"{path}: kpt_shape {keypoints!r}; [points, 2] or [points, 3] is needed")
+    raise MismatchError(f"{path}: kpt_shape in its YAML: [points, 2] or [points, 3] is needed")
 
 
 def _reading(
