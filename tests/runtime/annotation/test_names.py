@@ -1,9 +1,12 @@
 """Names of targets: what is kept can be read back, by any entrance, and a bad name loses no answer."""
 
+import contextlib
 import json
+import tempfile
+from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, read_answer
@@ -54,6 +57,44 @@ def test_mended_names_have_no_fault_and_two_never_become_one(names):
     assert [describe_fault(name) for name in kept] == [None] * len(kept)
     assert len(set(kept)) == len(kept)
     assert set(mended) == {name for name in names if describe_fault(name) is not None}
+
+
+ANYTHING = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 8),
+    st.floats(),
+    st.text(max_size=4),
+    st.lists(st.integers(), max_size=2),
+)
+NUMBER = st.one_of(st.integers(-10, 400), st.floats(-1e3, 1e4), st.floats(), st.just(10**400), st.just("5"))
+MESSAGE = st.fixed_dictionaries(
+    {},
+    optional={
+        "kind": st.one_of(st.sampled_from(["box", "correct", "gone", "undo"]), ANYTHING),
+        "frame": st.one_of(st.integers(0, 5), ANYTHING),
+        "target": st.one_of(
+            st.just("ball 1"), st.text(st.characters(exclude_categories=()), max_size=90), ANYTHING
+        ),
+        "box": st.one_of(st.lists(NUMBER, min_size=4, max_size=4), ANYTHING),
+    },
+)
+
+
+@settings(max_examples=12)
+@given(st.lists(MESSAGE, max_size=8))
+def test_every_message_is_refused_with_words_or_kept_as_it_is_read_back(messages):
+    with tempfile.TemporaryDirectory() as folder:
+        session, _ = open_session(Path(folder), HEADER)
+        for message in messages:
+            with contextlib.suppress(AnswerError):
+                session.give(message)
+        session.update(Still())
+        session.close()
+        assert read_answers(session.path).answers == tuple(session.answers)
+        assert session.annotations.failures == ()
+        for write in WRITERS.values():
+            write(session.document)
 
 
 @pytest.mark.parametrize("name", [*BAD, 7, None, ["ball"]])
