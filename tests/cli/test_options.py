@@ -1,6 +1,7 @@
 """Options that several commands share: what they take, and what they refuse in which words."""
 
 import argparse
+import shlex
 
 import pytest
 
@@ -10,6 +11,7 @@ from bayesnet_track.cli.commands.answer import UsageError
 from bayesnet_track.cli.commands.calibrate import parse_board
 from bayesnet_track.cli.commands.detect import read_parameters
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
+from bayesnet_track.cli.main import main
 from bayesnet_track.cli.options.changes import set_values
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_given
@@ -116,3 +118,31 @@ def test_the_table_of_a_batch_leaves_empty_what_is_not_known():
         and result(row | {"auc": 0.5}) == "9 frames, auc 0.500, lost in 2"
     )
     assert result(row | {"status": "failed", "reason": "no disk"}) == "failed: no disk"
+
+
+RECTANGLES = "".join(f"{n},1,{n + 50},1,51,31,1,31\n" for n in range(1, 9))
+"""MOT of 8 columns, whose lines are rectangles as well."""
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("run general --source none --out {out} --init-from {file}", "--truth-format mot or polygons"),
+        ("fit general --out {out} --source none --truth {file}", "--truth-format mot or polygons"),
+        ("learn-shape {out} --source none --truth {file}", "--truth-format mot or polygons"),
+        ("run general --source none --out {out} --init-from {file} --truth-format mot", "source 'none'"),
+        ("run general --source none --out {out} --init-from {file} --truth-format polygons", "source 'none'"),
+    ],
+)
+def test_a_truth_with_two_readings_is_refused_until_an_option_decides(tmp_path, capsys, command, message):
+    path = tmp_path / "truth.txt"
+    path.write_text(RECTANGLES)
+    assert main(shlex.split(command.format(out=tmp_path / "out", file=path))) != 0
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("form", "box"), [("mot", (51, 1, 51, 31)), ("polygons", (1, 1, 50, 30))])
+def test_the_option_decides_where_the_target_starts(tmp_path, form, box):
+    path = tmp_path / "truth.txt"
+    path.write_text(RECTANGLES)
+    assert read_start(path, 0, form).box == box

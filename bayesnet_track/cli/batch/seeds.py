@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from bayesnet_track.cli.batch.spread import Spread
     from bayesnet_track.cli.batch.work import Row
+    from bayesnet_track.evaluate.truth import TruthForm
 
 WITH_TRUTH = ("auc", "auc_strict", "precision20", "mean_iou", "lost_episodes", "mota", "idf1", "hota")
 MEASURES = (*WITH_TRUTH, "score_mean", "lost_frames", "reconfigurations", "agents_per_frame", "fps")
@@ -45,7 +46,7 @@ def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], 
     truth = options.truth or options.init_from
     if options.truth:
         with users_file("--truth", f"{TRUTH_LINES}, or MOT lines"):
-            is_mot(options.truth)  # a file that cannot be read is known before anything is tracked
+            is_mot(options.truth, options.truth_format)  # a file that cannot be read is known at once
     rows, worst = [], OK
     for seed in range(options.seed, options.seed + options.seeds):
         out = str(Path(options.out) / f"seed-{seed}")
@@ -56,23 +57,26 @@ def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], 
             return code
         worst = max(worst, code)
         with users_mistake():
-            rows.append(row_of_run(options.graph, seed, out, truth))
+            rows.append(row_of_run(options.graph, seed, out, truth, options.truth_format))
     say_summary(rows, options, {"run": options.out})
     return worst
 
 
-def row_of_run(graph: str, seed: int, out: str, truth: str | None) -> Row:
+def row_of_run(graph: str, seed: int, out: str, truth: str | None, form: TruthForm | None = None) -> Row:
     """What was measured of a run; raises OSError, ValueError where a file cannot be read."""
     from bayesnet_track.cli.batch.jobs import Job, Video
     from bayesnet_track.cli.batch.work import row_of
-    from bayesnet_track.evaluate.mot import score_mot_files
+    from bayesnet_track.evaluate.mot import score_mot
+    from bayesnet_track.evaluate.mot_files import read_pair
+    from bayesnet_track.evaluate.runs import frames_of_run
     from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
-    several = truth is not None and is_mot(truth)
-    row = row_of(Job(graph, Video(out, "", truth=None if several else truth), seed, out))
+    several = truth is not None and is_mot(truth, form)
+    video = Video(out, "", truth=None if several else truth)
+    row = row_of(Job(graph, video, seed, out, truth_format=form))
     if several and truth is not None:
-        found = score_mot_files(RunDirectory(Path(out)).mot, truth)
+        found = score_mot(*read_pair(RunDirectory(Path(out)).mot, truth, *frames_of_run(Path(out)), form))
         row |= {"mota": found.mota, "idf1": found.idf1, "hota": found.hota}
     return row
 

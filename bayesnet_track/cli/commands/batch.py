@@ -24,6 +24,7 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_range_option, add_size_option
+from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.batch.jobs import Job, Video
@@ -128,6 +129,7 @@ def _jobs(options: argparse.Namespace, videos: list[Video], out: Path) -> list[J
             files,
             options.max_side,
             options.value_range,
+            options.truth_format,
         )
         for video in videos
         for seed in range(options.seeds)
@@ -163,6 +165,7 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         help="ground-truth file whose first box starts it: {folder}/groundtruth.txt, truth/{name}.txt",
     )
     batch.add_argument("--truth", metavar="PATTERN", help="ground-truth file to score with, in the same way")
+    add_truth_format(batch)
     batch.add_argument(
         "-o", "--out", metavar="DIR", required=True, help="folder of the runs and of results.csv"
     )

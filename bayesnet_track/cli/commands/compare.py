@@ -16,6 +16,7 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
     writing,
 )
+from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.compare import Comparison, Total
@@ -85,7 +86,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     from bayesnet_track.journal.text.compare_text import SHOWN_MOMENTS, compare_text, settings_apart
 
     compared = compare_runs(first, second)
-    scores = _scores(first, second, compared, options.truth)
+    scores = _scores(first, second, compared, options)
     compared = replace(compared, totals=(*compared.totals, *_evidence(first, second, compared), *scores))
     settings = settings_apart(first.started, second.started)
     settings += [str(one) for one in differences(first.graph_text, second.graph_text)]
@@ -137,20 +138,25 @@ def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
     return [total_evidence(first, second, compared.pairs)] if agents[0] == agents[1] else []
 
 
-def _scores(first: Run, second: Run, compared: Comparison, given: str | None) -> list[Total]:
+def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Namespace) -> list[Total]:
     """Figures against the truth: of all targets where it is MOT, else of the first one."""
-    from bayesnet_track.evaluate.mot import score_mot_files
-    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.evaluate.mot import score_mot
+    from bayesnet_track.evaluate.mot_files import read_pair
+    from bayesnet_track.evaluate.runs import frames_of_run, score_run
     from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.journal.compare import Total
 
+    given, form = options.truth, options.truth_format
     truth = Path(given) if given is not None else first.directory.truth
     if given is None and not truth.is_file():
         return []
     runs = (first, second)
     with users_mistake():
-        if is_mot(truth):
-            mot = [score_mot_files(run.directory.mot, truth) for run in runs]
+        if is_mot(truth, form):
+            mot = [
+                score_mot(*read_pair(run.directory.mot, truth, *frames_of_run(run.directory.path), form))
+                for run in runs
+            ]
             return [
                 Total("MOTA", mot[0].mota, mot[1].mota, False),
                 Total("IDF1", mot[0].idf1, mot[1].idf1, False),
@@ -160,7 +166,7 @@ def _scores(first: Run, second: Run, compared: Comparison, given: str | None) ->
         if not compared.pairs:
             return []
         pair = compared.pairs[0]
-        one = [score_run(run.directory.path, truth, name) for run, name in zip(runs, pair, strict=True)]
+        one = [score_run(run.directory.path, truth, name, form) for run, name in zip(runs, pair, strict=True)]
     whose = f", target {pair[0]}" if len(first.targets) > 1 else ""
     return [
         Total(f"AUC{whose}", one[0].auc, one[1].auc, False),
@@ -224,5 +230,6 @@ def add_comparison_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth", metavar="FILE", help="ground truth to score both with (default: truth.txt of the first)"
     )
+    add_truth_format(parser)
     parser.add_argument("--all", action="store_true", help="list every difference, not only the first few")
     parser.add_argument("--json", action="store_true", help="print it as JSON")

@@ -17,6 +17,7 @@ from bayesnet_track.cli.commands.answer import (
 )
 from bayesnet_track.cli.options.arguments import cells, gradient, share, whole_number
 from bayesnet_track.cli.options.sources import add_range_option
+from bayesnet_track.cli.options.truths import add_truth_format
 from bayesnet_track.cli.slips import add_former_name
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.vision.shape.shape_examples import frame_example
 
     with users_mistake():
-        boxes = centre_from_corner(read_truth(options.truth))
+        boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
     edges, found = EdgePlane(options.edge_gray), []
     with open_source(options.source, None, len(boxes), value_range=options.value_range) as source:
         for item in source:
@@ -122,6 +123,7 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
     examples.add_argument("--source", help="video file, folder of images, or glob")
     shape.add_argument("--truth", metavar="FILE", help="ground-truth file of the boxes in --source")
     add_former_name(shape, "--boxes", "--truth")
+    add_truth_format(shape)
     add_range_option(shape)
     shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
     shape.add_argument("--grid", type=cells, default=16, metavar="G", help="cells per side (default 16)")

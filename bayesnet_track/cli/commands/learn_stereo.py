@@ -9,6 +9,7 @@ from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, compl
 from bayesnet_track.cli.commands.detect import read_parameters
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_depth
+from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,7 +45,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
         if name in given:
             raise UsageError(f"--set {name}: it is what is estimated; leave it out")
     with users_mistake():
-        boxes = centre_from_corner(read_truth(options.truth))
+        boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
     end = len(boxes) if options.end is None else min(options.end, len(boxes))
     if options.start >= end:
         raise UsageError(f"{options.truth}: no box from frame {options.start} on, of {end}")
@@ -116,6 +117,7 @@ def add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
     stereo.add_argument(
         "--truth", required=True, metavar="FILE", help="ground-truth file of the boxes in the left image"
     )
+    add_truth_format(stereo)
     stereo.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
     stereo.add_argument(
         "--within",

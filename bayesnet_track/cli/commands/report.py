@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, words, writing
+from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +34,7 @@ def report(options: argparse.Namespace) -> int:
     metrics = list(read_metrics(directory.frames, complain)) if directory.frames.is_file() else []
     if not events or not isinstance(events[0], RunStarted):
         raise UsageError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
-    data = page_data(directory, events, metrics, _truth(directory, options.truth), complain)
+    data = page_data(directory, events, metrics, _truth(directory, options), complain)
     frames = [line.frame for line in metrics]
     if options.frames == "none" or not frames:
         missing = "left out by --frames none" if frames else "no frame was tracked"
@@ -99,14 +100,15 @@ def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
     return place
 
 
-def _truth(directory: RunDirectory, given: str | None) -> NDArray[Any] | None:
+def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any] | None:
     from bayesnet_track.evaluate.truth import read_truth
 
+    given = options.truth
     place = directory.truth if given is None else Path(given)
     if given is None and not place.is_file():
         return None
     with users_mistake():
-        return read_truth(place)
+        return read_truth(place, options.truth_format)
 
 
 def _write_folder(out: Path, data: Data, found: Found) -> None:
@@ -147,4 +149,5 @@ def add_report(commands: argparse._SubParsersAction[Any]) -> None:
     report.add_argument(
         "--truth", metavar="FILE", help="ground-truth file to compare with (default: the run's own truth.txt)"
     )
+    add_truth_format(report)
     report.add_argument("--open", action="store_true", help="open it in the browser")

@@ -12,6 +12,7 @@ from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_range_option
+from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.engine.simulating import Simulated
@@ -36,7 +37,7 @@ def simulate(options: argparse.Namespace) -> int:
     if options.init is not None:
         start = parse_start(options.init)
     else:
-        start = read_start(Path(options.init_from), options.start)
+        start = read_start(Path(options.init_from), options.start, options.truth_format)
     for name in FILES:
         if getattr(options, name) is not None:
             check_free(Path(getattr(options, name)), options.overwrite)
@@ -123,6 +124,7 @@ def add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
     simulate.add_argument("--source", required=True, help="video file, folder of images, glob, or URL")
     simulate.add_argument("--init", metavar="[TYPE:]X,Y,W,H", help="box in the first frame")
     simulate.add_argument("--init-from", metavar="FILE", help="ground-truth file; its box of the first frame")
+    add_truth_format(simulate)
     simulate.add_argument(
         "--start", type=whole_number(0), default=0, metavar="N", help="first frame (default 0)"
     )

@@ -32,6 +32,7 @@ from bayesnet_track.cli.options.sources import (
     add_window_options,
     open_given,
 )
+from bayesnet_track.cli.options.truths import add_truth_format
 from bayesnet_track.cli.options.view import add_view_options
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     if options.set:
         graph = set_values(graph.text, options.set, masks=graph.masks)
     if options.init_from is not None:
-        starts = [read_start(Path(options.init_from), options.start)]
+        starts = [read_start(Path(options.init_from), options.start, options.truth_format)]
     else:
         starts = [parse_start(text) for text in options.init or ()]
     if not starts and not has_births(graph) and options.view is None:
@@ -221,6 +222,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     start.add_argument(
         "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
     )
+    add_truth_format(run)
     run.add_argument(
         "--detections",
         metavar="FILE",

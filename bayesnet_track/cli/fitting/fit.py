@@ -23,6 +23,7 @@ from bayesnet_track.cli.fitting.written import (
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_range_option
+from bayesnet_track.cli.options.truths import add_truth_format
 from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.text.wording import plural
 
@@ -179,6 +180,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     fit.add_argument(
         "--truth", action="append", default=[], metavar="FILE", help="ground-truth file of each --source"
     )
+    add_truth_format(fit)
     fit.add_argument(
         "--folder", metavar="DATA", help="folder of NAME/img with NAME/groundtruth.txt: all of them"
     )

@@ -58,8 +58,8 @@ def tracks_of(options: argparse.Namespace) -> Tracks:
     found = []
     for file in files:
         with users_mistake():
-            if not is_mot(file):
-                found.append(centre_from_corner(read_truth(file))[: options.end])
+            if not is_mot(file, options.truth_format):
+                found.append(centre_from_corner(read_truth(file, options.truth_format))[: options.end])
                 continue
             tracks = read_mot_tracks(file)
         for one in np.unique(tracks.ids):

@@ -49,7 +49,7 @@ def find_videos(options: argparse.Namespace) -> Iterator[Video]:
         seen[name] = seen.get(name, 0) + 1
         with users_mistake():
             unique = name if seen[name] == 1 else f"{name} {seen[name]}"
-            yield Video(unique, source, read_truth(file), options.value_range)
+            yield Video(unique, source, read_truth(file, options.truth_format), options.value_range)
 
 
 @contextmanager
