@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from itertools import count
 
 LONGEST_NAME = 80
@@ -28,8 +29,12 @@ def describe_fault(name: object) -> str | None:
     return None
 
 
-def mend_names(names: Iterable[str]) -> dict[str, str]:
+def mend_names(
+    names: Iterable[str], is_others: Callable[[str, str], bool] = lambda name, new: False
+) -> dict[str, str]:
     """Bad name -> the name in its place, of those that have a fault. Two names never become one.
+
+    `is_others` says of a bad name and a new one whether the new one is another target's.
 
     Other spaces and control characters become a space, what else is not printable goes, and what is too long
     is cut. A name that is taken gets the next free number.
@@ -42,7 +47,7 @@ def mend_names(names: Iterable[str]) -> dict[str, str]:
     mended = {}
     for name in given:
         if name not in taken:
-            mended[name] = _find_free(_tidy(name), taken)
+            mended[name] = _find_free(_tidy(name), partial(_is_taken, name, taken, is_others))
             taken.add(mended[name])
     return mended
 
@@ -83,12 +88,16 @@ def _printable(letter: str) -> str:
     return " " if letter.isspace() or unicodedata.category(letter) == "Cc" else ""
 
 
-def _find_free(name: str, taken: set[str]) -> str:
-    if len(name) <= LONGEST_NAME and name not in taken:
+def _is_taken(name: str, taken: set[str], is_others: Callable[[str, str], bool], new: str) -> bool:
+    return new in taken or is_others(name, new)
+
+
+def _find_free(name: str, is_taken: Callable[[str], bool]) -> str:
+    if len(name) <= LONGEST_NAME and not is_taken(name):
         return name
     label, number = re.fullmatch(r"(.*?)[ ]*(\d{0,6})", name).groups()  # type: ignore[union-attr]
     label = label[:LONGEST_LABEL].rstrip() or "target"
-    return next(free for n in count(int(number or 1)) if (free := f"{label} {n}") not in taken)
+    return next(free for n in count(int(number or 1)) if not is_taken(free := f"{label} {n}"))
 
 
 def _short(name: str) -> str:

@@ -86,12 +86,19 @@ class Session:
         Names that no target can have are mended. What is not used, or not as it stands there, is said.
         """
         given = list(answers)
-        mended = mend_names(one.target for one in given)
-        if mended:
-            notice(f"{place}: {describe_mended(mended)}")
-        given = [replace(one, target=mended.get(one.target, one.target)) for one in given]
         with self._lock:
             known = {(one.target, one.frame): one for one in self.answers if one != UNDO}
+            targets, own = {target for target, _ in known}, by_target(given)
+
+            def is_others(name: str, new: str) -> bool:
+                """Unless the target came by that name out of the same file before."""
+                same = (known.get((new, one.frame)) == replace(one, target=new) for one in own[name])
+                return new in targets and not any(same)
+
+            mended = mend_names(own, is_others)
+            if mended:
+                notice(f"{place}: {describe_mended(mended)}")
+            given = [replace(one, target=mended.get(one.target, one.target)) for one in given]
             _notice_unused(place, given, known)
             for one, other in find_alike([*(key[0] for key in known), *(one.target for one in given)]):
                 notice(f"{place}: {one!r} and {other!r} look alike and are two targets")

@@ -137,6 +137,20 @@ def test_every_bad_name_of_a_file_is_imported_under_a_name_that_is_read_back_and
         assert len({one.target for one in read_annotations(tmp_path / file, VIDEO)}) == len(names)
 
 
+def test_an_imported_name_that_is_mended_becomes_no_target_that_is_there(tmp_path):
+    session, _ = open_session(tmp_path, HEADER)
+    session.give(line("target 1"))
+    imported = [Answer("box", 0, name, (50.0, 10.0, 20.0, 20.0)) for name in ("", "\t")]
+    for _ in range(2):  # the second time the same file is known
+        with pytest.warns(InputNotice, match=r"'' is now 'target 2', '\\t' is now 'target 3'"):
+            session.give_new(imported, "x.json")
+    assert [(one.target, one.box[0]) for one in session.answers] == [
+        ("target 1", 10.0),
+        ("target 2", 50.0),
+        ("target 3", 50.0),
+    ]
+
+
 def test_a_session_with_names_that_were_kept_unchecked_opens_again(tmp_path):
     """Its file as a version wrote it that kept any name of an import."""
     session, _ = open_session(tmp_path, HEADER)
