@@ -268,6 +268,10 @@ def test_what_counts_as_quiet(drive):
     assert level([10] * 5 + [30] * 6) == 30
     assert level([10] * 60 + [30] * 26) == 30  # the last 50 count
     assert level([10] * 10 + [500] * 40, adapt=on_off()) == 10  # above activation
+    every = drive(
+        net(adapt=on_off(off=1.0)), [10] * 12 + [500] * 40
+    )  # the same with nobody left to switch on
+    assert every.memory.quiet["root"].level_px2(frozenset(every.nets[-1].active)) == 10
     assert (
         level([10] * 10 + [500] * 40, lost={"above": {"ud_px2": 400}, "frames": 5}) == 10.0
     )  # 4 + 10, then lost

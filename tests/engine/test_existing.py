@@ -39,12 +39,13 @@ def found():
     return {index: one.detections for index, one in enumerate(reported[30 : 30 + FRAMES])}
 
 
-def outcomes(graph, found, frames=FRAMES):
-    """An outcome per frame."""
+def outcomes(graph, found, frames=FRAMES, times=None):
+    """An outcome per frame; `times` of the frames in nominal intervals, where they are not 0, 1, 2, ..."""
     engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
     done = []
     for index in range(frames):
-        frame = Frame(index=index, time=float(index), time_s=index / 25, image=IMAGE)
+        time = float(index if times is None else times[index])
+        frame = Frame(index=index, time=time, time_s=time / 25, image=IMAGE)
         if done:
             done.append(steps.step(engine, done[-1].state, frame))
         else:
@@ -161,6 +162,30 @@ def test_a_frame_without_a_look_is_no_miss():
     done = outcomes(own, says, 30)
     after_birth = [line.existence for one in done[8:] for line in one.metrics]
     assert len(after_birth) == 22 and min(after_birth) > 0.95
+
+
+@pytest.mark.parametrize("gap", [1, 3])
+def test_survival_is_per_nominal_interval_not_per_frame(gap):
+    """Exact in a frame without a look: nothing but the time since the last one bears on existence."""
+    birth = {**jpda().spec.targets["target"].birth.model_dump(), "every": 2, "confirm": {}}
+    own = jpda(birth=birth, existence={"survival": 0.9})
+    says = {k: seen_at([100, 100, 30, 60]) for k in range(0, 12, 2)}
+    done = outcomes(own, says, 12, [*range(11), 10 + gap])
+    (before,), (after,) = ([line.existence for line in one.metrics] for one in done[-2:])
+    assert 0.9 < before <= 1.0
+    assert after == pytest.approx(before * 0.9**gap, rel=1e-9)
+
+
+@pytest.mark.parametrize("births", [0.1, 2.0])
+def test_detections_of_nobody_are_false_but_for_the_share_of_new_targets(births):
+    """Each is somewhere else in each frame, so that it is free for sure."""
+    says = {k: seen_at([[20 + 110 * k + 340 * far, 40 + 60 * k, 30, 60] for far in (0, 1)]) for k in range(4)}
+    done = outcomes(jpda(existence={"births": births}), says, 4)
+    before, after = (done[k].state.history.populations["target"] for k in (2, 3))
+    false = 2 * (1 - births / (births + before.clutter))
+    assert after.frames == before.frames + 1
+    expected = before.clutter + (false - before.clutter) / after.frames
+    assert after.clutter == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_state_that_was_stored_goes_on_to_the_same_bytes(graph, found):
