@@ -1,7 +1,6 @@
 """Decoded frames: nothing of them stays, and a folder without room is said before it is full."""
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -65,6 +64,8 @@ def test_a_video_that_will_not_fit_is_refused_before_the_folder_is_full(temporar
 
 @pytest.mark.skipif(os.name != "posix", reason="limits the size of files")
 def test_a_folder_that_gets_full_while_it_decodes_is_named_with_what_is_needed(temporary):
+    import resource
+
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, before[1]))
     try:
