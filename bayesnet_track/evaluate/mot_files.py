@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesnet_track.evaluate.mot_pairs import Tracks
 from bayesnet_track.evaluate.truth import IGNORED, TruthForm
+from bayesnet_track.sources.entrances.line_forms import refuse_shares
 from bayesnet_track.sources.entrances.misfits import explain_lengths
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.mot_lines import MotLines, parse_mot, read_text
@@ -89,6 +90,7 @@ def _renumbered(tracks: Tracks, frames: Collection[int]) -> Tracks:
 
 
 def _tracks(lines: MotLines, by_class: bool) -> Tracks:
+    refuse_shares(lines.boxes, lines.name)
     ids, classes = lines.ids, lines.classes if (lines.classes != "").any() else None
     if by_class and classes is not None:
         _, kind = np.unique(classes, return_inverse=True)

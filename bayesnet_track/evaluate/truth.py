@@ -203,6 +203,7 @@ def _refuse_other_readings(boxes: Floats, rows: list[list[float]], name: str) ->
 
 def _of_one_target(lines: MotLines) -> Floats:
     """(n, 4) the boxes of the only target by frame."""
+    refuse_shares(lines.boxes, lines.name)
     scored = lines.only(lines.rest[:, 0] != IGNORED)
     if len(scored) < len(lines):
         notice(f"{lines.name}: {len(lines) - len(scored)} of {len(lines)} boxes have confidence 0: not used")

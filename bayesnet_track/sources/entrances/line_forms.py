@@ -40,11 +40,12 @@ def is_mot_of_8(rows: Floats, name: str) -> bool:
             "or polygons (x1,y1,..,x4,y4); say which: --truth-format mot or polygons, form= in Python, or a "
             "header line of these names"
         )
-    if not can_be_mot and not convex and whole and sized and _grow(frames, ids) and len(rows) >= LEAST_LINES:
+    if not can_be_mot and len(rows) >= LEAST_LINES and float(_are_convex(points).mean()) < 0.5:
+        tenths = " or boxes of 4 numbers with decimal commas (write points);" if (rows % 1 == 0).all() else ""
         raise ValueError(
-            f"{name}: lines of 8 numbers that are no polygons (sides cross), and no MOT (confidence "
-            f"{confidence.min():g} to {confidence.max():g}, class {number.min():g} to {number.max():g}); "
-            "a header line names the columns, such as frame,id,left,top,width,height,confidence,class"
+            f"{name}: lines of 8 numbers that are polygons (x1,y1,..,x4,y4) whose sides cross;{tenths} and "
+            "no MOT (frame,id,left,top,width,height,confidence,class); say --truth-format polygons or mot, "
+            "form= in Python, or write a header line of names"
         )
     return can_be_mot
 
