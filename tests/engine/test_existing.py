@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.candidates import Candidate
+from bayesnet_track.adapt.existence import Population, Prospects
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.lifecycle.confirming import with_belief
 from bayesnet_track.engine.lifecycle.detecting import Found
@@ -186,6 +187,34 @@ def test_detections_of_nobody_are_false_but_for_the_share_of_new_targets(births)
     assert after.frames == before.frames + 1
     expected = before.clutter + (false - before.clutter) / after.frames
     assert after.clutter == pytest.approx(expected, rel=1e-3)
+
+
+def test_false_detections_of_a_first_frame_leave_out_the_share_of_new_targets():
+    births, start = 2.0, Population(Prospects.none(4))
+    done = outcomes(
+        jpda(existence={"births": births}), {0: seen_at([[20, 40, 30, 60], [400, 40, 30, 60]])}, 1
+    )
+    after = done[0].state.history.populations["target"]
+    false = 2 * (1 - births / (births + start.clutter))
+    assert after.clutter == pytest.approx(start.clutter + (false - start.clutter) / after.frames)
+
+
+def log_odds_without_rates(clutter, births):
+    """Log of N(z; m, P + R) over a density of boxes, from a prospect's existence after its second look."""
+    own = jpda(existence={"clutter": clutter, "births": births, "detection": 0.5, "confirm": 0.999999})
+    says = {0: seen_at([[100, 100, 30, 60]]), 1: seen_at([[112, 106, 30, 60]])}
+    done = outcomes(own, says, 2)
+    first, second = (one.state.history.populations["target"].prospects.existence for one in done)
+    hit = 0.995 * first[0] * 0.5
+    silent = hit / (1 - hit)
+    seen = (second[0] - silent) / (1 - silent)
+    return np.log(seen / (1 - seen) / (hit / (1 - hit)) * (clutter + births))
+
+
+def test_a_detection_that_is_no_targets_is_false_or_of_a_new_one():
+    """Both rates stand against a target: what is left of its odds is the same for all of them."""
+    odds = [log_odds_without_rates(*rates) for rates in ((2.0, 2.0), (0.5, 2.0), (2.0, 0.5), (0.1, 6.0))]
+    np.testing.assert_allclose(odds, odds[0], atol=1e-6)
 
 
 def test_a_state_that_was_stored_goes_on_to_the_same_bytes(graph, found):
