@@ -13,11 +13,14 @@ from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import Protocol
 
+from bayesnet_track.cli.batch.files import MANY_FILES, explained
 from bayesnet_track.cli.batch.jobs import Job
-from bayesnet_track.cli.batch.work import Row, failed_row
+from bayesnet_track.cli.batch.work import Row, failed_row, timed_out_row
 from bayesnet_track.observation.child import cut, python, tie
 
 WAIT_S = 0.2
+ENDING_S = 5.0
+"""Seconds after which a process that was asked to end is ended."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,11 @@ class Processes:
 
     Attributes:
         at_a_time: how many.
+        timeout_s: seconds that a job may take, or None.
     """
 
     at_a_time: int
+    timeout_s: float | None = None
 
     def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
         """As of a `Place`."""
@@ -67,7 +72,7 @@ class Processes:
         pool = ThreadPoolExecutor(self.at_a_time)
         try:
             for job in jobs:
-                pool.submit(_supervise, job, reports, running, is_over)
+                pool.submit(_supervise, job, self.timeout_s, reports, running, is_over)
             left = len(jobs)
             while left:
                 try:
@@ -86,11 +91,34 @@ class Processes:
 
 
 def _supervise(
-    job: Job, reports: SimpleQueue[Progress], running: set[subprocess.Popen[str]], is_over: threading.Event
+    job: Job,
+    timeout_s: float | None,
+    reports: SimpleQueue[Progress],
+    running: set[subprocess.Popen[str]],
+    is_over: threading.Event,
 ) -> None:
+    """Do a job in a process; its row is reported, whatever happens: the batch waits for it."""
     if is_over.is_set():
         return
-    row: Row | None = None
+    row = failed_row(job, "its supervision ended")
+    try:
+        reports.put(Progress(job))
+        row = _done(job, timeout_s, reports, running, is_over)
+    except (OSError, ValueError) as error:
+        row = failed_row(job, explained(error))
+    except RuntimeError as error:  # no thread can be started
+        row = failed_row(job, f"{error}; {MANY_FILES}")
+    finally:
+        reports.put(Progress(job, row=row))
+
+
+def _done(
+    job: Job,
+    timeout_s: float | None,
+    reports: SimpleQueue[Progress],
+    running: set[subprocess.Popen[str]],
+    is_over: threading.Event,
+) -> Row:
     pipe = subprocess.PIPE
     held, lifeline = tie()
     command = python("from bayesnet_track.cli.batch.worker import main; sys.exit(main())", held=held)
@@ -105,23 +133,50 @@ def _supervise(
             running.add(process)
             if is_over.is_set():  # it was not among those that were ended
                 process.terminate()
-            assert process.stdin is not None and process.stdout is not None
-            process.stdin.write(job.to_json() + "\n")
-            process.stdin.close()
-            for line in process.stdout:
-                what = json.loads(line)
-                if "row" in what:
-                    row = what["row"]
-                else:
-                    reports.put(Progress(job, what["done"], what["expected"]))
-            code = process.wait()
-            running.discard(process)
-            if row is None:
-                complaints.seek(0)
-                said = complaints.read().strip().splitlines()
-                row = failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
-    except (OSError, ValueError) as error:
-        row = failed_row(job, str(error))
+            late = threading.Event()
+            alarm = threading.Timer(timeout_s or 0.0, _end, (process, late))
+            alarm.daemon = True
+            if timeout_s is not None:
+                alarm.start()
+            try:
+                row = _told(job, process, reports)
+                code = process.wait()
+            finally:
+                alarm.cancel()
+                running.discard(process)
+            if row is not None:
+                return row
+            if late.is_set() and timeout_s is not None:
+                return timed_out_row(job, timeout_s)
+            complaints.seek(0)
+            said = complaints.read().strip().splitlines()
+            return failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
     finally:
         cut(held, lifeline)
-    reports.put(Progress(job, row=row))
+
+
+def _told(job: Job, process: subprocess.Popen[str], reports: SimpleQueue[Progress]) -> Row | None:
+    """Give a process its job and report what it says; its row, or None where it ends without one."""
+    assert process.stdin is not None and process.stdout is not None
+    row: Row | None = None
+    with suppress(BrokenPipeError):  # it has ended already: its code tells how
+        process.stdin.write(job.to_json() + "\n")
+        process.stdin.close()
+    for line in process.stdout:
+        what = json.loads(line)
+        if "row" in what:
+            row = what["row"]
+        else:
+            reports.put(Progress(job, what["done"], what["expected"]))
+    return row
+
+
+def _end(process: subprocess.Popen[str], late: threading.Event) -> None:
+    """Ask a process to end, and end it where it does not."""
+    late.set()
+    with suppress(OSError):
+        process.terminate()
+        try:
+            process.wait(ENDING_S)
+        except subprocess.TimeoutExpired:
+            process.kill()

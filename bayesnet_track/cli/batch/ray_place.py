@@ -6,13 +6,14 @@ dies is started again by Ray, and goes on where its files end.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from bayesnet_track.cli.batch.jobs import Job, allow
 from bayesnet_track.cli.batch.places import WAIT_S, Progress
-from bayesnet_track.cli.batch.work import Row, failed_row
+from bayesnet_track.cli.batch.work import Row, failed_row, timed_out_row
 from bayesnet_track.runtime.executors.processes import PlacingError
 
 MISSING = "Ray is not installed: pip install 'bayesnet-track[ray]'"
@@ -26,9 +27,11 @@ class RayTasks:
 
     Attributes:
         address: of the cluster; None starts one here.
+        timeout_s: seconds that a job may take, looked at between two of its frames, or None.
     """
 
     address: str | None = None
+    timeout_s: float | None = None
 
     def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
         """As of a `Place`.
@@ -40,7 +43,7 @@ class RayTasks:
         import ray
 
         task = ray.remote(_done).options(num_cpus=1, max_retries=RETRIES)
-        waiting = {task.remote(job.to_json()): job for job in jobs}
+        waiting = {task.remote(job.to_json(), self.timeout_s): job for job in jobs}
         try:
             while waiting:
                 over, _ = ray.wait(list(waiting), timeout=WAIT_S)
@@ -78,18 +81,30 @@ def connect(address: str | None) -> bool:
             ray.init(log_to_driver=False, logging_level="error", include_dashboard=False)
         else:
             ray.init(address=address, log_to_driver=False, logging_level="error")
-    except (ConnectionError, ValueError) as error:
-        raise PlacingError(f"no Ray cluster at {address}: {error}") from error
+    except Exception as error:  # what Ray raises when it is not up in time has no class of its own
+        where = "Ray cannot be started here" if address is None else f"no Ray cluster at {address}"
+        raise PlacingError(f"{where}: {' '.join(str(error).split())}") from error
     return True
 
 
-def _done(line: str) -> Row:
+class _Late(Exception):
+    """A job takes longer than it may."""
+
+
+def _done(line: str, timeout_s: float | None = None) -> Row:
     from bayesnet_track.cli.batch.work import do
     from bayesnet_track.cli.commands.answer import words
 
-    job = Job.from_json(line)
+    job, began = Job.from_json(line), time.monotonic()
+
+    def progress(done: int, expected: int | None) -> None:
+        if timeout_s is not None and time.monotonic() > began + timeout_s:
+            raise _Late
+
     try:
         allow(job)
-        return do(job, lambda done, expected: None)
+        return do(job, progress)
+    except _Late:
+        return timed_out_row(job, timeout_s or 0.0)
     except (OSError, ValueError) as error:
         return failed_row(job, " ".join(words(error).split()))

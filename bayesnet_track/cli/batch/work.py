@@ -33,7 +33,8 @@ ROW = (
 )
 """Columns of the table of results."""
 
-FINISHED, FAILED = "finished", "failed"
+FINISHED, FAILED, TIMED_OUT = "finished", "failed", "timed out"
+"""What a row's status can be."""
 
 
 def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
@@ -124,6 +125,12 @@ def failed_row(job: Job, reason: str) -> Row:
     """The row of a job that failed."""
     row: Row = dict.fromkeys(ROW)
     return row | {"video": job.video.name, "seed": job.seed, "status": FAILED, "reason": reason}
+
+
+def timed_out_row(job: Job, timeout_s: float) -> Row:
+    """The row of a job that was stopped since it took too long."""
+    reason = f"stopped after {timeout_s:g} s (--timeout); the same command goes on with it"
+    return failed_row(job, reason) | {"status": TIMED_OUT}
 
 
 def _check_same(job: Job, recipe: Recipe) -> None:

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -16,34 +17,33 @@ from bayesnet_track.cli.commands.answer import (
     INCOMPLETE,
     OK,
     UsageError,
+    complain,
     run_silently,
     say,
     users_mistake,
     writing,
 )
-from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.arguments import seconds, whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_range_option, add_size_option
 from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.batch.jobs import Job, Video
-    from bayesnet_track.cli.batch.work import Row
+    from bayesnet_track.cli.batch.places import Place
     from bayesnet_track.runtime.stop import StopRequest
-
-TABLE = "results.csv"
 
 
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
-    from bayesnet_track.cli.batch.places import Place, Processes
+    from bayesnet_track.cli.batch.lists import TABLE
+    from bayesnet_track.cli.batch.results import Results
     from bayesnet_track.cli.batch.seeds import summary_of
     from bayesnet_track.cli.batch.spread import spread_text
-    from bayesnet_track.cli.batch.table import BatchProgress, csv_text
-    from bayesnet_track.cli.batch.work import FAILED
+    from bayesnet_track.cli.batch.table import BatchProgress, Silence
+    from bayesnet_track.cli.batch.work import FINISHED
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
-    from bayesnet_track.journal.atomic import write_atomically
 
     graph = load_graph(options.graph)
     videos = _videos(options)
@@ -58,26 +58,22 @@ def batch(options: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
     jobs = _jobs(options, videos, out)
     progress = BatchProgress(sys.stderr, jobs, sys.stderr.isatty())
-    place: Place = Processes(options.jobs or os.cpu_count() or 1)
-    if options.on == "ray":
-        from bayesnet_track.cli.batch.ray_place import RayTasks
-
-        place = RayTasks(options.ray_address)
+    place = _place(options, len(jobs))
     stop: StopRequest = options.stop
-    rows: dict[Job, Row] = {}
-    with users_mistake(), closing(place.run(jobs)) as reports:
+    silence = Silence(time.monotonic())
+    with users_mistake(), Results(out / TABLE, jobs) as results, closing(place.run(jobs)) as reports:
         for report in reports:
-            if report is not None and report.row is not None:
-                rows[report.job] = report.row
+            results.add(report)
+            for sentence in silence.hear(report, time.monotonic()):
+                run_silently(partial(progress.note, sentence))
             if report is not None and not options.quiet:
                 run_silently(partial(progress.update, report))
             if stop.between_frames():
                 break
-    done = [rows[job] for job in jobs if job in rows]
-    write_atomically(out / TABLE, csv_text(done).encode("utf-8"))
-    failed = sum(row["status"] == FAILED for row in done)
+    done = results.rows()
+    failed = sum(row["status"] != FINISHED for row in done)
     parts = [f"{len(done)} of {len(jobs)} runs done", *([f"{failed} failed"] if failed else [])]
-    summary = summary_of([row for row in done if row["status"] != FAILED]) if options.seeds > 1 else {}
+    summary = summary_of([row for row in done if row["status"] == FINISHED]) if options.seeds > 1 else {}
     if options.json:
         measures = {name: asdict(one) for name, one in summary.items()}
         told = {"out": str(out), "runs": done, "failed": failed, "of": len(jobs)}
@@ -91,10 +87,28 @@ def batch(options: argparse.Namespace) -> int:
     return INCOMPLETE if failed else OK
 
 
+def _place(options: argparse.Namespace, jobs: int) -> Place:
+    """Where the runs are; raises UsageError where the limit on open files allows none."""
+    if options.on == "ray":
+        from bayesnet_track.cli.batch.ray_place import RayTasks
+
+        return RayTasks(options.ray_address, options.timeout)
+    from bayesnet_track.cli.batch.files import MANY_FILES, most_runs
+    from bayesnet_track.cli.batch.places import Processes
+
+    wanted = min(options.jobs or os.cpu_count() or 1, jobs)
+    most = most_runs()
+    if most == 0:
+        raise UsageError(f"too few files may be open to start a run; {MANY_FILES}")
+    if most is not None and most < wanted:
+        complain(f"no more than {most} runs at a time, not {wanted}: {MANY_FILES}")
+    return Processes(wanted if most is None else min(wanted, most), options.timeout)
+
+
 def _videos(options: argparse.Namespace) -> list[Video]:
     from dataclasses import replace
 
-    from bayesnet_track.cli.batch.jobs import read_list, videos_of
+    from bayesnet_track.cli.batch.lists import read_list, videos_of
     from bayesnet_track.cli.commands.start_boxes import parse_start
 
     if bool(options.source) == (options.list is not None):
@@ -171,6 +185,12 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     )
     batch.add_argument(
         "--jobs", type=whole_number(1), metavar="N", help="parallel runs (default: one per processor)"
+    )
+    batch.add_argument(
+        "--timeout",
+        type=seconds,
+        metavar="S",
+        help="seconds that a run may take; one that takes longer is stopped, and counts as failed",
     )
     batch.add_argument(
         "--on",
