@@ -18,7 +18,7 @@ from bayesnet_track.runtime.executors.placing import (
 )
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
-from bayesnet_track.runtime.executors.workers import Limits
+from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
 from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
@@ -61,8 +61,11 @@ class Executing:
         self._open.enter_context(one_thread_inside(opencv=not self._is_serial))
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        """Raises PlacingError where no worker could be started while it was entered."""
         self._open.close()
+        if isinstance(error, NoWorkerError):
+            raise PlacingError(str(error)) from error
 
     @property
     def _is_serial(self) -> bool:

@@ -62,10 +62,17 @@ class ForkServer:
         """A new worker: the channel to it, its lifeline (it dies when that is closed) and its process id.
 
         Raises:
-            AgentUnavailable: none can be started.
+            AgentUnavailable: the run is over.
+            OSError: none can be started.
         """
         ours, theirs = socket.socketpair()
-        held, lifeline = tie()
+        try:
+            held, lifeline = tie()
+        except OSError:
+            ours.close()
+            theirs.close()
+            raise
+        pid = None
         try:
             with self._lock:
                 pid = self._ask(WORKER, (theirs.fileno(), held))
@@ -76,10 +83,13 @@ class ForkServer:
         finally:
             theirs.close()
             cut(held)
+            if pid is None:
+                ours.close()
+                cut(lifeline)
         if pid is None:
-            ours.close()
-            cut(lifeline)
-            raise AgentUnavailable("no worker process can be started")
+            if self._is_closed:
+                raise AgentUnavailable("the run is over")
+            raise OSError("the process that forks them off has ended twice")
         return ours, lifeline, pid
 
     def ended(self, pid: int) -> int | None:

@@ -19,7 +19,14 @@ from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.pending import Pending
 from bayesnet_track.runtime.executors.questions import Answer, Call, Foreign
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
-from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
+from bayesnet_track.runtime.executors.workers import (
+    Late,
+    Limits,
+    NoWorkerError,
+    Worker,
+    WorkerGone,
+    WorkerLost,
+)
 
 COMING_S = 0.002
 """Seconds after which it is looked whether a worker that is being started is there."""
@@ -48,8 +55,11 @@ class Processes:
         for agent, spec in agents.items():
             _check_sendable(agent, spec)
         self.retries, self.patience = retries, None
-        self._store = FrameStore()
-        self._pool = WorkerPool(agents, workers, limits, self._store.descriptor)
+        try:
+            self._store = FrameStore()
+            self._pool = WorkerPool(agents, workers, limits, self._store.descriptor)
+        except OSError as error:
+            raise PlacingError(str(NoWorkerError(error.strerror or str(error)))) from error
         self._unsent: list[Pending] = []
         self._frames = 0
         self._asking = RLock()

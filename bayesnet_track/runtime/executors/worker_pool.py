@@ -13,7 +13,7 @@ from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import AnyCue
 from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.packing import pack, repack
-from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
+from bayesnet_track.runtime.executors.workers import Late, Limits, NoWorkerError, Worker, WorkerLost
 
 IDLE_FRAMES = 30
 """After so many frames without a question an agent leaves its worker, and a worker without agents ends."""
@@ -100,7 +100,7 @@ class WorkerPool:
         return slot.worker
 
     def await_answer(self, slot: Slot, until: float | None) -> Worker:
-        """The slot's worker; raises Late when it is not there by `until`, and AgentUnavailable."""
+        """The slot's worker; raises Late when it is not there by `until`, AgentUnavailable, NoWorkerError."""
         worker = self.come(slot)
         if worker is not None:
             return worker
@@ -128,6 +128,8 @@ class WorkerPool:
             def start() -> None:
                 try:
                     coming.set_result(Worker(self._fork_server, self._limits))
+                except OSError as error:
+                    coming.set_exception(NoWorkerError(error.strerror or str(error)))
                 except BaseException as error:
                     coming.set_exception(error)
 

@@ -21,6 +21,20 @@ class WorkerLost(Exception):
     """A worker died, was killed because it did not answer, or needed too much memory; says which."""
 
 
+class NoWorkerError(BaseException):
+    """No worker process can be started, for a reason of the system; says which.
+
+    The net would go on without agents that nothing is wrong with, and other tracks would come of it. So this
+    is no `Exception`: what handles the faults of agents lets it pass, and it ends the run.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(
+            f"no worker process can be started ({reason}); raise the limits (`ulimit -n`, `ulimit -u`), give "
+            "fewer --workers, or use --executor serial, which gives the same results"
+        )
+
+
 class WorkerGone(WorkerLost):
     """A worker that had answered died before it was asked this: nobody's question killed it."""
 
