@@ -57,6 +57,9 @@ def explain_unused(graph: CheckedGraph, found: Found, size: tuple[int, int], fra
         size: width and height of these frames, px.
         frames: indices of the frames that are read; up to `sys.maxsize` where their number is not known.
     """
+    if not any(map(len, found.values())):
+        yield "no detection in it"
+        return
     yield from _explain_frames(found, frames)
     read = {index: one for index, one in found.items() if index in frames}
     first = min(read, default=0)

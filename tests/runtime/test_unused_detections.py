@@ -20,7 +20,7 @@ SPARSE = (
 @pytest.mark.parametrize(
     ("found", "frames", "reasons"),
     [
-        ({}, range(9), []),
+        ({}, range(9), ["no detection in it"]),
         ({0: SEEN, 1: SEEN}, range(9), []),
         ({0: SEEN, 3: SEEN}, range(0, 9, 3), []),
         (
