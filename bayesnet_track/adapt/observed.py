@@ -2,7 +2,7 @@
 
 A row of T targets with beliefs of D fields has these parts, those that a rule needs:
 
-- the last detection, the frames since then, how many there were after the first;
+- the last detection, the frame intervals since then, how many detections there were after the first;
 - for the direction (Cao et al. 2023): the detections of the last frames, NaN where there was none, and the
   unit vector from an earlier one to the last;
 - for the re-update (same paper): mean and covariance of the belief when the last one had been used.
@@ -83,11 +83,17 @@ def remembered(rule: AssociationRule, reference: Reference, mean: Floats) -> Flo
 
 
 def observe(
-    rule: AssociationRule, observed: Floats, before: tuple[Floats, Floats], own: Floats, is_given: Bools
+    rule: AssociationRule,
+    observed: Floats,
+    before: tuple[Floats, Floats],
+    own: Floats,
+    is_given: Bools,
+    elapsed: float,
 ) -> Floats:
     """(T, H) after a frame in which targets were given the detections `own` (T, 4), where `is_given`.
 
-    `before` are means (T, D) and covariances (T, D, D) of the beliefs of the frame before.
+    `before` are means (T, D) and covariances (T, D, D) of the beliefs of the frame before, `elapsed` frame
+    intervals earlier.
     """
     if not observed.shape[1]:
         return observed
@@ -104,7 +110,7 @@ def observe(
     if layout.frames:
         ways = np.where(is_given[:, None], own[:, :2] - earlier(layout, observed)[:, :2], np.nan)
         heading = units_of(ways)
-    append_detections(after, plain(own), is_given, FIXED, layout.frames, heading)
+    append_detections(after, plain(own), is_given, FIXED, layout.frames, heading, float(elapsed))
     return after
 
 

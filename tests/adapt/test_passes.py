@@ -59,7 +59,9 @@ def test_direction_decides_between_two_that_overlap_alike():
     expected, found = boxes(0.0, 0.0), boxes(-3.0, 3.0)
     rows = first_observed(rule, boxes(-20.0, 20.0), 8)
     for ways in ((-10.0, 10.0), (-1.0, 1.0)):
-        rows = observe(rule, rows, (np.zeros((2, 8)), np.zeros((2, 8, 8))), boxes(*ways), np.ones(2, bool))
+        rows = observe(
+            rule, rows, (np.zeros((2, 8)), np.zeros((2, 8, 8))), boxes(*ways), np.ones(2, bool), 1.0
+        )
     assert shared(rule, expected, found, [0.9, 0.9], rows) == [1, 0]
     assert shared(rule, expected, found, [0.9, 0.9], rows[::-1]) == [0, 1]
 

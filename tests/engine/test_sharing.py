@@ -7,6 +7,7 @@ from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.observed import GAP, Layout, first_observed
 from bayesnet_track.engine.lifecycle.assigning import TENTATIVE, name_owners
 from bayesnet_track.engine.lifecycle.sharing import (
+    Predict,
     Tracks,
     follow,
     own_detections,
@@ -32,8 +33,12 @@ NOISE = np.diag([0.1, 0.1, 0.4, 0.4, 0.1, 0.1, 0.4, 0.4])
 R = np.diag([1.0, 1, 4, 4])
 
 
-def predict(means, covariances):
-    return means @ MOVE.T, MOVE @ covariances @ MOVE.T + NOISE
+def over(means, covariances, dt):
+    move = np.eye(8) + dt * np.eye(8, k=4)
+    return means @ move.T, move @ covariances @ move.T + dt * NOISE
+
+
+predict = Predict(1.0, over)
 
 
 def book_update(mean, covariance, z):
@@ -55,6 +60,17 @@ def test_a_gap_is_filtered_anew_along_the_line_between_two_detections():
         mean, covariance = book_update(mean, covariance, virtual)
     np.testing.assert_allclose(found[0], mean, rtol=1e-12)
     np.testing.assert_allclose(found[1], covariance, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("gap", "elapsed"), [(2.0, 1.0), (2.4, 6.6), (1.5, 0.5), (0.4, 0.1)])
+def test_a_gap_is_filtered_anew_over_its_time(gap, elapsed):
+    """A target that moves as its motion says stays where it is, whenever frames come, as does its speed."""
+    mean, layout = np.array([100.0, 50, 20, 40, 2, 1, 0, 0]), Layout.of(RULE, 8)
+    row = first_observed(RULE, mean[None, :4], 8)[0]
+    row[GAP], row[layout.mean], row[layout.covariance] = gap, mean, np.eye(8).ravel()
+    new, _ = over(mean[None], np.eye(8)[None], gap + elapsed)
+    found, _ = re_update(RULE, row, new[0, :4], 8, Predict(elapsed, over))
+    np.testing.assert_allclose(found, over(mean[None], np.eye(8)[None], gap)[0][0], atol=1e-12)
 
 
 def test_only_tracks_seen_again_are_filtered_anew():

@@ -55,6 +55,6 @@ def test_a_detection_is_appended_where_there_is_one():
     # The last one, gap, count, those of two frames, the direction
     rows = np.array([[1.0, 1, 1, 1, 0, 3, 5, 5, 5, 5, 7, 7, 7, 7, 0.6, 0.8]] * 2)
     own, heading = np.full((2, 4), 9.0), np.array([[0.0, 1.0], [NAN, NAN]])
-    append_detections(rows, own, np.array([True, False]), 6, 2, heading)
+    append_detections(rows, own, np.array([True, False]), 6, 2, heading, 1.0)
     np.testing.assert_equal(rows[0], [9, 9, 9, 9, 0, 4, 7, 7, 7, 7, 9, 9, 9, 9, 0.0, 1.0])
     np.testing.assert_equal(rows[1], [1, 1, 1, 1, 1, 3, 7, 7, 7, 7, NAN, NAN, NAN, NAN, 0.6, 0.8])

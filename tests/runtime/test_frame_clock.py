@@ -106,6 +106,27 @@ def test_detections_at_any_rate_give_one_track_with_their_speed(name, rate):
     assert np.abs(errors).max() < 4  # detections have an sd of 1 px
 
 
+def speed_after(gap):
+    """Speed in px/s that `oc_sort` finds for a person who slows down to 20 px/s while nobody sees it."""
+    tracker, last, back = DetectionsTracker("oc_sort", size=(640, 300), fps=FPS), 19 / FPS, 19 / FPS + 0.4
+    for frame in range(20):
+        tracker.update(detected(100 + SPEED * frame / FPS), time_s=frame / FPS)
+    for time in last + np.cumsum(gap):
+        tracker.update(detected(), time_s=float(time))
+    tracker.update(detected(100 + SPEED * last + 8), time_s=back)
+    (before,) = tracker.targets
+    tracker.update(detected(), time_s=back + 0.04)
+    (after,) = tracker.targets
+    return (after.centre_box[0] - before.centre_box[0]) / 0.04
+
+
+def test_a_gap_is_filtered_anew_over_its_true_time():
+    usual = speed_after([0.04] * 9)
+    assert 20 < usual < 40
+    for gap in ([0.02] * 18, [0.04, 0.04, 0.28], [0.06, 0.27, 0.03]):
+        assert speed_after(gap) == pytest.approx(usual, rel=1e-6)
+
+
 def test_frames_that_are_left_out_cost_no_identity():
     kept = [frame for frame in range(60) if not (20 <= frame < 29 or 40 <= frame < 49)]
     ids = {}
@@ -293,6 +314,17 @@ def test_milliseconds_given_as_seconds_are_noticed():
         InputNotice, match="frame 1 comes 40 s after .* 1000 intervals .* time_s counts seconds"
     ):
         tracker.update(detected(20), time_s=40)
+
+
+def test_a_step_that_leaves_nothing_of_a_belief_is_refused():
+    tracker = DetectionsTracker("sort", size=SIZE, fps=1e6)
+    for time in (0.0, 0.1, 0.2):
+        tracker.update(detected(20), time_s=time)
+    with pytest.raises(
+        ValueError, match=r"more than 1e\+10 intervals of 1e\+06 frames a second .* reset\(\)"
+    ):
+        tracker.update(detected(20), time_s=1e6)
+    assert tracker.update(detected(20), time_s=0.3).tracker_id.tolist() == [1]
 
 
 @pytest.mark.parametrize("fps", [0, -25, math.nan, math.inf, "25", True, 1e300, 1e-300])

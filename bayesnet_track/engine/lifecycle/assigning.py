@@ -20,7 +20,7 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found
-from bayesnet_track.engine.lifecycle.sharing import Tracks, follow, own_detections, update_tentative
+from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections, update_tentative
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
@@ -63,7 +63,7 @@ class Sharing:
                 self._give(targets, own_detections(owner, seen.boxes, seen.scores), owner),
                 None,
             )
-        agent, predict = next(iter(compiled.association_rules)), self._predict
+        agent, predict = next(iter(compiled.association_rules)), Predict(self._elapsed, self._predict)
         size = len(compiled.motion.fields)
         beliefs = [one.belief for one in targets.values()]
         before = Tracks(
@@ -116,12 +116,16 @@ class Sharing:
             for row, (target, state) in enumerate(targets.items())
         }
 
-    def _predict(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-        work, previous = self.work, self.work.cache.frames.previous
+    @property
+    def _elapsed(self) -> float:
+        frame, previous = self.work.frame, self.work.cache.frames.previous
+        return 1.0 if previous is None else frame.time - previous.time
+
+    def _predict(self, means: Floats, covariances: Floats, dt: float) -> tuple[Floats, Floats]:
+        work = self.work
         motion = confined(work.engine.plates[self.plate].motion, work.frame.width, work.frame.height)
-        elapsed = work.frame.time - (work.frame.time - 1.0 if previous is None else previous.time)
         moved = [
-            predict(mean, covariance, motion, elapsed, Gaussian())
+            predict(mean, covariance, motion, dt, Gaussian())
             for mean, covariance in zip(means, covariances, strict=True)
         ]
         return (

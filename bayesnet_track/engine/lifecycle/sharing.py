@@ -17,8 +17,25 @@ from bayesnet_track.graph.settings.lifecycle import Confirm
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociationRule
 
-Predict = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""Means (T, D) and covariances (T, D, D) -> those one frame later."""
+MOST_STEPS = 1000
+"""Virtual detections in a gap: one an interval, as many as a video has in a minute, and no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predict:
+    """How beliefs are predicted.
+
+    Attributes:
+        elapsed: frame intervals from the last frame to this one.
+        over: means (T, D), covariances (T, D, D), frame intervals -> those so much later.
+    """
+
+    elapsed: float
+    over: Callable[[Floats, Floats, float], tuple[Floats, Floats]]
+
+    def __call__(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+        """Means (T, D) and covariances (T, D, D) of the last frame in this one."""
+        return self.over(means, covariances, self.elapsed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +90,8 @@ def follow(
             changed[row] = re_update(rule, before.observed[row], own[row, :4], before.mean.shape[1], predict)
             now = predict(changed[row][0][None], changed[row][1][None])
             mean[row], covariance[row] = now[0][0], now[1][0]
-    observed = observe(rule, before.observed, (before.mean, before.covariance), own[:, :4], is_given)
+    moments = before.mean, before.covariance
+    observed = observe(rule, before.observed, moments, own[:, :4], is_given, predict.elapsed)
     return Tracks(mean, covariance, observed), changed
 
 
@@ -82,18 +100,20 @@ def re_update(
 ) -> tuple[Floats, Floats]:
     """Belief of the frame before, filtered anew from the last detection on (Cao et al. 2023, section 4.1).
 
-    For every frame of the gap a box on the line from the last detection to the new one is taken for what was
-    detected. The new one itself is left to the update of this frame.
+    For every frame interval of the gap, which ends with the frame before, a box on the line from the last
+    detection to the new one is taken for what was detected. The new one itself is left to the update of this
+    frame.
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.row_kernels import correct_row
 
-    layout, gap, last = Layout.of(rule, size), int(observed[GAP]), observed[LAST]
+    layout, gap, last = Layout.of(rule, size), float(observed[GAP]), observed[LAST]
+    steps = int(min(max(round(gap), 1), MOST_STEPS))
     mean, covariance = observed[layout.mean], observed[layout.covariance].reshape(size, size)
-    for step in range(1, gap + 1):
-        means, covariances = predict(mean[None], covariance[None])
+    for step in range(1, steps + 1):
+        means, covariances = predict.over(mean[None], covariance[None], gap / steps)
         mean, covariance = means[0], covariances[0]
-        virtual = last + (box - last) * (step / (gap + 1))
+        virtual = last + (box - last) * (step * (gap / steps) / (gap + predict.elapsed))
         correct_row(mean, covariance, virtual - mean[:4], rule.variances(virtual), np.empty((3, size, size)))
         np.maximum(mean[2:4], 1.0, out=mean[2:4])
     return mean, covariance

@@ -219,8 +219,10 @@ def predictor(work: FrameWork, rows: Rows) -> Predict:
     from bayesnet_track.numerics.kernels.row_kernels import predict_rows
 
     image = image_of(work, rows.rule)
-    move, noise = _moves(rows.rule, work.frame.time - rows.time)
-    return lambda mean, covariance: predict_rows(mean, covariance, move, noise, image)
+    return Predict(
+        work.frame.time - rows.time,
+        lambda mean, covariance, dt: predict_rows(mean, covariance, *_moves(rows.rule, dt), image),
+    )
 
 
 def image_of(work: FrameWork, rule: RowRule) -> Floats:

@@ -73,9 +73,17 @@ def weigh_angles(angles: Floats, weights: Floats) -> Floats:
 
 @compiled
 def append_detections(
-    observed: Floats, own: Floats, is_given: Bools, recent: int, frames: int, heading: Floats
+    observed: Floats,
+    own: Floats,
+    is_given: Bools,
+    recent: int,
+    frames: int,
+    heading: Floats,
+    elapsed: float,
 ) -> None:
     """What is remembered (T, H) after a frame in which rows were given the detections `own` (T, 4), in place.
+
+    The frame is `elapsed` frame intervals after the last one.
 
     The detections of the last frames begin in the column `recent`, the direction follows them; that of rows
     whose `heading` (T, 2) is NaN stays.
@@ -90,7 +98,7 @@ def append_detections(
             for k in range(2):
                 if not math.isnan(heading[t, k]):
                     observed[t, turn + k] = heading[t, k]
-        observed[t, 4] += 1.0
+        observed[t, 4] += elapsed
         if is_given[t]:
             for k in range(4):
                 observed[t, k] = own[t, k]

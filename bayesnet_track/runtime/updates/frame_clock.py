@@ -15,8 +15,11 @@ MOST_FPS = 1e6
 MOST_S = 1e11
 """Beyond it are the milliseconds since 1970, not the seconds."""
 
-LONG_GAP = 500.0
-"""Frame intervals: what milliseconds given as seconds exceed, and hardly anything that is tracked."""
+MOST_INTERVALS = 1e10
+"""From one frame to the next: a belief that has spread for longer has no number that is good for anything."""
+
+LONG_GAP, LONG_GAP_S = 500.0, 5.0
+"""Intervals and seconds: what milliseconds given as seconds exceed, and hardly anything that is tracked."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,13 @@ class FrameClock:
                 f"{self.time_s!r}; leave out frames that come late or twice; where the camera or its clock "
                 f"began anew, {anew}"
             )
-        if time - self.time >= LONG_GAP:
+        if time - self.time > MOST_INTERVALS:
+            raise ValueError(
+                f"frame {index} at time_s={seconds!r} is more than {MOST_INTERVALS:g} intervals of "
+                f"{self.rate:g} frames a second after the frame before it, at {self.time_s!r}; for another "
+                f"video {anew}"
+            )
+        if time - self.time >= LONG_GAP and seconds - self.time_s >= LONG_GAP_S:
             notice(
                 f"frame {index} comes {seconds - self.time_s:.6g} s after the one before it, "
                 f"{time - self.time:.6g} intervals of {self.rate:g} frames a second: time_s counts seconds; "
