@@ -103,6 +103,16 @@ def test_the_slow_one_follows_at_its_rate_whatever_the_spacing():
     assert seldom.slow == pytest.approx(every.slow)
 
 
+def test_what_has_parted_is_pulled_back_at_its_rate_whatever_the_spacing():
+    every, seldom = (follower(rate=0.0, pull=0.02, apart_nats=1.0, every=k) for k in (1, 5))
+    for one in (every, seldom):
+        one.level = np.array([3.0])
+        for _ in range(10):
+            one.see(3.0, rate=1e-12)
+    assert float(every.level[0]) == pytest.approx(3.0 * 0.98**10)
+    assert float(seldom.level[0]) == pytest.approx(float(every.level[0]))
+
+
 def test_frames_that_are_not_learnt_from_count_nothing():
     one = follower(pull=0.5)
     one.level = np.array([3.0])
