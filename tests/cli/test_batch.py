@@ -171,6 +171,19 @@ def test_a_failed_video_is_told_and_stops_no_other(
     assert (tmp_path / "out" / "one" / "timings.jsonl").read_bytes() == before
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--quiet"]])
+def test_what_a_job_does_not_use_is_said(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    truth = tmp_path / "longer.txt"
+    truth.write_text((data / "one" / "groundtruth.txt").read_text() * 2)
+    line = f"batch two_squares --source {data}/one/img --init-from {{folder}}/groundtruth.txt --truth {truth}"
+    assert main([*line.split(), "--out", str(tmp_path / "out"), *options]) == 0
+    said = f"one seed 0: {truth} has 12 rows, the run 6 frames: is it of this video?"
+    assert capsys.readouterr().err.count(said) == 1
+
+
 def test_a_batch_without_start_boxes_is_a_mistake(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -32,12 +32,14 @@ class Progress:
         done: frames done.
         expected: frames to do, or None.
         row: its row, when it is over.
+        notice: what of its inputs is not used.
     """
 
     job: Job
     done: int = 0
     expected: int | None = None
     row: Row | None = None
+    notice: str | None = None
 
 
 class Place(Protocol):
@@ -166,6 +168,8 @@ def _told(job: Job, process: subprocess.Popen[str], reports: SimpleQueue[Progres
         what = json.loads(line)
         if "row" in what:
             row = what["row"]
+        elif "notice" in what:
+            reports.put(Progress(job, notice=what["notice"]))
         else:
             reports.put(Progress(job, what["done"], what["expected"]))
     return row

@@ -33,7 +33,9 @@ class BatchProgress:
     def update(self, report: Progress) -> None:
         """Take what is reported of a job, and show it."""
         lines = []
-        if report.row is None:
+        if report.notice is not None:
+            lines = [f"{report.job.label}: {report.notice}"]
+        elif report.row is None:
             self._running[report.job] = report
         else:
             self._running.pop(report.job, None)

@@ -17,6 +17,7 @@ def main() -> int:
     """Do one job; the exit code."""
     from bayesnet_track.cli.batch.work import do, failed_row
     from bayesnet_track.cli.commands.answer import words
+    from bayesnet_track.sources.entrances.notices import heard
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch decides
     answers = os.dup(1)
@@ -36,7 +37,9 @@ def main() -> int:
 
     try:
         allow(job)
-        send({"row": do(job, progress)})
+        with heard(lambda text: send({"notice": text})):
+            row = do(job, progress)
+        send({"row": row})
     except (OSError, ValueError) as error:
         send({"row": failed_row(job, " ".join(words(error).split()))})
     return 0

@@ -68,6 +68,8 @@ def batch(options: argparse.Namespace) -> int:
                 run_silently(partial(progress.note, sentence))
             if report is not None and not options.quiet:
                 run_silently(partial(progress.update, report))
+            elif report is not None and report.notice is not None:
+                complain(f"{report.job.label}: {report.notice}")
             if stop.between_frames():
                 break
     done = results.rows()
