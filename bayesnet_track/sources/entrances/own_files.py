@@ -15,6 +15,7 @@ SYSTEM = "the operating system or the installation"
 _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         RUN: (
+            "cli.batch.table.read_table",
             "evaluate.runs._is_part",
             "journal.reader._read",
             "journal.timings.read_seconds",

@@ -164,7 +164,7 @@ FILES = (
     Entrance(
         "lists of videos",
         "`batch --list FILE`, `batch --source PATTERN`",
-        ("cli.batch.jobs: read_list _csv_rows videos_of",),
+        ("cli.batch.lists: read_list _csv_rows videos_of",),
         "nothing: every row is a video; names that begin with a dot are none of a pattern",
         "an unknown column, a row without a source, a pattern that matches nothing",
         "CSV, or JSON Lines: a first line with a brace is JSON",
