@@ -138,7 +138,8 @@ class Source:
             self._ahead.append(item)
             if isinstance(item, Frame):
                 return item
-        said = "; ".join(dict.fromkeys(i.reason for i in self._ahead if isinstance(i, SourceDamaged)))
+        reasons = list(dict.fromkeys(i.reason for i in self._ahead if isinstance(i, SourceDamaged)))
+        said = reasons[0] + (f"; and {len(reasons) - 1} more" if len(reasons) > 1 else "") if reasons else ""
         window = f" from frame {self._start} on" if self._start else ""
         raise SourceError(
             self.description,

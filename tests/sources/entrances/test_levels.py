@@ -117,6 +117,14 @@ def test_other_types_need_a_range_and_the_refusal_gives_one(tmp_path, dtype):
     assert (to_bgr(values, (20, 83))[0][..., 0] == COLUMNS).all()
 
 
+def test_the_refusal_of_a_long_stack_is_short(tmp_path):
+    frames = [np.full((8, 8), number, np.float32) for number in range(40)]
+    assert cv2.imwritemulti(str(tmp_path / "a.tif"), frames)
+    with pytest.raises(SourceError, match=r"--range 0,1, .*; and 39 more") as caught:
+        open_source(str(tmp_path / "a.tif"))
+    assert len(str(caught.value)) < 600
+
+
 @pytest.mark.parametrize(
     "values",
     [
