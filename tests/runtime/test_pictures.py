@@ -10,6 +10,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.recording.pictures import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.view import page_pictures, run_page
 
 
 @pytest.fixture
@@ -86,6 +87,33 @@ def test_report_refuses_folders_of_others_and_what_is_no_run(tracked, tmp_path):
     assert main(["report", str(run), "--frames", "full", "--out", str(tmp_path / "page")]) == 0
     names = {path.name for path in (tmp_path / "page" / "frames").iterdir()}
     assert names == {f"{frame:06d}.jpg" for frame in range(2, 8)}
+
+
+def test_a_report_that_was_killed_can_be_made_again(tracked, tmp_path, monkeypatch):
+    run, _ = tracked
+    pictures = page_pictures.whole
+
+    def killed(images):
+        for picture in pictures(images):
+            yield picture
+            raise KeyboardInterrupt
+
+    again = ["report", str(run), "--frames", "full"]
+    for out in ([], ["--out", str(tmp_path / "page")]):
+        monkeypatch.setattr(page_pictures, "whole", killed)
+        assert main([*again, *out]) == 130
+        monkeypatch.setattr(page_pictures, "whole", pictures)
+        assert main([*again, *out]) == 0
+    page = tmp_path / "page" / "index.html"
+    before = page.read_bytes()
+    assert b"<script" in before and len(list((tmp_path / "page" / "frames").iterdir())) == 6
+
+    def torn(*_):
+        yield "half a page"
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_page, "with_folder", torn)
+    assert main([*again, *out]) == 130 and page.read_bytes() == before, "the page is whole at any moment"
 
 
 def test_report_of_a_killed_run_shows_what_is_there(tracked):

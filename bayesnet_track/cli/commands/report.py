@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 FOLDER, INDEX = "report", "index.html"
+UNFINISHED = "<!doctype html><title>unfinished</title><p>This page is not finished: make it again.</p>\n"
 
 
 def report(options: argparse.Namespace) -> int:
@@ -116,6 +117,8 @@ def _write_folder(out: Path, data: Data, found: Found) -> None:
     from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, with_folder
 
     frames = []
+    if not out.exists():  # what is killed before the page is there leaves a folder that is known for its own
+        _write(out, [UNFINISHED])
     with writing(out.parent):
         (out.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
         for frame, picture in whole(found.images):
@@ -125,9 +128,14 @@ def _write_folder(out: Path, data: Data, found: Found) -> None:
 
 
 def _write(out: Path, pieces: Iterable[str]) -> None:
-    with writing(out), out.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
-        for piece in pieces:
-            file.write(piece)
+    from bayesnet_track.journal.atomic import PART
+
+    part = out.resolve().with_name(out.resolve().name + PART)
+    with writing(out):
+        with part.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
+            for piece in pieces:
+                file.write(piece)
+        part.replace(out.resolve())
 
 
 def add_report(commands: argparse._SubParsersAction[Any]) -> None:
