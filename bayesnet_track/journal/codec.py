@@ -26,6 +26,9 @@ from bayesnet_track.journal.renamed import EVENTS, in_new_words
 
 __all__ = ["JournalError", "event_classes", "event_name", "field_names", "from_json", "to_json", "type_hints"]
 
+LARGEST = 2**64
+"""What a whole number of a journal may be: identities have 64 bits, and sentences are made with floats."""
+
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
 
 
@@ -120,7 +123,7 @@ def field_names(kind: Any) -> Mapping[str, str]:
 
 
 def _decode(value: Any, hint: Any, where: str) -> Any:
-    if type(value) is hint:
+    if type(value) is hint and (hint is not int or -LARGEST <= value <= LARGEST):
         return value
     shape, inner = _shape(hint)
     if shape == "union":

@@ -12,6 +12,7 @@ from bayesnet_track.sources.live import Image, LiveReader
 from bayesnet_track.sources.paths import SourceError
 
 DEFAULT_RATE = 30.0
+MOST = 2**31 - 1
 
 
 class Camera:
@@ -25,7 +26,9 @@ class Camera:
         import cv2
 
         self._levels = levels
-        self._camera: Any = cv2.VideoCapture(int(index))
+        # OpenCV takes 32 bits, and Python reads no number of thousands of digits.
+        number = int(index) if len(index) < len(str(MOST)) else MOST
+        self._camera: Any = cv2.VideoCapture(number)
         if not self._camera.isOpened():
             raise SourceError(
                 index,

@@ -70,10 +70,13 @@ DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 def depth_files(text: str) -> list[Path]:
     """The depth files of a folder or glob, in natural order; raises SourceError when there is none."""
     folder = Path(text)
-    names = folder.iterdir() if folder.is_dir() else (Path(name) for name in glob.glob(text))  # noqa: PTH207
-    found = sorted(
-        (p for p in names if p.suffix.lower() in DEPTH_SUFFIXES and _keeps_number(p)), key=natural_key
-    )
+    try:
+        names = folder.iterdir() if folder.is_dir() else (Path(name) for name in glob.glob(text))  # noqa: PTH207
+        found = sorted(
+            (p for p in names if p.suffix.lower() in DEPTH_SUFFIXES and _keeps_number(p)), key=natural_key
+        )
+    except OSError as error:
+        raise SourceError(text, f"{error.strerror}", "a folder or glob of depth files", "check it") from error
     if not found:
         raise SourceError(
             text,

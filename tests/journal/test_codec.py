@@ -260,3 +260,11 @@ def test_a_cloud_is_written_alike_whatever_holds_its_whole_numbers(box):
     assert write(Drawn(())) == ['"cloud": []']
     with pytest.raises(JournalError, match=r"drawn\.cloud"):
         write(Drawn((box, (1.5, 2, 3, 4))))
+
+
+@pytest.mark.parametrize(
+    "number", ["1" + "0" * 400, "-1" + "0" * 400, "1e999", "Infinity", "-Infinity", "NaN"]
+)
+def test_a_whole_number_that_is_none_or_too_large_is_refused(number):
+    with pytest.raises(JournalError, match=r"is not (int|JSON)"):
+        from_json(f'{{"event": "source_damaged", "frame": {number}, "reason": "x"}}')

@@ -11,6 +11,7 @@ from bayesnet_track.journal.events.sources import FrameSizeChanged, FramesMissin
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.levels import to_bgr
+from bayesnet_track.sources.paths import depth_files
 from bayesnet_track.sources.sources import SourceError, open_source
 
 
@@ -386,3 +387,13 @@ def test_a_source_closes_twice_and_ends(tmp_path):
     source.close()
     source.close()
     assert list(source) == []
+
+
+@pytest.mark.parametrize("digits", [10, 19, 5000])
+def test_no_camera_has_such_a_number(digits):
+    assert "no camera with this index" in refusal("9" * digits)
+
+
+def test_a_name_that_is_too_long_is_a_clear_error():
+    with pytest.raises(SourceError, match="File name too long"):
+        depth_files("x" * 5000)
