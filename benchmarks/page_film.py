@@ -1,8 +1,9 @@
 """A moving picture of a run's report page, for README and docs: one picture of the page for every few frames.
 
-    bayesnet-track run general --source cup.mp4 --init 305,122,112,262 --out runs/cup
+    bayesnet-track init mine.yaml --yes
+    bayesnet-track run mine.yaml --source cup.mp4 --init 305,122,112,262 --out runs/cup
     bayesnet-track report runs/cup
-    python benchmarks/page_film.py runs/cup/report.html docs/figures/cup.webp --frames 32,152,5
+    python benchmarks/page_film.py runs/cup/report.html docs/figures/cup.webp --frames 42,92,2
 
 `cup.mp4` is part of OpenCV's documentation (Apache-2.0; in Debian: `opencv-doc`). Needs Selenium, Pillow,
 Chromium and its driver.
@@ -18,7 +19,7 @@ from typing import Any
 
 from PIL import Image
 
-SIZE, SHOWN = (1120, 712), (896, 570)
+SIZE, SHOWN = (1120, 860), (896, 688)
 """Pixels of the browser's window and of the picture."""
 FRAME_MS, LAST_MS = 150, 1500
 SHOWS = """

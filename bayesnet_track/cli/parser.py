@@ -49,7 +49,7 @@ exit codes:
   2    wrong arguments
   3    the graph file is wrong
   4    the source, or the run that a command reads, cannot be read or was changed
-  5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run
+  5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run;
        or an answer of `annotate` is not tracked
   6    an output cannot be written
   130  stopped by Ctrl-C; outputs are valid up to the last whole frame
