@@ -96,6 +96,22 @@ def test_bytes_that_were_edited_in_place_are_found_in_the_end(graph: CheckedGrap
         tracked(graph, tmp_path / "run", lambda: edited(path))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_bytes_of_a_video_that_were_edited_in_place_are_found_in_the_end(
+    graph: CheckedGraph, tmp_path: Path, share: float
+) -> None:
+    path = tmp_path / "run" / "video.mkv"
+
+    def edit() -> None:
+        data = bytearray(path.read_bytes())
+        data[int(share * (len(data) - 1))] ^= 1
+        with path.open("r+b") as file:
+            file.write(data)
+
+    with pytest.raises(OutputError, match=r"video\.mkv: something else changed it while"):
+        tracked(graph, tmp_path / "run", edit, video=True)
+
+
 def test_a_folder_that_is_moved_away_is_told(graph: CheckedGraph, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="removed or renamed"):
         tracked(graph, tmp_path / "run", lambda: renamed(tmp_path / "run"))

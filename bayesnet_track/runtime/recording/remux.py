@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
+from hashlib import sha256
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -10,19 +11,54 @@ from typing import Any
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART
 
+CHANGED = "something else changed it while it was being written"
+
+
+PART_BYTES = 1 << 20
+
 
 class DiskFile:
-    """A file as PyAV writes one: it does not look how much of its bytes was taken."""
+    """A new file as PyAV writes one: it does not look how much of its bytes was taken.
+
+    Nearly all is appended. What is written over, such as the sizes of clusters, is kept, so that `check` can
+    tell the bytes that were written from those of something else.
+    """
 
     def __init__(self, file: FileIO) -> None:
         self._file, self.size = file, 0
         self.seek, self.tell = file.seek, file.tell
+        self._appended = sha256()
+        self._replaced: list[tuple[int, bytes, bytes]] = []
 
     def write(self, data: bytes | memoryview) -> int:
         """Write all of it."""
-        disk.write_whole(self._file, data)
+        written, at = bytes(data), self._file.tell()
+        over = min(len(written), max(self.size - at, 0))
+        if over:
+            self._replaced.append((at, self._file.read(over), written[:over]))
+            self._file.seek(at)
+        disk.write_whole(self._file, written)
+        self._appended.update(bytes(max(at - self.size, 0)) + written[over:])
         self.size = max(self.size, self._file.tell())
-        return len(data)
+        return len(written)
+
+    def check(self) -> None:
+        """Refuse a file whose bytes are not those that were written; raises LostFileError."""
+        found, begin = sha256(), 0
+        self._file.seek(0)
+        while part := self._file.read(PART_BYTES):
+            former = bytearray(part)
+            for at, before, after in reversed(self._replaced):
+                low, high = max(at, begin), min(at + len(after), begin + len(part))
+                if low < high:
+                    here, there = slice(low - begin, high - begin), slice(low - at, high - at)
+                    if former[here] != after[there]:
+                        raise disk.LostFileError(CHANGED)
+                    former[here] = before[there]
+            found.update(former)
+            begin += len(part)
+        if found.digest() != self._appended.digest():
+            raise disk.LostFileError(CHANGED)
 
 
 def remux(path: Path) -> None:
@@ -42,7 +78,7 @@ def remux(path: Path) -> None:
         with ExitStack() as stack:
             # The explicit protocol keeps FFmpeg from reading a protocol into the file's name.
             given: Any = stack.enter_context(av.open(f"file:{path.absolute()}"))
-            file = disk.open_raw(part, "wb")
+            file = disk.open_raw(part, "w+b")
             stack.callback(file.close)
             made: Any = av.open(DiskFile(file), mode="w", format="mp4", options={"fflags": "+bitexact"})
             with made:

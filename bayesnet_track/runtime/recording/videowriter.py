@@ -50,7 +50,7 @@ class VideoWriter:
         self._count = 0
         self._container: Any = None
         try:
-            self._file = disk.open_raw(path, "wb")
+            self._file = disk.open_raw(path, "w+b")
         except OSError as error:
             raise self._error(error) from error
         try:
@@ -92,6 +92,7 @@ class VideoWriter:
         self._end()
         try:
             disk.check_held(self._file, self._place, self._output.size)
+            self._output.check()
             disk.sync(self._file)
         except OSError as error:
             raise self._error(error) from error
