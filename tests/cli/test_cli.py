@@ -309,7 +309,7 @@ def test_many_notices_are_cut_short(cli, images, tmp_path):
 
 def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
     out = tmp_path / "run"
-    line = f"run {two_plates} --source {images} --init {BOX} --init bat:40,30,10,10 --init ball:2,2,9,9"
+    line = f"run {two_plates} --source {images} --init ball:{BOX} --init bat:40,30,10,10 --init ball:2,2,9,9"
     code, _, progress = cli(f"{line} --out", out)
     assert code == 0 and progress.startswith("frame 8/8 | ")
     assert column(out, "target") == ["1", "2", "3"] * 8
