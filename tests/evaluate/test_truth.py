@@ -189,3 +189,15 @@ def test_spreadsheets_write_other_encodings_and_line_ends(tmp_path, encoding, en
     path.write_bytes(end.join(["frame\tx\ty\tw\th", "1\t10\t20\t30\t40", "3\t1\t2\t3\t4"]).encode(encoding))
     found = read_truth(path)
     assert found[[0, 2]].tolist() == [[10, 20, 30, 40], [1, 2, 3, 4]] and np.isnan(found[1]).all()
+
+
+@pytest.mark.parametrize(
+    "line", ["1,1,1e308,1e308", "1,1,1e308,1,1e308,1e308,1,1e308", "1,1,-1e308,5,9,9,1,1"]
+)
+def test_numbers_too_large_to_calculate_with_are_read_or_refused_in_a_sentence(line):
+    try:
+        boxes = parse_truth(f"{line}\n" * 16)
+    except ValueError as error:
+        assert "<truth>" in str(error)
+    else:
+        assert boxes.shape == (16, 4)

@@ -330,7 +330,7 @@ def test_python_and_the_command_line_take_the_same_sizes(capsys: pytest.CaptureF
     with pytest.raises(SystemExit):
         parser.parse_args(["--max-side", "15"])
     assert "'15': a whole number from 16 on is needed" in capsys.readouterr().err
-    with pytest.raises(ValueError, match="max_side 15: at least 16 px is needed; give more, or None"):
+    with pytest.raises(ValueError, match="max_side=15: a whole number from 16 on is needed"):
         Tracker("two_squares", max_side=15)
 
 

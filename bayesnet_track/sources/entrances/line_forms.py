@@ -12,6 +12,8 @@ LEAST_LINES = 3
 
 MOST_LINES = 5000
 """So many lines are looked at."""
+LARGEST = 1e100
+"""Products and squares of larger numbers overflow; no box or identity has such."""
 
 
 def is_mot_of_8(rows: Floats, name: str) -> bool:
@@ -20,7 +22,7 @@ def is_mot_of_8(rows: Floats, name: str) -> bool:
     Raises:
         ValueError: they can be both, or neither.
     """
-    rows = rows[np.isfinite(rows).all(axis=1)][:MOST_LINES]
+    rows = _moderate(rows)[:MOST_LINES]
     if not len(rows):
         return False
     frames, ids, confidence, number = rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7]
@@ -48,6 +50,11 @@ def is_mot_of_8(rows: Floats, name: str) -> bool:
             "form= in Python, or write a header line of names"
         )
     return can_be_mot
+
+
+def _moderate(rows: Floats) -> Floats:
+    """Rows of finite numbers with which one can calculate."""
+    return rows[(np.abs(rows) < LARGEST).all(axis=1)]
 
 
 def _grow(frames: Floats, ids: Floats) -> bool:
@@ -79,6 +86,7 @@ def _are_rectangles(points: Floats) -> NDArray[np.bool_]:
 
 def are_polygons(rows: Floats) -> bool:
     """Whether lines of 8 numbers (N, 8) are the corners of rectangles, upright or rotated."""
+    rows = _moderate(rows)
     return len(rows) >= LEAST_LINES and float(_are_rectangles(rows.reshape(-1, 4, 2)).mean()) > 0.9
 
 
@@ -92,7 +100,7 @@ def are_corners(boxes: Floats) -> bool:
     >>> are_corners(boxes), are_corners(boxes - [[0, 0, 10, 20], [0, 0, 100, 50], [0, 0, 300, 80]])
     (True, False)
     """
-    boxes = boxes[np.isfinite(boxes).all(axis=1)][:MOST_LINES]
+    boxes = _moderate(boxes)[:MOST_LINES]
     if len(boxes) < LEAST_LINES or not ((boxes[:, 2:] > boxes[:, :2]) & (boxes[:, :2] >= 0)).all():
         return False
     as_sizes, as_corners = boxes[:, 2:].var(axis=0).sum(), (boxes[:, 2:] - boxes[:, :2]).var(axis=0).sum()
