@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from os import PathLike
 from typing import Any, ClassVar, Never
 
@@ -198,7 +199,7 @@ class DetectionsTracker(Storable):
                     "update(detections, frame)"
                 )
             size = (self._size or USUAL_SIZE) if before is None else (before.kind.width, before.kind.height)
-            return np.zeros((size[1], size[0], 3), np.uint8), FrameKind(*size, True, 3, "uint8")
+            return blank_image(*size), FrameKind(*size, True, 3, "uint8")
         if not isinstance(frame, np.ndarray):
             raise ValueError(f"a frame is an array of pixels, not {type(frame).__name__}")
         image, has_color = self._levels(np.array(frame))  # a copy: the caller may reuse its buffer
@@ -210,6 +211,14 @@ class DetectionsTracker(Storable):
             width, height = self._size or USUAL_SIZE
             notice(f"size=({width}, {height}) is not used: the frame that is given has {kind}")
         return image, kind
+
+
+@lru_cache(maxsize=4)
+def blank_image(width: int, height: int) -> NDArray[np.uint8]:
+    """The black BGR image (height, width, 3) of frames that nobody looks at: one for all, read-only."""
+    image = np.zeros((height, width, 3), np.uint8)
+    image.flags.writeable = False
+    return image
 
 
 def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
