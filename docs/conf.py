@@ -59,7 +59,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|collections|os|pathlib|matplotlib)\..*"),
     (r"py:class", r"bayesnet_track\..*"),
-    (r"py:class", r"CheckedGraph|GivenCue|MotionModel|Path|PathLike"),
+    (r"py:class", r"CheckedGraph|GivenCue|MotionModel|NDArray|Path|PathLike|ValueRange|np\.float64"),
     (r"py:exc", r"\w+"),
 ]
 

@@ -43,7 +43,7 @@ class Boxed:
 
     @property
     def cxcywh(self) -> NDArray[np.float64]:
-        """Centre x and y, width, height: the convention of the journal and of the engine."""
+        """Centre x and y, width, height, as the journal and the engine have it."""
         import numpy as np
 
         return np.array(self.centre_box, dtype=np.float64)
