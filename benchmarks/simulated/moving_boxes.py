@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 
 Kind = Literal["straight", "random walk", "u-turn"]
 
@@ -68,7 +68,7 @@ def detect_boxes(boxes: Floats, noise: float, rng: np.random.Generator) -> Float
     return np.asarray(boxes + rng.normal(0.0, 1.0, boxes.shape) * noise * boxes[..., [2, 3, 2, 3]])
 
 
-def link_nearest(boxes: Floats, reach: float) -> Floats:
+def link_nearest(boxes: Floats, reach: float) -> Ints:
     """(frames, count) identities of nearest-centre linking: the nearest pairs first, within `reach` sides."""
     frames, count = boxes.shape[:2]
     ids = np.empty((frames, count), np.int64)
@@ -89,7 +89,7 @@ def link_nearest(boxes: Floats, reach: float) -> Floats:
     return ids
 
 
-def count_switches(ids: Floats) -> int:
+def count_switches(ids: Ints) -> int:
     """How often the identity of a column changes in (frames, count); below 0 there is none."""
     switches = 0
     for column in ids.T:

@@ -17,7 +17,7 @@ from bayesnet_track.observation.cue_files import load_cue_file, own_cues, pack, 
 from bayesnet_track.observation.guests import CUE_FILE_MODULE
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
-from bayesnet_track.runtime.executors import PlacingError, make_executor
+from bayesnet_track.runtime.executors import PlacingError
 
 GLANCE = """
 from bayesnet_track import CueDeclaration, GrayPlane, box_means, floored
@@ -287,20 +287,6 @@ def test_worker_processes_run_the_file_as_it_was_when_the_run_began(folder):
     (folder / "glance.py").write_text(GLANCE)
     list(track("glanced.yaml", "img", BOX, out="serial", cues=["glance.py"]))
     assert journal(folder, "workers") == journal(folder, "serial")
-
-
-@pytest.mark.slow
-def test_whole_nets_in_a_worker_process_have_the_file_too(folder):
-    write(folder, GLANCE)
-    results = track(
-        "glanced.yaml",
-        "img",
-        BOX,
-        out="workers",
-        cues=["glance.py"],
-        executor=make_executor(workers=1, places={"thing": "process"}),
-    )
-    assert len(list(results)) == 6 and "quarantined" not in journal(folder, "workers")
 
 
 def test_a_cue_of_the_program_that_runs_cannot_be_in_a_worker_process(folder, monkeypatch):

@@ -15,7 +15,7 @@ import pytest
 
 from bayesnet_track import CueDeclaration, DetectionsTracker, Tracker, load_graph
 from bayesnet_track.belief.motion.functions import FunctionMotion
-from bayesnet_track.engine.starts import has_births
+from bayesnet_track.engine.starts import Start, has_births
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.runtime.updates import storing
@@ -67,7 +67,7 @@ def test_every_graph_goes_on_from_bytes(name, tmp_path):
     graph = load_graph(name)
     scene = SCENES.get(name, name if name in scene_names() else "two_squares")
     source = SceneSource.named(scene, 0, 7)
-    box = None if has_births(graph) else source.scene.start_box
+    box = None if has_births(graph) else Start(source.scene.start_box, next(iter(graph.targets)))
     frames = [one for one in source if isinstance(one, Frame)]
     straight, stored = Tracker(graph, 3, fps=25), None
     straight.init(frames[0].image, box, depth=frames[0].depth, time_s=0.0)

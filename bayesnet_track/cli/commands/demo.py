@@ -72,12 +72,15 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     # Only what an earlier demo wrote there is replaced without being asked to.
     out = run_folder(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
-    starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
+    starts = [
+        Start(box, plate) for plate, box in (*scene.starts, *scene.part_starts) if plate in graph.targets
+    ]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
+    has_truth = bool(starts) and starts[0].box == scene.start_box
     code = track_source(options, graph, source, starts, out, video=True, view=view)
     directory = RunDirectory.open(out) if code == OK else None
     if options.json and directory is not None:
-        scores = asdict(score_run(out, directory.truth, target="1")) if starts else {}
+        scores = asdict(score_run(out, directory.truth, target="1")) if has_truth else {}
         say(json.dumps({"run": str(out), "scene": options.scene, "scores": scores}))
     if directory is None or options.quiet or options.json:
         return code
@@ -87,7 +90,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
         say("\nwhat was decided, and why:")
         for line in narrate_all(events, kinds, name_target):
             say(line)
-    if starts:
+    if has_truth:
         whose = f" of {kinds['1']} 1" if name_target else ""
         say(f"\nagainst the ground truth{whose}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))

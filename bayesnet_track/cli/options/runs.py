@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from bayesnet_track.cli.options.arguments import milliseconds, seconds, whole_number
+from bayesnet_track.runtime.system import GONE_EXECUTORS
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
@@ -91,10 +92,8 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _executor(text: str) -> str:
-    from bayesnet_track.runtime.executors.factory import GONE
-
-    if text in GONE:
-        raise argparse.ArgumentTypeError(GONE[text])
+    if text in GONE_EXECUTORS:
+        raise argparse.ArgumentTypeError(GONE_EXECUTORS[text])
     return text
 
 

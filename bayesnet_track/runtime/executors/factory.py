@@ -19,17 +19,11 @@ from bayesnet_track.runtime.executors.placing import (
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
-from bayesnet_track.runtime.system import NO_WORKERS, has_workers
+from bayesnet_track.runtime.system import GONE_EXECUTORS, NO_WORKERS, has_workers
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
 """How often an agent whose worker was lost is asked again, where frames wait for it."""
-GONE = {
-    "ray": "ray is no longer an executor: agents on a cluster were slower than processes on one machine; "
-    "use processes, and `bayesnet-track batch --on ray` for whole videos on a cluster",
-    "threads": "threads are no longer an executor: no installed graph gained more than 11 % from them; use "
-    "serial, or processes to isolate agents, and `bayesnet-track batch` for videos side by side",
-}
 
 
 class Executing:
@@ -121,8 +115,8 @@ def make_executor(
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.
     """
-    if kind in GONE:
-        raise ValueError(GONE[kind])
+    if kind in GONE_EXECUTORS:
+        raise ValueError(GONE_EXECUTORS[kind])
     if kind not in EXECUTORS:
         raise ValueError(f"executor {kind!r}; there are {', '.join(EXECUTORS)}")
     number = os.cpu_count() or 1 if workers is None else workers

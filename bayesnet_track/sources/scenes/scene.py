@@ -67,6 +67,11 @@ class Scene:
         paths = (self.truth, *self.others)[: len(self.plates)]
         return tuple((plate, _corner_box(path)) for plate, path in zip(self.plates, paths, strict=True))
 
+    @property
+    def part_starts(self) -> tuple[tuple[str, CornerBox], ...]:
+        """Name and corner box in frame 0 of each part, for graphs with a plate for each."""
+        return tuple((name, _corner_box(part.truth)) for name, part in self.parts.items())
+
 
 def _corner_box(path: Floats) -> CornerBox:
     x, y, w, h = (float(value) for value in path[0])
