@@ -15,6 +15,7 @@ from bayesnet_track.sources.entrances.line_forms import (
     count_up,
     is_mot_of_8,
     refuse_corners,
+    refuse_scores,
     refuse_shares,
 )
 from bayesnet_track.sources.entrances.notices import few, notice
@@ -185,6 +186,8 @@ def _framed(rows: list[list[float]], lines: Lines) -> Floats:
 
 def _refuse_other_readings(boxes: Floats, rows: list[list[float]], name: str) -> None:
     refuse_shares(boxes, name)
+    if len(rows[0]) == 5:
+        refuse_scores(boxes, name)
     if all(len(row) == 8 for row in rows):
         return
     first = np.array([row[:2] for row in rows])

@@ -11,7 +11,12 @@ from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.sources.entrances.box_rows import COLUMNS, LARGEST, Rows, read_layout, read_plain
 from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
 from bayesnet_track.sources.entrances.column_names import KITTI, Layout, is_kitti, layout_of
-from bayesnet_track.sources.entrances.line_forms import are_polygons, is_mot_of_8, refuse_corners
+from bayesnet_track.sources.entrances.line_forms import (
+    are_polygons,
+    is_mot_of_8,
+    refuse_corners,
+    refuse_scores,
+)
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import Lines, NotTextError, read_text, split_lines
 
@@ -103,6 +108,7 @@ def _refuse_others(read: Rows, name: str) -> None:
             f"{name}: lines of 8 numbers that are polygons (x1,y1,..,x4,y4), which have no frames; expected "
             f"{COLUMNS}"
         )
+    refuse_scores(rows[:, 2:6], name)
     refuse_corners(
         rows[:, 2:6],
         name,

@@ -116,6 +116,24 @@ def refuse_corners(boxes: Floats, name: str, mend: str) -> None:
         )
 
 
+def refuse_scores(boxes: Floats, name: str) -> None:
+    """Raise ValueError where a score stands in a column of the boxes, as in lines x,y,w,h,score.
+
+    It does where every width, or every height, is from 0 to 1, or every left is and some is no whole number.
+    """
+    moderate = _moderate(boxes)
+    if len(moderate) < LEAST_LINES:
+        return
+    low = [bool(((values >= 0) & (values <= 1)).all()) for values in moderate.T]
+    for column, what in ((2, "width"), (3, "height"), (0, "left")):
+        if low[column] and (column or (moderate[:, 0] % 1 != 0).any()):
+            raise ValueError(
+                f"{name}: every {what} is from 0 to 1: lines can be boxes or scores in another order, "
+                "as frame,x,y,w,h,score; write a header line that names the columns, such as "
+                "frame,left,top,width,height,confidence"
+            )
+
+
 def refuse_shares(boxes: Floats, name: str) -> None:
     """Raise ValueError where all coordinates are from 0 to 1, as shares of the frame's width and height."""
     held = boxes[np.isfinite(boxes).all(axis=1)]

@@ -44,6 +44,6 @@ def flow_of(container: Any, stream: Any) -> Flow:
         return Flow(None, True, in_segments, has_rate)
     if in_segments:
         return Flow("a playlist without an end", True, in_segments, has_rate)
-    if container.size < 0:
+    if container.size is None or container.size < 0:  # None from PyAV 19 on
         return Flow("the server declares no length", False, in_segments, has_rate)
     return Flow(None, True, in_segments, has_rate)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.evaluate.truth import parse_truth
 from bayesnet_track.sources.entrances.box_rows import LEAST, MOST
 from bayesnet_track.sources.entrances.line_forms import are_corners, count_up, refuse_shares
 from bayesnet_track.sources.entrances.text_lines import split_lines, split_words, whole
@@ -124,3 +125,16 @@ def test_sizes_that_are_small_or_do_not_follow_the_place_are_no_corners():
     refuse_shares(np.array([[0.0, 0.0, 1.0, 1.0]]), "f")
     with pytest.raises(ValueError, match="from 0 to 1"):
         refuse_shares(np.array([[0.0, 0.0, 0.5, 1.0]]), "f")
+
+
+@pytest.mark.parametrize("line", ["{n},40,60,30,40,0.9", "{n},4{n},60,30,0.8,1", "{n},0,0.75,40,60,30,40"])
+def test_scores_in_a_column_of_the_boxes_are_refused_with_both_readings(line):
+    text = "\n".join(line.format(n=n) for n in range(1, 9))
+    with pytest.raises(ValueError, match="lines can be boxes or scores in another order"):
+        parse_mot(text)
+    assert len(parse_mot(text, is_given=True)) == 8
+
+
+def test_scores_behind_boxes_without_frames_are_refused():
+    with pytest.raises(ValueError, match="every height is from 0 to 1"):
+        parse_truth("\n".join(f"{n},60,30,40,1" for n in range(1, 9)))
