@@ -196,6 +196,12 @@ def track(
             }
             option = next(name for name, is_usual in usual.items() if not is_usual)
             raise ValueError(f"{option} is for a source that is opened here; this one is open already")
+        elif not hasattr(source, "width"):
+            raise TypeError(
+                f"track: a source of type {type(source).__name__}; allowed: the path of a video, a folder or "
+                "a pattern of images, or what open_source gives; for frames in memory use Tracker.init and "
+                "update"
+            )
         else:
             opened = source
         check_given(checked, starts, opened.width, opened.height)

@@ -15,6 +15,7 @@ from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.image_files import read_pixels
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
+from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.entrances.stacks import IMAGE_INTERVAL_S, stack_of
 from bayesnet_track.sources.paths import natural_key
 from bayesnet_track.sources.readers import Damage, Picture
@@ -37,7 +38,7 @@ class ImageReader:
 
     def __init__(self, text: str, paths: Sequence[Path], value_range: ValueRange | None = None) -> None:
         self.paths = sorted(paths, key=natural_key)
-        self.value_range = value_range
+        self.value_range, self._is_first = value_range, True
         self._levels = Levels(text, value_range)
         self.stack = stack_of(self.paths[0]) if len(self.paths) == 1 else None
         self.times = times_of(self.paths) if self.stack is None else self.stack.times
@@ -51,10 +52,29 @@ class ImageReader:
     def _pixels(self, index: int) -> tuple[NDArray[np.uint8], bool]:
         path = self.paths[0 if self.stack else index]
         image = read_pixels(path)[1] if self.stack is None else self.stack.read(index)
+        if self._is_first and self.stack is None:
+            say_orientation(path)
+        self._is_first = False
         return _named(path, self._levels, image)
 
     def close(self) -> None:
         """Nothing stays open between images."""
+
+
+def say_orientation(path: Path) -> None:
+    """Say that a camera's note on how to turn its image is not applied: pixels count as they are stored."""
+    import cv2
+
+    stored = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    shown = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if stored is None or shown is None or np.array_equal(stored, shown):
+        return
+    (rows, columns), (shown_rows, shown_columns) = stored.shape[:2], shown.shape[:2]
+    notice(
+        f"{path.name}: the file notes how its image is to be turned (EXIF orientation): viewers and "
+        f"cv2.imread show {shown_columns}x{shown_rows} px, frames and boxes are of the {columns}x{rows} px "
+        "that are stored"
+    )
 
 
 def read_image(path: Path) -> tuple[NDArray[np.uint8], bool]:

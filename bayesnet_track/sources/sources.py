@@ -21,6 +21,7 @@ from bayesnet_track.sources.paths import (
     _in_folder,
     _matching,
     _nearest,
+    natural_key,
 )
 from bayesnet_track.sources.readers import Reader
 from bayesnet_track.sources.stride import strided
@@ -193,12 +194,13 @@ def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
 def _images(
     text: str, paths: list[Path], isolate: bool, start: int, value_range: ValueRange | None
 ) -> Reader:
-    from bayesnet_track.sources.entrances.sequences import check_names, say_other_images
+    from bayesnet_track.sources.entrances.sequences import check_names, say_other_images, say_strays
     from bayesnet_track.sources.images import ImageReader
 
     check_names(text, paths)
     if Path(text).is_dir():
         say_other_images(text, paths[0].parent)
+        say_strays(text, sorted(paths, key=natural_key))
     reader = ImageReader(text, paths, value_range)
     if not isolate:
         return reader

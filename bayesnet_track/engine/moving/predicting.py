@@ -33,6 +33,9 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair, PlaneCache, Region
 
+SUREST_JUMP = 1.0 - 1e-9
+"""After any time a target may still be where its motion says."""
+
 
 @dataclass(frozen=True, eq=False)
 class MotionContext:
@@ -187,7 +190,7 @@ def _relocalize(
         ud_px2=known.ud_px2,
         above_px2=0.0 if now is None or settings.grow_box is not None else now.level * now.scale_px2,
     )
-    share = 1.0 - (1.0 - per_frame) ** dt
+    share = min(1.0 - (1.0 - per_frame) ** dt, SUREST_JUMP)
     within = None
     if settings.grow_box is not None and known.held is not None:
         half_px = settings.grow_box * known.away * float(np.sqrt(known.held[2] * known.held[3]))

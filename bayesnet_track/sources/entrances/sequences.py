@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.paths import OTHER_IMAGES, SourceError, is_junk
 
+LEAST_ALIKE, MOST_STRAYS = 3, 3
+"""Names that make a usual form, and how many of them there are to a stray one at least."""
 _LAST_NUMBER = re.compile(r"^(.*?)(\d+)(\D*)$")
 
 
@@ -65,6 +67,22 @@ def overlapping(paths: Sequence[Path]) -> dict[str, int]:
         for (name, _), values in several.items()
         if 2 * len(shared.intersection(values)) > len(values)
     }
+
+
+def say_strays(text: str, paths: Sequence[Path]) -> None:
+    """Say which images are named otherwise than most are, as a cover or a copy `0003 (1).png`: frames, too.
+
+    Names are of one form where they differ in digits alone.
+    """
+    forms = [re.sub(r"\d+", "0", path.stem) for path in paths]
+    usual, count = Counter(forms).most_common(1)[0]
+    strays = [path.name for path, form in zip(paths, forms, strict=True) if form != usual]
+    if strays and "0" in usual and count >= LEAST_ALIKE and len(strays) <= count / MOST_STRAYS:
+        like = next(path.name for path, form in zip(paths, forms, strict=True) if form == usual)
+        notice(
+            f"{text}: {len(strays)} of {len(paths)} images are named otherwise than {like} and the others, "
+            f"and are frames in the order of names: {few(strays)}; move away what is no frame"
+        )
 
 
 def say_other_images(text: str, folder: Path) -> None:

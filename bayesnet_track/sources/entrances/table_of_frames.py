@@ -10,13 +10,14 @@ FRAMES = (
         "`--source FOLDER`, a glob or a file, `annotate`, `batch`, `fit`, `calibrate`; `track`, "
         "`open_source`",
         (
-            "sources.images: ImageReader read_image",
+            "sources.images: ImageReader read_image say_orientation",
             "sources.entrances.sequences: check_names",
             "sources.entrances.levels: to_bgr",
             "observation.image_files: read_checked decode",
         ),
         "levels that are lost at 8 bits, with the range that keeps them; a range that most values miss; "
-        "formats that are not read beside images; two sequences by one pattern; numbers that are missing",
+        "formats that are not read beside images; names unlike the others; two sequences by one pattern; "
+        "numbers that are missing; an EXIF orientation, which is not applied",
         "an image that is cut off, too large, or of other values than 8 or 16 bits without `--range`; "
         "several images in a file beside others; two sequences with the same numbers in a folder; a run "
         "ends where images change their size, unless `--on-resize rescale`",
