@@ -33,7 +33,6 @@ def dark(tmp_path_factory):
             ": 12 of 12 detections are not used: 12 score less than min_score",
         ),
         (range(1, 13), "220,30,20,20,1", [], "12 lie outside of the frames of 120x90 px"),
-        (range(1, 13), "0.2,0.3,0.1,0.2,1", [], "12 are smaller than min_area_px 1"),
         (range(41, 52), "20,30,20,20,1", [], "they are of the frames 40 to 50, and 0 to 11 are read"),
         (range(1, 13, 5), "20,30,20,20,1", [], "--stride 5 reads only those"),
         (range(2, 13, 5), "20,30,20,20,1", [], "--start 1 --stride 5 reads only those"),
