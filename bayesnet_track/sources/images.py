@@ -51,9 +51,11 @@ class ImageReader:
 
     def _pixels(self, index: int) -> tuple[NDArray[np.uint8], bool]:
         path = self.paths[0 if self.stack else index]
-        image = read_pixels(path)[1] if self.stack is None else self.stack.read(index)
-        if self._is_first and self.stack is None:
-            say_orientation(path)
+        if self.stack is not None:
+            return _named(path, self._levels, self.stack.read(index))
+        data, image = read_pixels(path)
+        if self._is_first:
+            say_orientation(path.name, data)
         self._is_first = False
         return _named(path, self._levels, image)
 
@@ -61,17 +63,21 @@ class ImageReader:
         """Nothing stays open between images."""
 
 
-def say_orientation(path: Path) -> None:
-    """Say that a camera's note on how to turn its image is not applied: pixels count as they are stored."""
+def say_orientation(name: str, data: bytes) -> None:
+    """Say that a camera's note on how to turn its image is not applied: pixels count as they are stored.
+
+    `data` are the bytes of the file: OpenCV takes no path that is not text.
+    """
     import cv2
 
-    stored = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    shown = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    encoded = np.frombuffer(data, dtype=np.uint8)
+    stored = cv2.imdecode(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    shown = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
     if stored is None or shown is None or np.array_equal(stored, shown):
         return
     (rows, columns), (shown_rows, shown_columns) = stored.shape[:2], shown.shape[:2]
     notice(
-        f"{path.name}: the file notes how its image is to be turned (EXIF orientation): viewers and "
+        f"{name}: the file notes how its image is to be turned (EXIF orientation): viewers and "
         f"cv2.imread show {shown_columns}x{shown_rows} px, frames and boxes are of the {columns}x{rows} px "
         "that are stored"
     )

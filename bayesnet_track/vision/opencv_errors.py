@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 
 def reason_of(error: Exception) -> str:
     """OpenCV's own words, without its file and line, in at most 200 characters.
@@ -20,6 +22,10 @@ def read_onnx(path: str, fault: Callable[[str], Exception]) -> Any:
     import cv2
 
     try:
-        return cv2.dnn.readNetFromONNX(path)
+        model = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise fault(f"{path}: {error.strerror}") from error
+    try:
+        return cv2.dnn.readNetFromONNX(model)
     except cv2.error as error:
         raise fault(f"{path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}") from error

@@ -57,8 +57,19 @@ def missing_tracker(name: str, models: Mapping[str, str]) -> str | None:
         return (
             f"{name} takes the models {', '.join(needed) or '(none)'}; given: {', '.join(models) or 'none'}"
         )
+    odd = [ascii(path) for path in models.values() if not _is_text(path)]
+    if odd:  # OpenCV crashes on it
+        return f"OpenCV reads no file whose name is not valid text: {', '.join(odd)}; rename it or its folder"
     absent = [path for path in models.values() if not Path(path).is_file()]
     return f"no such model file: {', '.join(absent)}" if absent else None
+
+
+def _is_text(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _made(name: str, models: Mapping[str, str]) -> Any:

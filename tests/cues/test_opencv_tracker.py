@@ -191,6 +191,8 @@ def test_a_tracker_that_is_not_there_is_an_error_with_those_that_are(monkeypatch
     (tmp_path / "some.onnx").write_bytes(b"")
     assert missing_tracker("Vit", {"net": str(tmp_path / "some.onnx")}) is None
     assert "takes the models (none)" in missing_tracker("MIL", {"net": "x"})
+    odd = missing_tracker("Vit", {"net": str(tmp_path / "caf\udce9.onnx")})  # OpenCV would crash on it
+    assert "not valid text" in odd and "rename" in odd
 
 
 def test_validate_says_that_it_is_opaque(tmp_path, capsys):
