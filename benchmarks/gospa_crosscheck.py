@@ -1,14 +1,10 @@
-"""GOSPA, OSPA(2) and SIAP beside Stone-Soup's figures of the same random tracks.
+"""GOSPA and OSPA(2) beside Stone-Soup's figures of the same random tracks.
 
     python benchmarks/gospa_crosscheck.py --python PYTHON [--cases 100]
 
 PYTHON is the interpreter of an environment with `stonesoup`. Targets walk at random in a square; tracks are
-these with noise, cut at random into pieces with numbers of their own, with exchanged numbers, and clutter. No
-track has a gap: Stone-Soup's SIAP raises an error where an associated track has one. Ends with exit code 1
-when a figure differs by more than 1e-9, but for the SIAP rate of track number changes.
-
-SIAP is compared from the same associations, and then from those of Stone-Soup's `TrackToTruth`, which differ
-in some cases, as that rate does (docs/scores.md says why).
+these with noise, cut at random into pieces with numbers of their own, with exchanged numbers, and clutter.
+Ends with exit code 1 when a figure differs by more than 1e-9.
 """
 
 from __future__ import annotations
@@ -28,24 +24,12 @@ from numpy.typing import NDArray
 from bayesnet_track.evaluate.gospa import gospa
 from bayesnet_track.evaluate.mot_pairs import Pairs, Tracks, pair
 from bayesnet_track.evaluate.ospa2 import ospa2
-from bayesnet_track.evaluate.siap import siap
-from bayesnet_track.evaluate.siap_associations import associate
 
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 ORDERS = (1.0, 2.0, 3.0)
 CUTOFF = 20.0
-NAMES = {
-    "siap_complete": "completeness",
-    "siap_ambiguity": "ambiguity",
-    "siap_spurious": "spuriousness",
-    "siap_px": "position_px",
-    "siap_breaks": "breaks",
-    "siap_longest": "longest",
-}
-KNOWN = "siap_breaks"
-"""Stone-Soup stops counting where an association ends in the frame that it looks at."""
 
 
 def drawn(seed: int) -> tuple[Floats, Floats]:
@@ -74,15 +58,7 @@ def drawn(seed: int) -> tuple[Floats, Floats]:
         last = int(rng.integers(first, frames)) + 1
         found += [(frame, fresh, *(place + rng.normal(0, 4, 2))) for frame in range(first, last)]
         fresh += 1
-    return np.array(truth, dtype=np.float64), whole(np.array(found, dtype=np.float64).reshape(-1, 4))
-
-
-def whole(rows: Floats) -> Floats:
-    """The rows with another identity from each gap on."""
-    rows = rows[np.lexsort((rows[:, 0], rows[:, 1]))]
-    new = np.append(True, (np.diff(rows[:, 1]) != 0) | (np.diff(rows[:, 0]) != 1))
-    rows[:, 1] = np.cumsum(new[: len(rows)])
-    return rows
+    return np.array(truth, dtype=np.float64), np.array(found, dtype=np.float64).reshape(-1, 4)
 
 
 def tracks_of(rows: Floats) -> Tracks:
@@ -91,19 +67,10 @@ def tracks_of(rows: Floats) -> Tracks:
     return Tracks(rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), boxes)
 
 
-def case(seed: int, pairs: Pairs, sides: tuple[Floats, Floats]) -> dict[str, Any]:
-    """What Stone-Soup is given."""
-    names = [np.unique(side[:, 1]) for side in sides]
-    associations = [
-        (names[0][one.true], names[1][one.track], one.start, one.end) for one in associate(pairs, CUTOFF)
-    ]
-    return {
-        "truth": sides[0].tolist(),
-        "tracks": sides[1].tolist(),
-        "associations": associations,
-        "c": CUTOFF,
-        "p": ORDERS[seed % len(ORDERS)],
-    }
+def case(seed: int, sides: tuple[Floats, Floats]) -> dict[str, Any]:
+    """The tracks, cut-off and order for Stone-Soup."""
+    truth, tracks = (side.tolist() for side in sides)
+    return {"truth": truth, "tracks": tracks, "c": CUTOFF, "p": ORDERS[seed % len(ORDERS)]}
 
 
 def differences(pairs: Pairs, order: float, other: Mapping[str, Any]) -> dict[str, float]:
@@ -111,14 +78,12 @@ def differences(pairs: Pairs, order: float, other: Mapping[str, Any]) -> dict[st
     ours, share = gospa(pairs, CUTOFF, order), CUTOFF**order / 2
     sums = {name: sum(one[name] for one in other["gospa"]) for name in ("localisation", "missed", "false")}
     total = (sum(one["distance"] ** order for one in other["gospa"]) / pairs.length) ** (1 / order)
-    own, picture = siap(pairs, CUTOFF), other["siap"]
     return {
         "GOSPA": abs(ours.total_px - total),
         "localisation": abs(ours.localisation - sums["localisation"]) / max(sums["localisation"], 1.0),
         "missed": abs(ours.missed - sums["missed"] / share),
         "false": abs(ours.false - sums["false"] / share),
         "OSPA(2), p = 1": abs(ospa2(pairs, CUTOFF, 1.0) - other["ospa2"]),
-        **{name: abs(getattr(own, field) - picture[name]) for name, field in NAMES.items()},
     }
 
 
@@ -139,7 +104,7 @@ def main() -> int:
     sides = [drawn(seed) for seed in range(options.cases)]
     sides = [one for one in sides if len(one[1])]
     pairs = [pair(*(tracks_of(rows) for rows in one)) for one in sides]
-    cases = [case(seed, pairs[seed], one) for seed, one in enumerate(sides)]
+    cases = [case(seed, one) for seed, one in enumerate(sides)]
     script = str(Path(__file__).with_name("gospa_peers.py"))
     answer = subprocess.run(
         [options.python, script], input=json.dumps(cases), capture_output=True, text=True, check=True
@@ -147,12 +112,12 @@ def main() -> int:
     theirs = json.loads(answer.stdout)
     triples = list(zip(pairs, cases, theirs["figures"], strict=True))
     apart = [differences(one, given["p"], other) for one, given, other in triples]
-    own = [differences(one, given["p"], other | {"siap": other["siap_own"]}) for one, given, other in triples]
-    rows = [
-        [name, *spread(name, apart), *(spread(name, own) if name in NAMES else ["", ""])] for name in apart[0]
-    ]
-    print(table(["figure", "cases that differ", "by at most", "with TrackToTruth", "by at most"], rows))
-    largest = max(max(v for name, v in one.items() if name != KNOWN) for one in apart)
+    print(
+        table(
+            ["figure", "cases that differ", "by at most"], [[name, *spread(name, apart)] for name in apart[0]]
+        )
+    )
+    largest = max(max(one.values()) for one in apart)
     print(f"\nStone-Soup {theirs['stonesoup']}, {len(cases)} cases; the largest difference is {largest:.2g}")
     return int(largest > TOLERANCE)
 

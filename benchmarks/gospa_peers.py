@@ -1,10 +1,10 @@
-"""Stone-Soup's GOSPA, OSPA and SIAP of random tracks: the peer of `benchmarks/gospa_crosscheck.py`.
+"""Stone-Soup's GOSPA and OSPA of random tracks: the peer of `benchmarks/gospa_crosscheck.py`.
 
     python benchmarks/gospa_peers.py < cases.json
 
 Runs in an environment with `stonesoup` and needs nothing else of the project. Reads a list of cases: truth
-and tracks as rows (frame, identity, x, y), associations as (target, track, first frame, last frame), cut-off
-and order. Prints a JSON object: the version, and of each case the figures.
+and tracks as rows (frame, identity, x, y), cut-off and order. Prints a JSON object: the version, and of each
+case the figures.
 """
 
 from __future__ import annotations
@@ -18,26 +18,12 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from stonesoup.dataassociator.tracktotrack import TrackToTruth
-from stonesoup.measures import Euclidean
-from stonesoup.metricgenerator.manager import MultiManager
 from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric
-from stonesoup.metricgenerator.tracktotruthmetrics import SIAPMetrics
-from stonesoup.types.association import AssociationSet, TimeRangeAssociation
 from stonesoup.types.groundtruth import GroundTruthPath
 from stonesoup.types.state import State
-from stonesoup.types.time import TimeRange
 from stonesoup.types.track import Track
 
 START = datetime(2000, 1, 1)
-SIAP = {
-    "siap_complete": "SIAP Completeness",
-    "siap_ambiguity": "SIAP Ambiguity",
-    "siap_spurious": "SIAP Spuriousness",
-    "siap_px": "SIAP Position Accuracy",
-    "siap_breaks": "SIAP Rate of Track Number Change",
-    "siap_longest": "SIAP Longest Track Segment",
-}
 
 
 def at(frame: float) -> datetime:
@@ -86,32 +72,12 @@ def ospa2(truth: dict[int, Any], tracks: dict[int, Any], c: float) -> float:
     return float(whole.compute_OSPA_distance(*numbered).value)
 
 
-def siap(truth: dict[int, Any], tracks: dict[int, Any], associations: AssociationSet) -> dict[str, float]:
-    """Stone-Soup's SIAP measures from associations."""
-    measure = Euclidean()
-    generator = SIAPMetrics(position_measure=measure, velocity_measure=measure)
-    manager = MultiManager([generator])
-    manager.add_data({"tracks": set(tracks.values()), "groundtruth_paths": set(truth.values())})
-    manager.association_set = associations
-    values = {one.title: one.value for one in generator.compute_metric(manager)}
-    return {name: float(values[title]) for name, title in SIAP.items()}
-
-
 def figures(case: dict[str, Any]) -> dict[str, Any]:
     """All figures of a case."""
     truth, tracks = paths(case["truth"], GroundTruthPath), paths(case["tracks"], Track)
-    given = {
-        TimeRangeAssociation({tracks[track], truth[true]}, TimeRange(at(start), at(end)))
-        for true, track, start, end in case["associations"]
-    }
-    own = TrackToTruth(association_threshold=case["c"]).associate_tracks(
-        set(tracks.values()), set(truth.values())
-    )
     return {
         "gospa": gospa(truth, tracks, case["c"], case["p"]),
         "ospa2": ospa2(truth, tracks, case["c"]),
-        "siap": siap(truth, tracks, AssociationSet(given)),
-        "siap_own": siap(truth, tracks, own),
     }
 
 

@@ -1,4 +1,4 @@
-"""Scores of several targets at once: MOTA, IDF1, HOTA, GOSPA, OSPA(2) and SIAP, with their parts."""
+"""Scores of several targets at once: MOTA, IDF1, HOTA, GOSPA and OSPA(2), with their parts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from bayesnet_track.evaluate.mot_files import read_pair
 from bayesnet_track.evaluate.mot_pairs import Tracks, pair
 from bayesnet_track.evaluate.ospa2 import ospa2
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.siap import siap
 from bayesnet_track.evaluate.trajectory_gospa import trajectory_gospa
 
 
@@ -50,12 +49,6 @@ class MotScore:
         gospa_missed: its part from missed targets.
         gospa_false: its part from false tracks.
         ospa2: OSPA(2) over the whole sequence, p = 2, px.
-        siap_complete: SIAP completeness.
-        siap_ambiguity: SIAP ambiguity, from 1.
-        siap_spurious: SIAP spuriousness.
-        siap_px: SIAP positional accuracy, px.
-        siap_breaks: SIAP rate of track number changes, per frame tracked.
-        siap_longest: SIAP longest track segment.
         tgospa: trajectory GOSPA in the units of `gospa`; None unless it is asked for.
         tgospa_switch: its part from switches.
         alphas: thresholds of IoU of the curves.
@@ -92,12 +85,6 @@ class MotScore:
     gospa_missed: Annotated[float, "px: its part from missed targets"]
     gospa_false: Annotated[float, "px: its part from false tracks"]
     ospa2: Annotated[float, "px, 0 to c: OSPA(2) of whole trajectories (p = 2)"]
-    siap_complete: Annotated[float, "SIAP completeness: share of the true boxes on which a track is"]
-    siap_ambiguity: Annotated[float, "SIAP ambiguity: tracks on each of these"]
-    siap_spurious: Annotated[float, "SIAP spuriousness: share of the tracked boxes on no target"]
-    siap_px: Annotated[float, "SIAP positional accuracy: mean distance of track and target, px"]
-    siap_breaks: Annotated[float, "SIAP rate of track number changes, per frame tracked"]
-    siap_longest: Annotated[float, "SIAP longest track segment: share of the targets' lifetimes"]
     tgospa: Annotated[
         float | None,
         "px: GOSPA of whole trajectories; like gospa, and a switch costs as much as a missed box",
@@ -133,7 +120,7 @@ def score_mot(
     Args:
         truth: the true boxes.
         tracks: the tracked ones.
-        cutoff_px: cut-off c of GOSPA, OSPA(2) and SIAP.
+        cutoff_px: cut-off c of GOSPA and OSPA(2).
         trajectories: also solve for trajectory GOSPA, which takes long where many cross.
 
     Raises:
@@ -143,7 +130,7 @@ def score_mot(
         raise ValueError("the truth has no box")
     pairs = pair(truth, tracks)
     clear, own, higher = clear_mot(pairs), identity(pairs), hota(pairs)
-    sets, picture = gospa(pairs, cutoff_px, ORDER), siap(pairs, cutoff_px)
+    sets = gospa(pairs, cutoff_px, ORDER)
     whole = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
     return MotScore(
         frames=pairs.length,
@@ -169,12 +156,6 @@ def score_mot(
         gospa_missed=sets.missed_px,
         gospa_false=sets.false_px,
         ospa2=ospa2(pairs, cutoff_px, ORDER),
-        siap_complete=picture.completeness,
-        siap_ambiguity=picture.ambiguity,
-        siap_spurious=picture.spuriousness,
-        siap_px=picture.position_px,
-        siap_breaks=picture.breaks,
-        siap_longest=picture.longest,
         tgospa=None if whole is None else whole.total_px,
         tgospa_switch=None if whole is None else whole.switches_px,
         alphas=tuple(np.round(ALPHAS, 2).tolist()),

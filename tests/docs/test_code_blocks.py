@@ -57,6 +57,7 @@ WITH_LIBRARY = {
     "supervision": "to_supervision",
     "h5netcdf": "--format arviz",
     "arviz": "arviz as az|posterior",
+    "stonesoup": "stonesoup",
 }
 WORDS = {"GRAPH": "general", "RUN": "runs/mine", "DATA": "data", "[--truth": "", "FILE]": "", "--open": ""}
 INIT = "57,21,31,45"

@@ -268,7 +268,7 @@ def test_figures_of_distances():
     )
     score = score_mot(TWO, found, cutoff_px=20.0, trajectories=True)
     check(score, cutoff_px=20, gospa_loc=np.sqrt(19 * 9 / 10), gospa_missed=np.sqrt(200 / 10), gospa_false=0)
-    check(score, gospa=np.sqrt(371 / 10), ospa2=np.sqrt((3**2 + 4.7**2) / 2), siap_px=3, siap_complete=0.95)
+    check(score, gospa=np.sqrt(371 / 10), ospa2=np.sqrt((3**2 + 4.7**2) / 2))
     check(score, tgospa=score.gospa, tgospa_switch=0)
     assert score_mot(TWO, found).tgospa is None and "tgospa" not in score_mot(TWO, found).text()
 

@@ -219,7 +219,7 @@ def add_score(commands: argparse._SubParsersAction[Any]) -> None:
         "--cutoff",
         type=pixels,
         metavar="PX",
-        help="several targets: the cut-off c of GOSPA, OSPA(2) and SIAP (default: 50)",
+        help="several targets: the cut-off c of GOSPA and OSPA(2) (default: 50)",
     )
     score.add_argument(
         "--trajectories",
