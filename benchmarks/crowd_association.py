@@ -17,13 +17,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from crowd_peers import STONE_SOUP, ask, rows_of
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 
@@ -50,8 +49,6 @@ CELLS: dict[str, dict[str, Any]] = {
 CELLS["merging, 10 % missed, clutter 5"] = {"missed": 0.1, "clutter": 5.0, "merging": "front"}
 NO_OVERLAPS = {"covered": 0.99}
 """Covered targets are detected as surely as others: at most as surely as in the open."""
-
-PEERS = Path(__file__).with_name("crowd_association_peers.py")
 
 NEAR_PX = 25.0
 """A track is of a person whose centre is so near, the nearest one."""
@@ -195,18 +192,21 @@ def ask_peer(
     python: str, name: str, cells: list[Any], crowds: list[Crowd], settings: DetectorSettings
 ) -> list[Scores]:
     """The scores of a peer that runs elsewhere."""
-    boxes = [[frame.detections.boxes.tolist() for frame in one] for one in cells]
+    sequences = [[rows_of(frame.detections) for frame in one] for one in cells]
     size = [crowds[0].settings.width, crowds[0].settings.height]
     known = {"detected": 1.0 - settings.missed, "clutter": settings.clutter}
-    asked = json.dumps({"tracker": name, "size": size, "sequences": boxes, **known})
-    done = subprocess.run([python, str(PEERS)], input=asked, capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{python}: {done.stderr[-2000:]}")
-    answer = json.loads(done.stdout)
+    answer = ask(python, [name], sequences, size=size, **known)
     return [
-        score(crowd, tracks_of([(int(f), int(i), np.array(box)) for f, i, box in rows]))
-        for crowd, rows in zip(crowds, answer, strict=True)
+        score(crowd, tracks_of([row for k, one in enumerate(of[name]["tracks"]) for row in as_rows(k, one)]))
+        for crowd, of in zip(crowds, answer["figures"], strict=True)
     ]
+
+
+def as_rows(frame: int, tracks: list[list[float]]) -> list[tuple[int, int, Floats]]:
+    """Frame, identity and centre box of each track of a frame."""
+    found = np.array(tracks, float).reshape(-1, 5)
+    boxes = np.hstack([(found[:, 1:3] + found[:, 3:]) / 2, found[:, 3:] - found[:, 1:3]])
+    return [(frame, int(number), box) for number, box in zip(found[:, 0], boxes, strict=True)]
 
 
 def interval(values: Sequence[float]) -> str:
@@ -230,7 +230,7 @@ def run_cell(name: str, seeds: Sequence[int], chosen: argparse.Namespace) -> lis
             says = FileDetector({index: one.detections for index, one in enumerate(found)})
             size = crowd.settings.width, crowd.settings.height
             results[tracker].append(score(crowd, tracked(graph, says, len(crowd.boxes), size)))
-    for tracker, python in (("SORT", chosen.sort_python), ("Stone-Soup JPDA", chosen.stonesoup_python)):
+    for tracker, python in (("SORT", chosen.sort_python), (STONE_SOUP, chosen.stonesoup_python)):
         if python:
             results[tracker] = ask_peer(python, tracker, several, crowds, detector)
     first = next(iter(results.values()))

@@ -16,10 +16,8 @@ from __future__ import annotations
 
 import argparse
 import cProfile
-import json
 import os
 import pstats
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -29,6 +27,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from crowd_peers import ask, rows_of
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track import DetectionsTracker
@@ -47,7 +46,7 @@ from simulated.crowd_detector import DetectorSettings, detect_crowd
 from simulated.walkers import CrowdSettings, make_crowd
 
 WARM_UP = 30
-PEERS = Path(__file__).with_name("crowd_speed_peers.py")
+PEERS = ("SORT", "ByteTrack", "OC-SORT", "norfair")
 
 
 @dataclass(frozen=True)
@@ -154,19 +153,6 @@ def measured(graph: CheckedGraph, found: dict[int, Detections], size: tuple[int,
     return Cost(*median, live, written / max(frames * live, 1))
 
 
-def peers(python: str, found: dict[int, Detections]) -> dict[str, Any]:
-    """What the peers' script says of the same detections."""
-    corners = []
-    for index in sorted(found):
-        left = corner_from_centre(found[index].boxes)
-        corners.append(np.column_stack([left[:, :2], left[:, :2] + left[:, 2:]]).tolist())
-    done = subprocess.run([python, str(PEERS)], input=json.dumps(corners), capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{python}: {done.stderr[-2000:]}")
-    answer: dict[str, Any] = json.loads(done.stdout)
-    return answer
-
-
 def row(count: int, cost: Cost, others: dict[str, Any]) -> list[str]:
     """A line of the table."""
     cells = [str(count), str(cost.targets), f"{cost.step_ms:.2f}", f"{1e3 * cost.step_ms / count:.0f}"]
@@ -211,8 +197,9 @@ def main() -> None:
             continue
         others: dict[str, Any] = {}
         if chosen.peers_python:
-            answer = peers(chosen.peers_python, found)
-            others, names = answer["figures"], [*answer["figures"]]
+            rows_of_frames = [rows_of(found[index]) for index in sorted(found)]
+            answer, names = ask(chosen.peers_python, PEERS, [rows_of_frames]), [*PEERS]
+            others = answer["figures"][0]
             print(f"{count} people: {answer['versions']}")
         rows.append(row(count, measured(graph, found, size), others))
     head = [

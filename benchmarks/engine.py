@@ -1,11 +1,11 @@
 """What a frame costs: four agents, 1000 hypotheses, 640x480, beside OpenCV's CSRT in the same run.
 
-    python benchmarks/engine.py [--graphs color_fusion] [--sweep] [--plot docs/figures/cost.svg]
+    python benchmarks/engine.py [--graphs color_fusion] [--sweep]
 
 All agents stay active and learn, frames are in memory, everything runs on one core. Wall and CPU time are
 measured frame by frame, engine and peer in turn on the same frame, so that a busy machine slows both alike;
 CPU time says more there. CSRT is in opencv-contrib-python-headless only; without it MIL stands beside.
---sweep varies hypotheses, box, frame and agents one at a time; --plot draws that.
+--sweep varies hypotheses, box, frame and agents one at a time.
 Asked for: 8 ms a frame (goal 5) and three times the rate of CSRT.
 """
 
@@ -16,7 +16,6 @@ import gc
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from measuring import (
@@ -164,47 +163,20 @@ def sweeps() -> dict[str, list[tuple[float, Setting]]]:
     }
 
 
-def swept(frames: int) -> dict[str, list[tuple[float, Cost]]]:
-    """The cost of every setting of `sweeps`."""
-    results: dict[str, list[tuple[float, Cost]]] = {}
+def sweep(frames: int) -> None:
+    """Print the cost of every setting of `sweeps`."""
+    parts = (*FOUR_AGENTS, *STAGES, "rest")
     for name, settings in sweeps().items():
-        results[name] = [(value, measured(setting, frames)["engine"]) for value, setting in settings]
+        costs = [(value, measured(setting, frames)["engine"]) for value, setting in settings]
         rows = [
-            [
-                f"{value:g}",
-                f"{cost.cpu_ms:.2f}",
-                *(_part(cost, part) for part in (*FOUR_AGENTS, *STAGES, "rest")),
-            ]
-            for value, cost in results[name]
+            [f"{value:g}", f"{cost.cpu_ms:.2f}", *(_part(cost, part) for part in parts)]
+            for value, cost in costs
         ]
-        print("\n" + table([name, "CPU ms", *FOUR_AGENTS, *STAGES, "rest"], rows), flush=True)
-    return results
+        print("\n" + table([name, "CPU ms", *parts], rows), flush=True)
 
 
 def _part(cost: Cost, part: str) -> str:
     return f"{np.median(cost.parts[part]) * 1e3:.2f}" if part in cost.parts else "-"
-
-
-def plot(results: dict[str, list[tuple[float, Cost]]], path: Path) -> None:
-    """One panel per thing that varies, the parts stacked."""
-    import matplotlib.pyplot as plt
-    from figure_style import COLOURS, save
-
-    figure, panels = plt.subplots(2, 2, figsize=(8, 5.2), layout="constrained", sharey=True)
-    for panel, (name, points) in zip(panels.flat, results.items(), strict=True):
-        places = np.arange(len(points))
-        below = np.zeros(len(points))
-        for colour, part in zip(COLOURS, (*STAGES, *FOUR_AGENTS, "rest"), strict=False):
-            heights = np.array([np.median(cost.parts.get(part, [0.0])) * 1e3 for _, cost in points])
-            panel.bar(places, heights, 0.7, bottom=below, color=colour, label=part)
-            below += heights
-        panel.set_xticks(places, [f"{value:g}" for value, _ in points])
-        panel.set_xlabel(name)
-    for panel in panels[:, 0]:
-        panel.set_ylabel("CPU time per frame [ms]")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles[::-1], labels[::-1], loc="outside right center", frameon=False)
-    save(figure, path)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -215,7 +187,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--graphs", default="color_fusion")
     parser.add_argument("--sweep", action="store_true")
-    parser.add_argument("--plot", type=Path)
     options = parser.parse_args(arguments)
     on_one_thread()
     print(environment() + "\n")
@@ -223,10 +194,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(
             f"## {graph}\n\n" + report(measured(Setting(graph=graph), options.frames, with_peer=True)) + "\n"
         )
-    if options.sweep or options.plot:
-        results = swept(min(options.frames, 60))
-        if options.plot:
-            plot(results, options.plot)
+    if options.sweep:
+        sweep(min(options.frames, 60))
 
 
 if __name__ == "__main__":

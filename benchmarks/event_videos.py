@@ -21,8 +21,7 @@ import cv2
 import numpy as np
 from measuring import Image
 from numpy.typing import NDArray
-from real_video_coin import HALVES
-from sequences import Sequence, find_sequences
+from sequences import HALVES, Sequence, find_sequences
 
 Boxes = NDArray[np.float64]
 

@@ -31,10 +31,8 @@ import numpy as np
 from event_videos import AFTER, BEFORE, BLACK, CROSSING, MAKERS, SLIDE, EventVideo, make_videos
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
-from real_video import Elsewhere, digest
-from real_video_coin import HALVES, SEED
-from real_video_halves import note, read_graph
-from sequences import find_sequences
+from real_video import LOOKS, Elsewhere, digest, note, read_graph
+from sequences import HALVES, SEED, find_sequences
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.spec import GraphSpec
@@ -215,7 +213,7 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(MAKERS))
     parser.add_argument("--peers-python", metavar="PYTHON", help="has OpenCV's contrib build")
     parser.add_argument("--models", metavar="FOLDER", help="NanoTrack's two model files")
-    parser.add_argument("--looks", type=Path, default=Path(__file__).with_name("real_video_looks.jsonl"))
+    parser.add_argument("--looks", type=Path, default=LOOKS)
     parser.add_argument("--rows", type=Path, metavar="FILE", help="write every frame, a JSON object a run")
     options = parser.parse_args()
     on_one_thread()
@@ -233,7 +231,7 @@ def main() -> None:
     )
     elsewhere = None
     if options.peers_python:
-        elsewhere = Elsewhere(options.peers_python, [options.models] if options.models else [])
+        elsewhere = Elsewhere(options.peers_python, options.models)
     print(environment() + "\n", flush=True)
     summaries, parts, counts = [], [], []
     names = [name for name, _ in specs]

@@ -16,17 +16,15 @@ written. "Places of five" are those of each graph among itself, SORT, ByteTrack,
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
+from crowd_peers import FIELD, ask, rows_of
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track import DetectionsTracker
@@ -43,7 +41,6 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector, file_detector
 
 WARM_UP = 30
-PEERS = Path(__file__).with_name("field_peers.py")
 PAIRS = (
     ("sort", "SORT"),
     ("bytetrack", "ByteTrack"),
@@ -132,19 +129,6 @@ def places(own: dict[str, float], others: dict[str, float]) -> str:
     return ", ".join(str(1 + sum(others[peer] > value for peer in FOUR)) for value in own.values())
 
 
-def peers(python: str, detector: FileDetector, count: int) -> dict[str, Any]:
-    """What the peers' script says of the same detections."""
-    frames = []
-    for index in range(count):
-        found = detector.found.get(index, NOTHING)
-        frames.append(np.column_stack([xyxy_from_centre(found.boxes), found.scores]).tolist())
-    done = subprocess.run([python, str(PEERS)], input=json.dumps(frames), capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{python}: {done.stderr[-2000:]}")
-    answer: dict[str, Any] = json.loads(done.stdout)
-    return answer
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
@@ -158,8 +142,9 @@ def main() -> None:
     for sequence in chosen.sequences.split(","):
         detector = file_detector(chosen.data / f"{sequence}.txt")
         count = max(detector.found) + 1
-        answer = peers(chosen.peers_python, detector, count)
-        figures, names = answer["figures"], [*answer["figures"]]
+        rows = [rows_of(detector.found.get(index, NOTHING)) for index in range(count)]
+        answer, names = ask(chosen.peers_python, FIELD, [rows]), [*FIELD]
+        figures = answer["figures"][0]
         own = {name: ours(name, detector, count) for name in dict.fromkeys(name for name, _ in PAIRS)}
         with tempfile.TemporaryDirectory() as folder:
             for name, other in PAIRS:

@@ -17,14 +17,13 @@ from __future__ import annotations
 
 import argparse
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
-from calibration import frames_of
-from measuring import environment, on_one_thread, table
+from measuring import Image, environment, on_one_thread, table
 from sequences import find_sequences
 
 from bayesnet_track.engine.scoring.assurance import e_value, level_afterwards, next_rise
@@ -47,8 +46,15 @@ from bayesnet_track.evaluate.guarantees import (
 )
 from bayesnet_track.graph.settings.scores import Alarm
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.observation.planes import Frame
 
 Data = Mapping[str, Sequence[CalibrationData]]
+
+
+def frames_of(images: Iterable[Image]) -> Iterator[Frame]:
+    """Frames at a regular rate."""
+    for index, image in enumerate(images):
+        yield Frame(index, float(index), image, True, float(index))
 
 
 def run_all(options: argparse.Namespace) -> list[CalibrationData]:

@@ -28,10 +28,8 @@ import cv2
 import numpy as np
 from measuring import Image, environment, on_one_thread, table
 from numpy.typing import NDArray
-from real_video import Elsewhere
-from real_video_coin import HALVES
-from real_video_halves import note
-from sequences import Sequence, find_sequences
+from real_video import LOOKS, Elsewhere, note
+from sequences import HALVES, Sequence, find_sequences
 
 from bayesnet_track import Tracker
 from bayesnet_track.evaluate.long_term import Confident, long_term
@@ -168,7 +166,7 @@ def main() -> None:
     parser.add_argument("--after", type=int, default=60)
     parser.add_argument("--elsewhere", type=float, default=0.0, metavar="SIDES")
     parser.add_argument("--why", help="what the look is for; goes into the record of looks")
-    parser.add_argument("--looks", type=Path, default=Path(__file__).with_name("real_video_looks.jsonl"))
+    parser.add_argument("--looks", type=Path, default=LOOKS)
     parser.add_argument("--peers-python", metavar="PYTHON", help="has OpenCV's contrib build")
     parser.add_argument("--models", metavar="FOLDER", help="NanoTrack's two model files")
     options = parser.parse_args()
@@ -187,7 +185,7 @@ def main() -> None:
         runs = [run(one, Tracker(graph, seed)) for one in made for seed in range(options.seeds)]
         rows.append(row(Path(graph).stem, made, runs))
     if options.peers_python:
-        with Elsewhere(options.peers_python, [options.models] if options.models else []) as elsewhere:
+        with Elsewhere(options.peers_python, options.models) as elsewhere:
             for name in [one for one in ("CSRT", "NanoTrack") if one in elsewhere.trackers]:
                 rows.append(row(name, made, [run_peer(elsewhere, name, one) for one in made]))
     print(environment() + "\n")

@@ -1,6 +1,6 @@
 """What a frame with many targets costs: 1 to 50 targets of 200 hypotheses, 640x480, alone and joined.
 
-    python benchmarks/many_targets.py [--plot docs/figures/many_targets.svg] [--frames 60]
+    python benchmarks/many_targets.py [--frames 60]
 
 Coloured squares of 24 px wander over a blurred background and turn at the borders; each has one agent, a
 colour histogram that learns. Joined, an `occlusion` join ties those that come near each other. Frames are in
@@ -14,7 +14,6 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -29,7 +28,6 @@ from bayesnet_track.observation.planes import Frame
 COUNTS = (1, 5, 10, 25, 50)
 WARM_UP = 10
 WIDTH, HEIGHT, SIDE = 640, 480, 24
-ASKED_FOR_MS = 50.0
 
 GRAPH = """
 bayesnet: 1
@@ -126,30 +124,6 @@ def measured(count: int, joined: bool, frames: int) -> Cost:
     )
 
 
-def plot(alone: Sequence[Cost], joined: Sequence[Cost], path: Path) -> None:
-    """CPU time of a frame over the number of targets, with the straight lines nearest to it."""
-    import figure_style as style
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
-    kinds = (("with joins", joined, style.PEER, "s"), ("without joins", alone, style.BEST, "o"))
-    for name, costs, colour, marker in kinds:
-        slope, fixed = line(costs)
-        counts = np.array([0.0, COUNTS[-1]])
-        axes.plot(counts, fixed + slope * counts, color=colour, linewidth=1, alpha=0.6)
-        label = f"{name}: {slope:.2f} ms per target"
-        xs, ys = [cost.count for cost in costs], [cost.cpu_ms for cost in costs]
-        axes.plot(xs, ys, marker, color=colour, label=label)
-    style.level(axes, ASKED_FOR_MS, "20 frames/s", style.QUIET)
-    axes.set_xlim(0, COUNTS[-1] + 2)
-    axes.set_ylim(0, None)
-    axes.set_xticks(COUNTS)
-    axes.set_xlabel("targets of 200 hypotheses")
-    axes.set_ylabel("CPU time per frame [ms]")
-    axes.legend(loc="upper left")
-    style.save(figure, path)
-
-
 def line(costs: Sequence[Cost]) -> tuple[float, float]:
     """Slope in ms per target and the fixed ms of the straight line nearest to the CPU times."""
     slope, fixed = np.polyfit([cost.count for cost in costs], [cost.cpu_ms for cost in costs], 1)
@@ -157,10 +131,9 @@ def line(costs: Sequence[Cost]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure, print, draw."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--frames", type=int, default=60, help="frames measured of each setting")
-    parser.add_argument("--plot", type=Path, help="file of the plot")
     chosen = parser.parse_args()
     on_one_thread()
     print(environment())
@@ -186,8 +159,6 @@ def main() -> None:
     for name, costs in (("alone", alone), ("joined", joined)):
         slope, fixed = line(costs)
         print(f"{name}: {fixed:.2f} ms + {slope:.3f} ms per target")
-    if chosen.plot is not None:
-        plot(alone, joined, chosen.plot)
 
 
 def _cells(cost: Cost) -> list[str]:

@@ -1,7 +1,15 @@
-"""OpenCV's trackers as peers: one interface, with the settings that OpenCV's samples have."""
+"""OpenCV's trackers as peers, with the settings of OpenCV's samples; alone, a server of their passes.
+
+Needs NumPy and OpenCV only. `real_video.Elsewhere` starts it with the interpreter of an environment that
+has `opencv-contrib-python-headless` (CSRT and KCF are in that build only). With a folder as its argument
+NanoTrack takes part, too, by the two model files there. Requests and answers are JSON objects, a line each.
+"""
 
 from __future__ import annotations
 
+import json
+import sys
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -54,37 +62,6 @@ class Whole:
         return ok, self._box
 
 
-class MeanShift:
-    """`cv2.meanShift` on the back-projection of the first box's hue histogram."""
-
-    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 1)
-
-    def init(self, image: Image, box: Corner) -> None:
-        """Start in the box."""
-        height, width = image.shape[:2]
-        x, y, w, h = (round(value) for value in box)
-        x, y = max(x, 0), max(y, 0)
-        self._window = (x, y, max(1, min(w, width - x)), max(1, min(h, height - y)))
-        x, y, w, h = self._window
-        hsv, colourful = self._hue(image)
-        part = np.s_[y : y + h, x : x + w]
-        self._histogram = cv2.calcHist([hsv[part]], [0], colourful[part], [16], [0, 180])
-        cv2.normalize(self._histogram, self._histogram, 0, 255, cv2.NORM_MINMAX)
-
-    def update(self, image: Image) -> tuple[bool, Corner]:
-        """The box in the next picture."""
-        hsv, colourful = self._hue(image)
-        back = cv2.calcBackProject([hsv], [0], self._histogram, [0, 180], 1) & colourful
-        _, self._window = cv2.meanShift(back, self._window, self.stop)
-        x, y, w, h = self._window
-        return True, (float(x), float(y), float(w), float(h))
-
-    @staticmethod
-    def _hue(image: Image) -> tuple[Image, Image]:
-        hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
-        return hsv, cv2.inRange(hsv, (0, 60, 32), (180, 255, 255))
-
-
 def peers() -> Mapping[str, Callable[[], Peer]]:
     """Name -> factory, of those that the installed OpenCV has; CSRT and KCF are in its contrib build only."""
     found: dict[str, Callable[[], Peer]] = {}
@@ -92,7 +69,6 @@ def peers() -> Mapping[str, Callable[[], Peer]]:
         create = getattr(getattr(cv2, f"Tracker{name}", None), "create", None)
         if create is not None:
             found[name] = partial(Whole, create)
-    found["mean shift"] = MeanShift
     return found
 
 
@@ -107,3 +83,33 @@ def nanotrack(folder: Path) -> Mapping[str, Callable[[], Peer]]:
         return tracker
 
     return {"NanoTrack": partial(Whole, create)}
+
+
+def main() -> None:
+    """Say which trackers there are, then answer requests, one JSON object a line."""
+    cv2.setNumThreads(1)
+    known = {**peers(), **(nanotrack(Path(sys.argv[1])) if len(sys.argv) > 1 else {})}
+    print(json.dumps({"opencv": cv2.__version__, "trackers": list(known)}), flush=True)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        cv2.setRNGSeed(asked["seed"])
+        tracker = known[asked["tracker"]]()
+        box = tuple(float(value) for value in asked["box"])
+        boxes, lost, scores, seconds = [box], [False], [1.0], 0.0
+        for index, file in enumerate(asked["files"]):
+            image = np.asarray(cv2.imread(file, cv2.IMREAD_COLOR), dtype=np.uint8)
+            started = time.process_time()
+            if index == 0:
+                tracker.init(image, box)
+                continue
+            ok, found = tracker.update(image)
+            seconds += time.process_time() - started
+            boxes.append(found)
+            lost.append(not ok)
+            scores.append(getattr(tracker, "score", 1.0))
+        answer = {"boxes": boxes, "lost": lost, "scores": scores, "cpu_s": seconds}
+        print(json.dumps(answer), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,11 +1,14 @@
-"""Whole sequences by strata: those that settings were chosen on apart from those that nobody had tuned on.
+"""Real sequences by strata: those that settings were chosen on apart from those that nobody had tuned on.
 
     python benchmarks/real_video_whole.py DATA_FOLDER --graphs general --first-seed 201 --seeds 3 --why WORDS
+        [--strata "chosen on,untuned"] [--max-frames 150]
         [--peers CSRT,NanoTrack,KCF --peers-python PYTHON --models FOLDER] [--looks FILE] [--passes FILE]
 
-Every tracker makes one pass over all frames from the first true box; every sequence weighs the same. Of each
-stratum the means are printed, and differences with 95 % intervals of a paired bootstrap over sequences; then
-every sequence.
+Every tracker makes one pass over all frames (or the first of them) from the first true box; every sequence
+weighs the same. The strata are those of `sequences.STRATA`; of the halves A and B one is for choosing, and
+the other for reporting. Printed are, of each stratum, mean AUC, what the score and the status are worth, and
+differences with 95 % intervals of a paired bootstrap over sequences; then every sequence. Every call adds a
+line to the file of looks.
 """
 
 from __future__ import annotations
@@ -13,51 +16,33 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from measuring import environment, on_one_thread, table
-from real_video import Elsewhere, digest
-from real_video_coin import NEW, OLD
-from real_video_frames import Pass
-from real_video_halves import note, read_graph, run_all, run_peer
-from sequences import find_sequences
+from numpy.typing import NDArray
+from real_video import LOOKS, Elsewhere, Pass, digest, note, read_graph, run_all
+from sequences import STRATA, find_sequences
 
-CHOSEN_ON = (*OLD, *NEW)
-UNTUNED = (
-    "dtb_Surfing06",
-    "otb_Coke",
-    "otb_MountainBike",
-    "otb_Skating1",
-    "otb_Soccer",
-    "otb_Suv",
-    "uav_bike1",
-    "uav_building4",
-    "uav_building5",
-    "uav_car14",
-    "uav_person11",
-    "uav_wakeboard4",
-    "uav_wakeboard5",
-)
-"""On these nothing had been chosen or fitted by the end of version 0.2."""
-STRATA = {"chosen on": CHOSEN_ON, "untuned": UNTUNED}
 DRAWS = 10_000
+GOOD, POOR = 0.5, 0.1
+"""IoU above which a frame is on target, and below which it is off."""
 
 
-def means_of(passes: list[Pass]) -> dict[str, dict[str, float]]:
+def means_of(passes: Sequence[Pass]) -> dict[str, dict[str, float]]:
     """Tracker -> sequence -> mean success AUC over seeds."""
-    found: dict[str, dict[str, list[float]]] = {}
+    values: dict[str, dict[str, list[float]]] = {}
     for one in passes:
-        found.setdefault(one.tracker, {}).setdefault(one.sequence, []).append(one.auc)
+        values.setdefault(one.tracker, {}).setdefault(one.sequence, []).append(one.auc)
     return {
-        tracker: {name: float(np.mean(values)) for name, values in by_name.items()}
-        for tracker, by_name in found.items()
+        tracker: {name: float(np.mean(of_seeds)) for name, of_seeds in by_name.items()}
+        for tracker, by_name in values.items()
     }
 
 
-def describe_difference(first: dict[str, float], second: dict[str, float], names: list[str]) -> str:
+def describe_difference(first: Mapping[str, float], second: Mapping[str, float], names: Sequence[str]) -> str:
     """Mean difference over the sequences with its 95 % interval, and on how many the first is ahead."""
     each = np.array([first[name] - second[name] for name in names])
     drawn = each[np.random.default_rng(0).integers(len(each), size=(DRAWS, len(each)))].mean(axis=1)
@@ -65,74 +50,167 @@ def describe_difference(first: dict[str, float], second: dict[str, float], names
     return f"{each.mean():+.3f} [{low:+.3f}, {high:+.3f}], ahead on {int((each > 0).sum())} of {len(each)}"
 
 
-def report(passes: list[Pass]) -> Iterator[str]:
-    """The tables."""
-    found = means_of(passes)
-    trackers = list(found)
-    strata = {
-        stratum: [name for name in names if all(name in found[one] for one in trackers)]
-        for stratum, names in STRATA.items()
-    }
-    head = ["success AUC", *(f"{stratum} ({len(names)})" for stratum, names in strata.items())]
-    rows = [
-        [one, *(f"{np.mean([found[one][name] for name in names]):.3f}" for names in strata.values())]
-        for one in trackers
+def share(passes: Sequence[Pass], of: Callable[[float, str], bool], among: Callable[[float], bool]) -> float:
+    """Share of the frames `among` (by IoU) of which `of` (by IoU and status) holds, sequences alike."""
+    shares = []
+    for sequence in sorted({one.sequence for one in passes}):
+        frames = [one.frames for one in passes if one.sequence == sequence]
+        own = [pair for one in frames for pair in zip(one.iou, one.status, strict=True)]
+        chosen = [of(iou, status) for iou, status in own if among(iou)]
+        if chosen:
+            shares.append(float(np.mean(chosen)))
+    return float(np.mean(shares)) if shares else float("nan")
+
+
+def auroc(passes: Sequence[Pass]) -> float:
+    """Probability that a good frame has a larger score than a poor one; each sequence has the same weight.
+
+    Frames of all sequences are compared with each other.
+    """
+    scores: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
+    weights: dict[bool, list[NDArray[np.float64]]] = {True: [], False: []}
+    for sequence in {one.sequence for one in passes}:
+        frames = [one.frames for one in passes if one.sequence == sequence]
+        iou = np.concatenate([np.array(one.iou) for one in frames])
+        score = np.concatenate([np.array(one.score) for one in frames])
+        for good, chosen in ((True, score[iou > GOOD]), (False, score[iou < POOR])):
+            if len(chosen):
+                scores[good].append(chosen)
+                weights[good].append(np.full(len(chosen), 1.0 / len(iou)))
+    if not scores[True] or not scores[False]:
+        return float("nan")
+    high, low = np.concatenate(scores[True]), np.concatenate(scores[False])
+    of_high, of_low = np.concatenate(weights[True]), np.concatenate(weights[False])
+    order = np.argsort(low)
+    below = np.concatenate([[0.0], np.cumsum(of_low[order])])
+    less = below[np.searchsorted(low[order], high, side="left")]
+    same = below[np.searchsorted(low[order], high, side="right")] - less
+    return float(np.sum(of_high * (less + 0.5 * same)) / of_high.sum() / of_low.sum())
+
+
+def mean_of(passes: Sequence[Pass], value: Callable[[Pass], float]) -> float:
+    """Mean over sequences of the mean over seeds."""
+    names = sorted({one.sequence for one in passes})
+    return float(
+        np.mean([np.mean([value(one) for one in passes if one.sequence == name]) for name in names])
+        if names
+        else np.nan
+    )
+
+
+HEAD = [
+    "",
+    "AUC",
+    "every box",
+    "AUROC",
+    "doubt while good",
+    "tracking at IoU 0, of all",
+    "of these",
+    "in 50 / 90 %",
+    "switches / 100, mean / most",
+    "agents evaluated",
+    "frames / CPU s",
+    "ms, median / worst",
+]
+
+
+def row_of(name: str, own: Sequence[Pass]) -> list[str]:
+    """The means of one tracker over the sequences of a stratum."""
+    cpu = np.concatenate([np.array(one.frames.cpu_s) for one in own])
+    row = [
+        name,
+        f"{mean_of(own, lambda one: one.auc):.3f}",
+        f"{mean_of(own, lambda one: one.auc_every):.3f}",
+        f"{auroc(own):.3f}",
+        f"{share(own, lambda _, s: s != 'tracking', lambda iou: iou > GOOD):.3f}",
+        f"{share(own, lambda iou, s: s == 'tracking' and iou == 0, lambda _: True):.4f}",
+        f"{share(own, lambda _, s: s == 'tracking', lambda iou: iou == 0):.3f}",
     ]
-    yield table(head, rows)
+    if own[0].graph:
+        row += [
+            f"{mean_of(own, lambda one: one.in50):.2f} / {mean_of(own, lambda one: one.in90):.2f}",
+            f"{mean_of(own, lambda one: one.switches):.1f} / {max(one.switches for one in own):.1f}",
+            f"{mean_of(own, lambda one: one.agents):.2f}",
+        ]
+    else:
+        row += ["-"] * 3
+    return [*row, f"{len(cpu) / cpu.sum():.0f}", f"{1000 * np.median(cpu):.1f} / {1000 * cpu.max():.0f}"]
+
+
+def report(passes: Sequence[Pass], strata: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """The tables."""
+    means = means_of(passes)
+    trackers = list(means)
+    everywhere = {
+        stratum: [name for name in names if all(name in means[one] for one in trackers)]
+        for stratum, names in strata.items()
+    }
+    everywhere = {stratum: names for stratum, names in everywhere.items() if names}
+    for stratum, names in everywhere.items():
+        own = [one for one in passes if one.sequence in names]
+        rows = [row_of(one, [p for p in own if p.tracker == one]) for one in trackers]
+        yield f"{stratum}: {len(names)} sequences\n\n" + table(HEAD, rows)
     pairs = [(first, second) for k, first in enumerate(trackers) for second in trackers[k + 1 :]]
     rows = [
         [
             f"{first} - {second}",
-            *(describe_difference(found[first], found[second], n) for n in strata.values()),
+            *(describe_difference(means[first], means[second], names) for names in everywhere.values()),
         ]
         for first, second in pairs
     ]
-    yield table(["difference", *strata], rows)
+    if rows:
+        yield table(["difference", *everywhere], rows)
     rows = [
-        [name, stratum, *(f"{found[one][name]:.3f}" for one in trackers)]
-        for stratum, names in strata.items()
+        [name, stratum, *(f"{means[one][name]:.3f}" for one in trackers)]
+        for stratum, names in everywhere.items()
         for name in names
     ]
     yield table(["sequence", "stratum", *trackers], rows)
 
 
 def main() -> None:
-    """Run what was asked for, and print the tables."""
+    """Run the passes, and print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("data", type=Path)
     parser.add_argument("--graphs", default="general", help="names or files, with commas")
     parser.add_argument("--why", required=True, help="what the look is for; goes into the record")
+    parser.add_argument("--strata", default="chosen on,untuned", help=f"of {', '.join(STRATA)}")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--max-frames", type=int)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--peers", default="CSRT,NanoTrack,KCF")
     parser.add_argument("--peers-python", metavar="PYTHON", help="has OpenCV's contrib build")
     parser.add_argument("--models", metavar="FOLDER", help="NanoTrack's two model files")
-    parser.add_argument("--looks", type=Path, default=Path(__file__).with_name("real_video_looks.jsonl"))
+    parser.add_argument("--looks", type=Path, default=LOOKS)
     parser.add_argument("--passes", type=Path, metavar="FILE", help="write every pass, a JSON object a line")
     options = parser.parse_args()
+    strata = {name: STRATA[name] for name in options.strata.split(",") if name in STRATA}
+    if len(strata) < len(options.strata.split(",")):
+        parser.error(f"--strata {options.strata}: allowed are {', '.join(STRATA)}")
     on_one_thread()
-    names = [name for stratum in STRATA.values() for name in stratum]
-    sequences = find_sequences(options.data, names, None)
+    names = sorted({name for of_stratum in strata.values() for name in of_stratum})
+    sequences = find_sequences(options.data, names, options.max_frames)
     if not sequences:
         raise SystemExit(f"{options.data}: none of the sequences is there")
     specs = [read_graph(name) for name in options.graphs.split(",")]
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     shown = ", ".join(f"{name} {digest(spec)}" for name, spec in specs)
-    note(options.looks, half="whole", graphs=shown, seeds=str(seeds), frames=None, why=options.why)
+    look = {"half": options.strata, "graphs": shown, "seeds": str(seeds), "frames": options.max_frames}
+    note(options.looks, **look, why=options.why)
     passes = list(run_all(specs, sequences, seeds, options.processes))
     if options.peers_python:
-        with Elsewhere(options.peers_python, [options.models] if options.models else []) as elsewhere:
+        with Elsewhere(options.peers_python, options.models) as elsewhere:
             for name in options.peers.split(","):
                 if name in elsewhere.trackers:
-                    passes += [run_peer(elsewhere, name, one, 0) for one in sequences]
+                    passes += [elsewhere.run(name, one) for one in sequences]
     if options.passes:
         with options.passes.open("a", encoding="utf-8") as file:
             file.writelines(json.dumps(asdict(one)) + "\n" for one in passes)
     print(environment(), file=sys.stderr)
-    print("\n\n".join(report(passes)))
+    print("\n\n".join(report(passes, strata)))
 
 
 if __name__ == "__main__":

@@ -1,24 +1,11 @@
 """The figures that the page on the Gaussian belief states, with tolerances from their spread over runs."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-PLACE = Path(__file__).parents[2] / "benchmarks" / "kalman_experiments.py"
+from tests.belief import kalman_experiments as experiments
+
 RUNS = 10
-
-
-@pytest.fixture(scope="module")
-def experiments():
-    found = importlib.util.spec_from_file_location("kalman_experiments", PLACE)
-    module = importlib.util.module_from_spec(found)
-    sys.modules[found.name] = module  # where dataclasses look up their annotations
-    found.loader.exec_module(module)
-    yield module
-    del sys.modules[found.name]
 
 
 def near(values, mean, sd):
@@ -26,7 +13,7 @@ def near(values, mean, sd):
     assert abs(np.mean(values) - mean) < 4 * sd / np.sqrt(len(values))
 
 
-def test_uniform_motion(experiments):
+def test_uniform_motion():
     """Figure 3.11: the estimate errs by less than half of a measurement, the prediction by little more."""
     tracks, late = experiments.uniform_motion(RUNS), slice(10, None)
     near(experiments.rmse(tracks, late, "measured"), 5.60, 0.43)
@@ -36,7 +23,7 @@ def test_uniform_motion(experiments):
 
 
 @pytest.mark.slow
-def test_occlusion(experiments):
+def test_occlusion():
     """Figure 3.12: predicted only, by the gate as when nothing is seen; without it, on the other ball."""
     found, hidden = experiments.occlusion(RUNS), experiments.HIDDEN
     unseen, gated, open_ = found.values()
@@ -51,7 +38,7 @@ def test_occlusion(experiments):
 
 
 @pytest.mark.slow
-def test_manoeuvre(experiments):
+def test_manoeuvre():
     """Figure 3.13: uniform motion with little noise loses the turn; much noise or a turn's model follows."""
     found, turning = experiments.manoeuvres(RUNS), slice(20, 44)
     for name, mean, sd in (
@@ -69,7 +56,7 @@ def test_manoeuvre(experiments):
     assert inside["Kalman, uniform motion"] < 0.5 < 0.8 < min(list(inside.values())[1:])
 
 
-def test_two_modes(experiments):
+def test_two_modes():
     """Figure 3.16: the mean of two modes is at neither, in none of 50 runs; the other two hold the target."""
     found = experiments.bimodal(50)
     assert {name: experiments.held(places) for name, places in found.items()} == {

@@ -193,7 +193,7 @@ CHECKED = {
 
 @pytest.mark.parametrize("settings", CHECKED)
 def test_the_figures_are_those_of_trackeval(settings):
-    """Of TrackEval 1.3.0, by `benchmarks/mot_peers.py`; rounding differs by 1e-15."""
+    """Of TrackEval 1.3.0; rounding differs by 1e-15."""
     expected = dict(zip(FIGURES, CHECKED[settings], strict=True))
     assert figures(score_mot(*generated(*settings)), FIGURES) == near(**expected)
 

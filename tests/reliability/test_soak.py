@@ -36,7 +36,7 @@ def test_a_long_run_takes_no_more_and_more(frames):
 def test_a_crowd_takes_no_more_and_more(targets, frames, options):
     """Targets end and others start throughout; little remains of each, and allocators keep some room."""
     numbers = ["--targets", str(targets), "--frames", str(frames), "--every", str(frames // 3)]
-    line = [sys.executable, str(SOAK.with_name("crowd_memory.py")), *numbers, *options]
+    line = [sys.executable, str(SOAK), *numbers, *options]
     said = subprocess.run(line, capture_output=True, text=True, timeout=1500, check=True).stdout
     print(said)
     found = [match.groups() for match in map(LINE.match, said.splitlines()) if match]

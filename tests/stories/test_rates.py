@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from bayesnet_track.cli.commands.demo import SCENE_GRAPHS
-from bayesnet_track.sources.scenes import make_scene, random_geometry, two_squares
+from bayesnet_track.sources.scenes import random_geometry, two_squares
 from bayesnet_track.sources.scenes.occluder import occluder
 
 pytestmark = pytest.mark.slow
@@ -31,7 +30,7 @@ FRESH = 500
   200 to 239; rates are reported of 0 to 49 and 300 to 349.
 - Occlusions are reported of seeds 0 to 23; `general` was chosen on real sequences.
 - Stories are told of seeds 0 to 19; the levels of `person_color_stereo` were chosen on 0 to 9, those of
-  `person_same_clothes` on 0 to 3, its nearer scene on 0 to 7; Table 3.1 is of seeds 0 to 29.
+  `person_same_clothes` on 0 to 3, its nearer scene on 0 to 7.
 """
 
 
@@ -103,25 +102,6 @@ def test_a_hidden_target_is_found_again(
     script, seeds = benchmark("occlusion"), range(FRESH, FRESH + 12)
     again = [script.engine_run(graph, occluder(seed, hidden), seed).again for seed in seeds]
     check(again, claimed)
-
-
-def test_depth_only_while_it_is_needed_is_as_good_as_always(benchmark: Any) -> None:
-    """docs/figures.md, Table 3.1: adaptive held in 20 of 20, less error than both, 1.26 agents."""
-    script, name = benchmark("table_3_1"), "person_same_clothes_nearer"
-    graphs = {
-        key: script.scheme(SCENE_GRAPHS[name], script.SCHEMES[key]) for key in ("both always", "adaptive")
-    }
-    runs: dict[str, list[Any]] = {key: [] for key in graphs}
-    for seed in range(FRESH, FRESH + 8):
-        source = script.decoded(make_scene(name, seed))
-        for key, graph in graphs.items():
-            runs[key].append(script.measured(graph, source, seed))
-    error = {key: np.mean([one.error_px for one in found]) for key, found in runs.items()}
-    adaptive = runs["adaptive"]
-    check([bool(one.held) for one in adaptive], (20, 20))
-    assert error["adaptive"] < error["both always"]
-    assert 1.0 < np.mean([one.agents for one in adaptive]) < 1.4
-    assert sum(one.agents_ms for one in adaptive) < 0.5 * sum(one.agents_ms for one in runs["both always"])
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.vision.planes.shape_planes import EdgePlane
 from bayesnet_track.vision.shape.shape_examples import frame_example
 from bayesnet_track.vision.shape.shape_model import learn_model, save_model
-from simulated.detection_score import score_detections, total
+from tests.vision.detection_score import score_detections, total
 
 
 def made(name, **parameters):

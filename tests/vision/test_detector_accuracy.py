@@ -18,7 +18,7 @@ from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.texture import flat, smooth_background
-from simulated.street import street
+from tests.vision.street import street
 
 MARGIN = 0.04
 

@@ -1,7 +1,7 @@
 """The tracking chapter's experiments with Kalman filters, run through the beliefs of the package.
 
 What they measure is a place, x and y with Gaussian error, as an agent that measures would; the scenes are
-paths without pictures, so that the truth and the noise are known. `kalman_figures.py` prints and draws them.
+paths without pictures, so that the truth and the noise are known.
 """
 
 from __future__ import annotations

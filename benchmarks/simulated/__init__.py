@@ -1,1 +1,0 @@
-"""Scenes that only benchmarks and tests need, and the scores of detections in them."""
