@@ -125,10 +125,11 @@ def _form_of_header(lines: Lines) -> TruthForm | None:
     names = tuple(plain(word) for word in words)
     if names == CORNERS:
         return "polygons"
-    columns = layout_of(lines.header, lines.name).columns
+    layout = layout_of(lines.header, lines.name)
+    columns = layout.columns
     if columns.keys() & {"frame", "index"}:
         return None
-    sides = ("right", "bottom") if "width" not in columns else ("width", "height")
+    sides = ("right", "bottom") if layout.has_corners else ("width", "height")
     if [columns.get(what) for what in ("left", "top", *sides)] != [0, 1, 2, 3] or len(words) != 4:
         raise ValueError(
             f"{lines.name}:{number}: a header line of boxes without frames; expected x,y,w,h, x1,y1,x2,y2, "
@@ -206,7 +207,6 @@ def _refuse_other_readings(boxes: Floats, rows: list[list[float]], name: str) ->
 
 def _of_one_target(lines: MotLines) -> Floats:
     """(n, 4) the boxes of the only target by frame."""
-    refuse_shares(lines.boxes, lines.name)
     scored = lines.only(lines.rest[:, 0] != IGNORED)
     if len(scored) < len(lines):
         notice(f"{lines.name}: {len(lines) - len(scored)} of {len(lines)} boxes have confidence 0: not used")

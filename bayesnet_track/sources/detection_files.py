@@ -16,8 +16,13 @@ from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
+from bayesnet_track.sources.entrances.foreign import JSON_LINES, refuse_foreign
+from bayesnet_track.sources.entrances.line_forms import refuse_shares
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
+
+MISSING = -1.0
+"""A confidence that says: none is known."""
 
 Found = tuple[Floats, float, str]
 """A corner box (4,) in px, its score, its label."""
@@ -59,9 +64,9 @@ def parse_detections(text: str, name: str = "<detections>") -> dict[int, Detecti
     with frame (from 0) and detections, each with box (left, top, width, height), score (0..1; 1 when left
     out) and label (empty when left out). Any other is what `parse_mot` reads: frame (from 1), id (not looked
     at), left, top, width, height, confidence, and a class, which becomes the label. A missing confidence is
-    1; those of a file that go beyond 0..1 are on a scale of their own, and mapped linearly: the file's lowest
-    to 0, its highest to 1 (all equal, as the usual -1: all to 1). Boxes that are not finite or have no area
-    are left out with a notice.
+    1, and so is -1, where all others are from 0 to 1; those of a file that go beyond 0..1 are on a scale of
+    their own, and mapped linearly, with a notice: the file's lowest to 0, its highest to 1 (all equal: all to
+    1). Boxes that are not finite or have no area are left out with a notice.
 
     Raises:
         ValueError: a malformed line; says file and line.
@@ -70,16 +75,26 @@ def parse_detections(text: str, name: str = "<detections>") -> dict[int, Detecti
     [[30.0, 35.0, 41.0, 31.0]]
     """
     if text.lstrip().startswith("{"):
-        return _by_frame(_usable(list(_json_lines(text, name)), name))
+        return _by_frame(_of_json_lines(text, name))
     lines = parse_mot(text, name)
     rows = zip(
         lines.frames.tolist(),
         lines.boxes,
-        _shares(lines.rest[:, 0]).tolist(),
+        _shares(lines.rest[:, 0], name).tolist(),
         lines.classes.tolist(),
         strict=True,
     )
     return _by_frame((frame, (box, score, label)) for frame, box, score, label in rows)
+
+
+def _of_json_lines(text: str, name: str) -> Iterable[tuple[int, Found]]:
+    try:
+        rows = list(_json_lines(text, name))
+    except ValueError:
+        refuse_foreign(text, name, JSON_LINES)
+        raise
+    refuse_shares(np.array([box for _, _, (box, _, _) in rows]).reshape(-1, 4), name)
+    return _usable(rows, name)
 
 
 def _usable(rows: list[tuple[int, int, Found]], name: str) -> Iterable[tuple[int, Found]]:
@@ -105,15 +120,29 @@ def _detections(found: list[Found]) -> Detections:
     return Detections(centre_from_corner(np.array(boxes)), np.array(scores), labels)
 
 
-def _shares(confidences: Floats) -> Floats:
-    """Confidences (N,), NaN where missing, as scores 0..1."""
+def _shares(confidences: Floats, name: str) -> Floats:
+    """Confidences (N,), NaN where missing, as scores 0..1; says how others are mapped."""
     given = ~np.isnan(confidences)
     scores = np.where(given, confidences, 1.0)
-    values = confidences[given]
-    if ((values >= 0) & (values <= 1)).all():
+    is_missing = given & (confidences == MISSING)
+    rest = confidences[given & ~is_missing]
+    if ((rest >= 0) & (rest <= 1)).all():
+        scores[is_missing] = 1.0
+        if is_missing.any() and len(rest):
+            notice(
+                f"{name}: {is_missing.sum()} of {len(confidences)} confidences are -1, which says none: they "
+                "are taken as 1"
+            )
         return scores
+    values = confidences[given]
     low, high = values.min(), values.max()
     scores[given] = (values - low) / (high - low) if high > low else 1.0
+    to = f"{low:g} becomes 0 and {high:g} becomes 1" if high > low else "all become 1"
+    notice(
+        f"{name}: confidences from {low:g} to {high:g} are no probabilities, and are mapped: {to}; a "
+        "min_score of the graph is compared with the mapped ones. Write confidences from 0 to 1 to have them "
+        "as they are"
+    )
     return scores
 
 

@@ -16,6 +16,7 @@ from bayesnet_track.sources.entrances.line_forms import (
     is_mot_of_8,
     refuse_corners,
     refuse_scores,
+    refuse_shares,
 )
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import Lines, NotTextError, read_text, split_lines
@@ -87,8 +88,10 @@ def parse_mot(text: str, name: str = "<mot>", is_given: bool = False) -> MotLine
     lines = split_lines(text, name)
     layout = _layout(lines)
     read = read_plain(lines) if layout is None else read_layout(lines, layout)
-    if layout is None and not is_given:
-        _refuse_others(read, name)
+    if not is_given:
+        refuse_shares(read.values[:, 2:6], name)
+        if layout is None:
+            _refuse_others(read, name)
     return _checked(read, name)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.sources.entrances.column_names import KITTI, Layout
+from bayesnet_track.sources.entrances.double_columns import NumberedRow, check_rivals, corner_boxes
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import Lines, explain_word, is_number, whole
 
@@ -115,6 +116,8 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
     id_words: list[str] = []
     class_words: list[str] = []
     values: list[list[float]] = []
+    sizes: list[list[float]] = []
+    doubled: list[NumberedRow] = []
     wrong: dict[int, str] = {}
     odd: list[int] = []
     lost = 0
@@ -131,12 +134,16 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
         at_confidence = columns.get("confidence")
         picked = [words[k].strip() for k in layout.box]
         picked.append(words[at_confidence].strip() if at_confidence is not None else "")
-        if not all(word == "" or is_number(word) for word in picked):
-            raise explain_word([word for word in picked if word], place, ",".join(columns))
+        beside = [words[k].strip() for k in layout.sizes or ()]
+        if not all(word == "" or is_number(word) for word in [*picked, *beside]):
+            raise explain_word([word for word in [*picked, *beside] if word], place, ",".join(columns))
         frame = whole(words[at_frame])
         if frame is None:
             wrong[len(numbers)] = f"frame {words[at_frame].strip()[:40]} is not a whole number"
         values.append([float(word or "nan") for word in picked])
+        sizes.append([float(word or "nan") for word in beside])
+        if layout.rivals:
+            doubled.append((number, words))
         if picked[-1] and not isfinite(values[-1][-1]):
             odd.append(len(numbers))
         frames.append(frame or 0)
@@ -151,7 +158,10 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
     rows = np.full((len(numbers), MOST), np.nan)
     if values:
         rows[:, 2:7] = values
-    if layout.has_corners:
+    check_rivals(layout, doubled, lines.name)
+    if layout.sizes is not None and values:
+        rows[:, 2:6] = corner_boxes(rows[:, 2:6], np.array(sizes), numbers, lines.name)
+    elif layout.has_corners:
         rows[:, 4:6] -= rows[:, 2:4]
     classes = np.array([_class_name(word) for word in class_words], dtype=np.str_)
     if layout is KITTI:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from bayesnet_track.sources.entrances.text_lines import Line
@@ -62,6 +62,7 @@ class Layout:
         width: number of words of a line, at least.
         most: at most.
         unused: names of columns that nothing is known of.
+        rivals: pairs of columns, by name and index, that both say which frame or which target it is.
     """
 
     columns: dict[str, int]
@@ -69,6 +70,7 @@ class Layout:
     width: int
     most: int
     unused: tuple[str, ...] = ()
+    rivals: tuple[tuple[tuple[str, int], tuple[str, int]], ...] = ()
 
     @property
     def box(self) -> tuple[int, int, int, int]:
@@ -79,8 +81,14 @@ class Layout:
 
     @property
     def has_corners(self) -> bool:
-        """Whether right and bottom are given, not width and height."""
-        return not {"width", "height"} <= self.columns.keys()
+        """Whether right and bottom are given."""
+        return {"right", "bottom"} <= self.columns.keys()
+
+    @property
+    def sizes(self) -> tuple[int, int] | None:
+        """Width and height beside the corners: of the image, or of the box once more."""
+        c = self.columns
+        return (c["width"], c["height"]) if self.has_corners and {"width", "height"} <= c.keys() else None
 
 
 KITTI = Layout(
@@ -123,6 +131,7 @@ def layout_of(header: Line, name: str) -> Layout:
             f"{name}:{number}: a header line ({','.join(words)[:60]}) in which no column is called "
             f"{', '.join(missing)}; rename the columns ({HEADERS}), or remove the line"
         )
+    rivals = tuple(_rivals(names))
     if "index" in columns and "frame" in columns:
         del columns["index"]
     is_own = {"time_s", "target", "status"} <= set(names)
@@ -130,7 +139,15 @@ def layout_of(header: Line, name: str) -> Layout:
         one for k, one in enumerate(names) if one and k not in columns.values() and one not in SILENT | OWN
     )
     first_frame = 0 if is_own or "index" in columns else 1
-    return Layout(columns, first_frame, len(words), len(words), tuple(unused))
+    return Layout(columns, first_frame, len(words), len(words), tuple(unused), rivals)
+
+
+def _rivals(names: Sequence[str]) -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
+    """Each column that names a frame or an identity after the one that is read, beside that one."""
+    for what in ("frame", "id"):
+        read, *others = [one for one in NAMES[what] if one in names] or [""]
+        for other in others:
+            yield (read, names.index(read)), (other, names.index(other))
 
 
 def plain(word: str) -> str:

@@ -140,7 +140,8 @@ def refuse_shares(boxes: Floats, name: str) -> None:
     if len(held) and (held >= 0).all() and (held <= 1).all() and (held % 1 != 0).any():
         raise ValueError(
             f"{name}: all coordinates are from 0 to 1, as shares of a frame's width and height; boxes are in "
-            "px: multiply x and width by the frame's width, y and height by its height"
+            "px: multiply x and width by the frame's width, y and height by its height, or give the size of "
+            "the frames in columns: frame,id,xmin,ymin,xmax,ymax,width,height,confidence in a header line"
         )
 
 

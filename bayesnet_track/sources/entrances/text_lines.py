@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
+from bayesnet_track.sources.entrances.foreign import name_bytes, refuse_foreign
+
 BOMS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 SHOWN = 40
 
@@ -61,18 +63,21 @@ def read_text(path: str | Path) -> str:
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError:
-        raise NotTextError(f"{path}: not a text file") from None
+        raise NotTextError(f"{path}: not a text file{name_bytes(data)}") from None
     if "\0" in text:
-        raise NotTextError(f"{path}: not a text file")
+        raise NotTextError(f"{path}: not a text file{name_bytes(data)}")
     return text
 
 
 def split_lines(text: str, name: str) -> Lines:
     """The lines of a text, whatever ends them; a first line without any number is a header.
 
+    Raises ValueError for a text that is known to be of another format.
+
     >>> split_lines("frame;id\\r\\n1;7", "a.csv").header
     (1, ['frame', 'id'])
     """
+    refuse_foreign(text, name)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     for number, line in enumerate(lines, start=1):
         words = split_words(line.lstrip("#") if line.startswith("#") else line)

@@ -541,8 +541,8 @@ def test_a_damaged_file_is_refused_in_a_sentence_or_gives_answers_that_can_be_ke
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("a.json", '[{"image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}]', "neither COCO .* nor a task"),
-        ("a.json", '{"info": {}, "categories": {}, "items": []}', "neither COCO .* nor a task"),
+        ("a.json", '[{"image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4]}]', "it is COCO results"),
+        ("a.json", '{"info": {}, "categories": {}, "items": []}', "it is JSON of Datumaro"),
         ("a.json", "[]", "neither COCO .* nor a task"),
         ("a.json", "7", "neither COCO .* nor a task"),
         ("a.tar.gz", "x", "only a zip is read; unpack it"),

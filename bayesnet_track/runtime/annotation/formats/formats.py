@@ -18,6 +18,7 @@ from bayesnet_track.runtime.annotation.formats.mot import as_mot, read_mot
 from bayesnet_track.runtime.annotation.formats.texts import read_json
 from bayesnet_track.runtime.annotation.formats.yolo import as_yolo, read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.sources.entrances.foreign import IMPORT, explain_json
 
 WRITERS: Mapping[str, Callable[[Document], Mapping[str, bytes]]] = {
     "coco": lambda document: {"coco.json": as_coco(document)},
@@ -60,6 +61,9 @@ def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> li
         content = read_json(found)
         if isinstance(content, dict) and "images" in content:
             return read_coco(found, video, images)
+        known = explain_json(content)
+        if known is not None and not known.endswith(IMPORT):
+            raise MismatchError(f"{found}: it is {known}")
         first = content[0] if isinstance(content, list) and content else content
         if not isinstance(first, dict) or "bbox" in first or "items" in first:
             raise MismatchError(
