@@ -68,6 +68,9 @@ CLOCK_BOUND = {
     "tests/sources/test_isolated.py": {
         "test_a_decoder_that_hangs_is_left": "0.5 s for each picture before",
     },
+    "tests/sources/test_http_live.py": {
+        "test_a_slow_tracker_gets_the_newest_frame_and_the_rate_is_measured": "moments within 0.1 s",
+    },
     "tests/sources/test_live.py": {
         "test_a_slow_tracker_gets_the_newest_picture_and_the_rest_is_counted": (
             "pictures at most two intervals old"
