@@ -35,9 +35,9 @@ def corner_boxes(box: Floats, sizes: Floats, numbers: Sequence[int], name: str) 
     spans = box[:, 2:] - box[:, :2]
     found = np.column_stack([box[:, :2], spans])
     with np.errstate(invalid="ignore", over="ignore"):
-        held = usable(found) & (sizes > 0).all(axis=1)
-        is_box = (np.abs(spans - sizes) <= ROUNDED_PX).all(axis=1)
-        fits = (box[:, 2:] <= REACH * sizes).all(axis=1) & (box[:, :2] < sizes).all(axis=1)
+        held = usable(found) & np.all(sizes > 0, axis=1)
+        is_box = np.all(np.abs(spans - sizes) <= ROUNDED_PX, axis=1)
+        fits = np.all((box[:, 2:] <= REACH * sizes) & (box[:, :2] < sizes), axis=1)
     if not held.any() or is_box[held].all():
         return found
     wrong = np.flatnonzero(held & ~is_box)
