@@ -89,12 +89,12 @@ BOXES = (
             "runtime.annotation.formats.archives: _unpack text_of",
         ),
         "boxes of frames that the video does not have, outside of the frame, without an area or an "
-        "identity, between key frames, or there twice; shapes that become their upright box, and those "
-        "that are no box",
+        "identity, between key frames, of confidence 0 (MOT), or there twice; targets without any; shapes "
+        "that become their upright box, and those that are no box",
         "another size or number of frames, two boxes of an identity in a frame, no identity at all, "
         "several videos in one file, a file in which no box can be used",
-        "frames counted from 0 or from 1; columns that are a polygon, or a box with an identity: refused "
-        "with both",
+        "frames counted from 0 or from 1; columns that are a polygon, or a box with an identity, or with a "
+        "confidence before or behind it: refused with both",
     ),
 )
 

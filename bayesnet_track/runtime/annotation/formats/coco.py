@@ -28,7 +28,7 @@ from bayesnet_track.runtime.annotation.formats.texts import (
     whole,
 )
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.notices import few, notice
 
 IDENTITIES = (
     (None, "track_id"),
@@ -161,7 +161,7 @@ def _rows(
     path: Path,
 ) -> Iterator[Row]:
     keys = _identities(annotations, path)
-    left = 0
+    left, given = 0, set[str]()
     box: Box | None
     for n, (one, key) in enumerate(zip(annotations, keys, strict=True)):
         place = f"{path}, annotations[{n}]"
@@ -177,7 +177,15 @@ def _rows(
         category = one.get("category_id")
         label = labels.get(str(category), "target" if category is None else f"class {category}")
         box, shape = (None, "") if attributes.get("outside") is True else _box(one, place)
+        if box is not None:
+            given.add(key)
         yield Row(f"annotations[{n}]", frame_of[image], key, label, box, shape)
+    empty = [key for key in dict.fromkeys(keys) if key not in given]
+    if empty:
+        notice(
+            f"{path}: {len(empty)} of {len(set(keys))} targets give no box (outside, or between key frames): "
+            f"{few(empty)}"
+        )
     if left:
         notice(
             f"{path}: {left} of {len(annotations)} boxes are interpolated ones (keyframe false), and are "

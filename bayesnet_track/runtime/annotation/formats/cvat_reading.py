@@ -16,7 +16,7 @@ from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
 from bayesnet_track.runtime.annotation.formats.shapes import box_around, ellipse_box, pairs, turned_box
 from bayesnet_track.runtime.annotation.formats.texts import number, read_xml, whole
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.notices import few, notice
 
 UNNAMED = "CVAT for images does not say which target it is: export it from CVAT as `CVAT for video 1.1`"
 CUBOID = tuple(f"{side}{face}" for face in (1, 2) for side in ("tl", "bl", "tr", "br"))
@@ -106,12 +106,12 @@ def _numbered(job: Tree.Element, video: Video, place: str) -> Task:
 
 
 def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: Path) -> Iterator[Row]:
-    left, unknown = 0, Counter[str]()
+    left, unknown, empty = 0, Counter[str](), list[str]()
     for n, track in enumerate(tracks):
         place, label = f"track {track.get('id', n)}", track.get("label", "target")
         shapes = [one for one in track if one.tag in SHAPES]
         unknown.update(one.tag for one in track if one.tag not in SHAPES)
-        is_gone = True
+        is_gone, given = True, 0
         numbered = ((whole(one.get("frame"), "frame", f"{path}, {place}"), one) for one in shapes)
         for found, one in sorted(numbered, key=lambda pair: pair[0]):
             here = f"{place}, frame {found}"
@@ -127,9 +127,24 @@ def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: 
             if how == "given" or (how not in HOWS and is_key):
                 box, shape = _upright(one, f"{path}, {here}")
                 yield Row(here, frame, n, label, box, shape)
+                given += 1
             else:
                 left += not is_key
+        if not given:
+            empty.append(f"{place} ({label}): {_explain_empty(shapes)}")
+    if empty:
+        notice(f"{path}: {len(empty)} of {len(tracks)} tracks give no box: {few(empty)}")
     _say(path, left, unknown)
+
+
+def _explain_empty(shapes: Sequence[Tree.Element]) -> str:
+    """Why no box of a track is given."""
+    outside = sum(one.get("outside") == "1" for one in shapes)
+    between = sum(one.get("keyframe", "1") != "1" for one in shapes if one.get("outside") != "1")
+    reasons = [f"{outside} outside"] * bool(outside) + [f"{between} between key frames (keyframe 0)"] * bool(
+        between
+    )
+    return f"of {len(shapes)} shapes {', '.join(reasons)}" if reasons else f"{len(shapes)} shapes, none given"
 
 
 def _image_rows(root: Tree.Element, video: Video, images: Sequence[str], path: Path) -> Iterator[Row]:

@@ -19,6 +19,7 @@ from bayesnet_track.runtime.annotation.formats.texts import read_json
 from bayesnet_track.runtime.annotation.formats.yolo import as_yolo, read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.foreign import IMPORT, explain_json
+from bayesnet_track.sources.entrances.notices import heard, notice
 
 WRITERS: Mapping[str, Callable[[Document], Mapping[str, bytes]]] = {
     "coco": lambda document: {"coco.json": as_coco(document)},
@@ -47,9 +48,21 @@ def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> li
     `images` are the names of the files that the frames come from, if there are such.
 
     Raises:
-        MismatchError: it does not fit the video; says the first mismatch.
+        MismatchError: it does not fit the video, or gives no box; says the first mismatch.
         OSError: it cannot be read.
     """
+    why: list[str] = []
+    with heard(why.append):
+        answers = _read(path, video, images)
+    if not any(one.kind == "box" for one in answers):
+        said = "; ".join(sentence.removeprefix(f"{path}: ") for sentence in why)
+        raise MismatchError(f"{path}: no box can be used: {said or 'it holds none'}")
+    for sentence in why:
+        notice(sentence)
+    return answers
+
+
+def _read(path: Path, video: Video, images: Sequence[str]) -> list[Answer]:
     with unpacked(path) as place:
         found = annotations_in(place) if place.is_dir() else place
         if found.is_dir():

@@ -14,6 +14,8 @@ from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.mot_lines import MotLines, parse_mot
 
 NO_TRACK = -1
+IGNORED = 0.0
+"""The confidence of a box that is not to be scored: regions that are ignored, and other classes."""
 
 
 def as_mot(document: Document) -> bytes:
@@ -29,6 +31,8 @@ def as_mot(document: Document) -> bytes:
 def read_mot(path: Path, video: Video) -> list[Answer]:
     """Every box as given: target N is the file's identity N. Frames without a box say nothing.
 
+    Boxes of confidence 0 are left out with a notice, as they are from ground truth.
+
     A class that the file, or CVAT's `labels.txt` beside it, gives a name to is the target's: "car 3".
 
     Raises:
@@ -39,7 +43,17 @@ def read_mot(path: Path, video: Video) -> list[Answer]:
         lines = parse_mot(text_of(path), str(path))
     except ValueError as error:
         raise MismatchError(str(error)) from error
-    rows = list(_rows(lines, _classes(path)))
+    scored = lines.only(lines.rest[:, 0] != IGNORED)
+    if len(scored) < len(lines):
+        said = (
+            f"{len(lines) - len(scored)} of {len(lines)} boxes have confidence 0, which says not to be scored"
+        )
+        if not len(scored):
+            raise MismatchError(
+                f"{path}: {said}: no box can be used; write confidence 1 for those that count"
+            )
+        notice(f"{path}: {said}, and are left out: at line {few(lines.numbers[lines.rest[:, 0] == IGNORED])}")
+    rows = list(_rows(scored, _classes(path)))
     free = [row for row in rows if row.key == NO_TRACK]
     if free:
         said = f"{len(free)} of {len(rows)} boxes have the identity -1, so that no target is known"

@@ -65,7 +65,7 @@ def answers_of(
     said += [f"{_of(count, len(kept))} the upright box around a {shape}" for shape, count in shapes.items()]
     kept, more = _once(kept, path, unnamed)
     labels, others = _labels(kept)
-    for sentence in [*said, *more, *others] if rows else ["it holds no box"]:
+    for sentence in [*said, *more, *others]:
         notice(f"{path}: {sentence}")
     named = number_names(labels, names or {})
     gone = [row for row in rows if row.box is None and row.key in named and 0 <= row.frame < video.frames]

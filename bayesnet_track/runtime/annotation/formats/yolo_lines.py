@@ -8,13 +8,21 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.runtime.annotation.answers import Box
 from bayesnet_track.runtime.annotation.formats.document import MismatchError
 from bayesnet_track.runtime.annotation.formats.shapes import box_around, pairs
 from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.sources.entrances.notices import notice
 
 BEYOND = 1.5
 """Parts of the frame beyond which numbers must be px."""
+SLACK = 0.02
+"""Parts of the frame by which a box in it may reach out."""
+MOST_IN_FRAME = 0.9
 _WHOLE = re.compile(r"[+-]?\d{1,30}$", re.ASCII)
 
 
@@ -105,6 +113,8 @@ def _reading(
     ends_whole = all(_WHOLE.match(line.words[-1]) for line in lines)
     if points and count == 6 + points and ends_whole:
         return lambda line: _box(line, _identity(line))
+    if count == 5 and not ends_whole:
+        return _with_confidence(lines, path, None)
     if count == 5 or (points and count == 5 + points):
         return _with_last(lines, ends_whole, path, _box)
     if count % 2:
@@ -122,9 +132,48 @@ def _reading(
                 f"points, and {ended} with a confidence and the identity {lines[0].words[-1]}; write the "
                 "coordinates with a decimal point, or leave the confidence out"
             )
-        draw = _box if count == 6 else _polygon
-        return lambda line: draw(line, _identity(line), 2)
+        if count == 6:
+            return _with_confidence(lines, path, _identity)
+        return lambda line: _polygon(line, _identity(line), 2)
     return lambda line: _polygon(line, None, 0)
+
+
+def _with_confidence(
+    lines: Sequence[Line], path: Path, identity: Callable[[Line], int | None] | None
+) -> Callable[[Line], Drawn]:
+    """Boxes before or behind their confidence, as tools have both: the boxes that are in the frame decide."""
+    behind = " id" if identity else ""
+    first = [line.values[0] for line in lines]
+    usual, other = (np.array([line.values[start : start + 4] for line in lines]) for start in (0, 1))
+    is_usual, is_other = (float(_in_frame(boxes).mean()) >= MOST_IN_FRAME for boxes in (usual, other))
+    if not identity and is_other and not is_usual and all(_WHOLE.match(line.words[0]) for line in lines):
+        raise MismatchError(
+            f"{path}, {lines[0].place}: the second column holds whole numbers ({min(first):g} to "
+            f"{max(first):g}): identities, or confidences; write `class cx cy w h id`, or "
+            "`class cx cy w h confidence`"
+        )
+    if is_other and not is_usual and _are_shares(first):
+        notice(
+            f"{path}: lines are read as `class confidence cx cy w h{behind}`, since so boxes are in the frame"
+        )
+        return lambda line: Drawn(line, line.values[1:5], "", identity(line) if identity else None)
+    if is_other != is_usual or not _are_shares(first):
+        if identity:
+            return lambda line: _box(line, identity(line))
+        return _with_last(lines, False, path, _box)
+    fit = "fit" if is_other else "do not fit any of"
+    raise MismatchError(
+        f"{path}, {lines[0].place}: {' '.join(lines[0].words)[:80]!r} and the other lines {fit} two "
+        f"readings, `class cx cy w h confidence{behind}` and `class confidence cx cy w h{behind}`; leave the "
+        f"confidence out: `class cx cy w h{behind}`"
+    )
+
+
+def _in_frame(boxes: Floats) -> NDArray[np.bool_]:
+    """(N,) whether boxes cx, cy, w, h (N, 4) in parts of the frame have an area and lie in it."""
+    half = boxes[:, 2:] / 2
+    inside = (boxes[:, :2] - half >= -SLACK) & (boxes[:, :2] + half <= 1 + SLACK) & (half > 0)
+    return np.all(inside, axis=1)
 
 
 def _with_last(
