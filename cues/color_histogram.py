@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.numerics.arrays import Ints
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, relax_all, sharpen
+from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, relax_all, sharpen
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,

@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,

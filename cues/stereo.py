@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,

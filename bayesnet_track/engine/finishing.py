@@ -46,7 +46,7 @@ from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.divergence import kl
+from bayesnet_track.numerics.log_weights import kl
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 

@@ -21,8 +21,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.journal.encoder import written
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.divergence import kl
-from bayesnet_track.numerics.log_weights import effective
+from bayesnet_track.numerics.log_weights import effective, kl
 from bayesnet_track.numerics.records import Found
 
 Rows = list[tuple[float, ...]]

@@ -18,9 +18,8 @@ from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
-from bayesnet_track.numerics.divergence import select, uncertainty_deviation
+from bayesnet_track.numerics.log_weights import divergences, select, tilt, uncertainty_deviation
 from bayesnet_track.numerics.records import Found
-from bayesnet_track.numerics.tilts import divergences, tilt
 from bayesnet_track.observation.cue import Hypotheses
 
 

@@ -20,8 +20,7 @@ from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.divergence import select
-from bayesnet_track.numerics.tilts import divergences, tilt
+from bayesnet_track.numerics.log_weights import divergences, select, tilt
 
 Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequence[float]]]
 

@@ -1,6 +1,6 @@
 """What most cues do with a distance: a likelihood, a penalty for another size, a floor, a blended reference.
 
-How a cue sharpens itself is in `bayesnet_track.numerics.sharpening`.
+How a cue sharpens itself is in `bayesnet_track.numerics.log_weights`.
 """
 
 from __future__ import annotations

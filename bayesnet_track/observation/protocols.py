@@ -211,7 +211,7 @@ class LocallyAdaptable(Protocol):
 
         `attempt` counts from 1 within one episode of high uncertainty. There may be many of them: together
         they must go no further than the first, and learning takes the tuning back
-        (`bayesnet_track.numerics.sharpening` does both).
+        (`bayesnet_track.numerics.log_weights` does both).
         """
 
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.divergence import uncertainty_deviation
-from bayesnet_track.numerics.sharpening import factor_of
+from bayesnet_track.numerics.log_weights import factor_of, uncertainty_deviation
 from bayesnet_track.observation.cue import Hypotheses, LocallyAdaptable, installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair, Planes, Region
 

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from bayesnet_track.numerics.divergence import (
+from bayesnet_track.numerics.log_weights import (
+    LogWeights,
     kl,
     uncertainty_deviation,
 )
-from bayesnet_track.numerics.log_weights import LogWeights
 
 logs = hnp.arrays(np.float64, st.shared(st.integers(1, 12), key="n"), elements=st.floats(-30, 30))
 

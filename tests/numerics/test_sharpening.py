@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.sharpening import MOST_BACK, SHARPER, STEPS, factor_of, relax, sharpen
+from bayesnet_track.numerics.log_weights import MOST_BACK, SHARPER, STEPS, factor_of, relax, sharpen
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0])

@@ -4,9 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.divergence import kl
-from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.numerics.tilts import divergences, tilt
+from bayesnet_track.numerics.log_weights import LogWeights, divergences, kl, tilt
 
 
 def case(seed, rows=5, size=30):

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.cues.shape import CUE
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.numerics.divergence import uncertainty_deviation
+from bayesnet_track.numerics.log_weights import uncertainty_deviation
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.sources.scenes import Scene, make_scene

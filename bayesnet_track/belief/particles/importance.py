@@ -37,8 +37,7 @@ from bayesnet_track.graph.settings.proposals import (
 )
 from bayesnet_track.journal.events.sample_sizes import SecondPass
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.divergence import kl
-from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights, kl
 
 Draw = Callable[[Inputs], FrameSample]
 """Draws the hypotheses of a frame."""
