@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.distributions import follow, spread_of, start
 from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
-from bayesnet_track.numerics.spread import follow, spread_of, start
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,

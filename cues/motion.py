@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from bayesnet_track.numerics.distributions import follow, spread_of, start
 from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
-from bayesnet_track.numerics.spread import follow, spread_of, start
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,

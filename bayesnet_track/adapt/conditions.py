@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from bayesnet_track.graph.spec import Concentrated, Level
 from bayesnet_track.journal.net.causes import Cause, Concentration
-from bayesnet_track.numerics.binomial import vouched_share
+from bayesnet_track.numerics.distributions import vouched_share
 
 
 @dataclass(frozen=True)

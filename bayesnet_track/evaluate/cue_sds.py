@@ -12,7 +12,7 @@ from bayesnet_track.engine.compiled import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.numerics.spread import follow, spread_of
+from bayesnet_track.numerics.distributions import follow, spread_of
 from bayesnet_track.observation.cue import Cue, Residual, context_of
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 

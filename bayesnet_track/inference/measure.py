@@ -17,7 +17,7 @@ from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.disc import weighted_mass_in_disc
+from bayesnet_track.numerics.distributions import weighted_mass_in_disc
 from bayesnet_track.numerics.log_weights import divergences, select, tilt, uncertainty_deviation
 from bayesnet_track.numerics.records import Found
 from bayesnet_track.observation.cue import Hypotheses

@@ -11,7 +11,7 @@ from bayesnet_track.belief.contract import Step
 from bayesnet_track.belief.motion.functions import derivative
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.predictive import p_value
+from bayesnet_track.numerics.distributions import p_value
 from bayesnet_track.observation.cue import Measurement
 
 

@@ -1,15 +1,21 @@
-"""Discrete distributions: kernels of noise, adaptivity, feasibility and working points.
+"""Discrete distributions and tests on samples: noise, feasibility, p-values, mass in a disc, spread.
 
 From "A general filter for measurements with any probability distribution" (the General Distribution Filter).
+
+Targets differ by far more than one standard deviation can hold: the flow of a rigid car changes by 0.1 px
+from frame to frame, that of a runner by 5 px. A cue that remembers how much its own target varied needs only
+a standard deviation to start with.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Array, Floats
 
 REACH = 7.0
 """Sds at which the kernel of Gaussian noise ends: 3e-12 of its mass lies further out."""
@@ -162,3 +168,170 @@ def nearest_probable(points: Floats, weights: Floats, toward: Floats, epsilon: f
     """
     far = np.sum((points - toward) ** 2, axis=1)
     return int(np.argmin(np.where(weights >= epsilon * weights.max(), far, np.inf)))
+
+
+_EXACT = 1e12
+"""Trials from which on the sampling error, below 1e-6, counts for nothing."""
+
+
+@lru_cache(maxsize=64)
+def vouched_share(inside: float, trials: float, confidence: float) -> float:
+    """The largest share p0 that the test with `confidence` still grants: the lower Clopper-Pearson bound.
+
+    Args:
+        inside: share of the sample that has the property, 0 to 1.
+        trials: its effective size, above 0; inf when `inside` is exact.
+        confidence: one-sided, 0.5 to 1.
+
+    Returns:
+        p at which P(X >= inside * trials) of X ~ Binomial(trials, p) is 1 - confidence, between whole numbers
+        continued as the incomplete beta function; `inside` itself when exact.
+
+    >>> round(vouched_share(1.0, 29, 0.95), 4), vouched_share(0.7, float("inf"), 0.95)
+    (0.9019, 0.7)
+    """
+    inside = min(max(inside, 0.0), 1.0)
+    successes = inside * trials
+    if trials >= _EXACT or successes == 0.0:
+        return inside
+    from scipy.special import betaincinv  # here, because it takes long to import
+
+    return float(betaincinv(successes, trials - successes + 1.0, 1.0 - confidence))
+
+
+DIGITS = 6
+"""Decimals of a p-value."""
+
+
+def p_value(value: Floats, weights: Floats, means: Floats, covariances: Floats) -> float:
+    """Probability that a draw lies farther out than `value` (K,), 0 to 1; uniform where it is a draw.
+
+    Of one Gaussian, far out means a large Mahalanobis distance. Of a mixture, fields are taken one after the
+    other: u_k = P(draw_k <= value_k | draw_1..k-1 = value_1..k-1) are uniform and independent (Rosenblatt
+    1952). The sum of their squared normal quantiles takes the place of the squared distance, which it is of
+    one Gaussian.
+
+    Args:
+        value: (K,).
+        weights: (N,) of the components, which sum to 1.
+        means: (N, K).
+        covariances: (N, K, K), or (1, K, K) of all.
+    """
+    from scipy.special import chdtrc, ndtr, ndtri  # here, because it takes long to import
+
+    lower = np.linalg.cholesky(covariances)
+    away = np.linalg.solve(lower, (value - means)[..., None])[..., 0]
+    if len(means) == 1:
+        return round(float(chdtrc(len(value), away[0] @ away[0])), DIGITS)
+    squared, log = 0.0, np.log(np.maximum(weights, 1e-300))
+    for k in range(len(value)):
+        shares = np.exp(log - log.max())
+        shares /= shares.sum()
+        below, above = float(shares @ ndtr(away[:, k])), float(shares @ ndtr(-away[:, k]))
+        squared += float(ndtri(max(min(below, above), 1e-300))) ** 2
+        log = log - 0.5 * away[:, k] ** 2 - np.log(lower[:, k, k])
+    return round(float(chdtrc(len(value), squared)), DIGITS)
+
+
+def p_after(values: Floats, noises: Floats, means: Floats, covariances: Floats) -> Floats:
+    """(T,) as `p_value`, from the Gaussians of the measured fields after Kalman updates by one value each.
+
+    With r = value - mean, d^2 = r' (R - P)^-1 r is the squared distance of the innovation before the update.
+
+    Args:
+        values: (T, K).
+        noises: (T, K, K) R.
+        means: (T, K) after.
+        covariances: (T, K, K) P, after.
+    """
+    from scipy.special import chdtrc
+
+    residual = values - means
+    d2 = np.einsum("tk,tk->t", residual, np.linalg.solve(noises - covariances, residual[..., None])[..., 0])
+    return np.asarray(np.round(chdtrc(values.shape[1], np.maximum(d2, 0.0)), DIGITS))
+
+
+_REACH = 9.0
+"""Sds at which a Gaussian is taken to end: 2e-19 of its mass lies further out."""
+
+
+def weighted_mass_in_disc(points: Floats, weights: Floats, centre: Floats, radius: float) -> float:
+    """Share of the weights (N,), summing to 1, whose points (N, 2) lie within `radius` of `centre`.
+
+    >>> weighted_mass_in_disc(np.array([[0.0, 3], [4, 0]]), np.array([0.25, 0.75]), np.zeros(2), 3.0)
+    0.25
+    """
+    away = points - centre
+    inside = np.einsum("nk,nk->n", away, away) <= radius * radius
+    return min(float(weights[inside].sum()), 1.0)
+
+
+def gaussian_mass_in_disc(offset: Floats, covariance: Floats, radius: float) -> float:
+    """Mass of N(offset, covariance), (2,) and (2, 2), within `radius` of the origin; error below 1e-9.
+
+    On the principal axes, along the narrower one: the integral of phi(u / s1) / s1 times the normal mass of
+    the chord there, with u = radius sin(theta), which takes the root out of the chord's ends.
+
+    >>> round(gaussian_mass_in_disc(np.zeros(2), np.eye(2), 1.0), 9), round(1 - math.exp(-0.5), 9)
+    (0.39346934, 0.39346934)
+    """
+    from scipy.special import ndtr  # here, because it takes long to import
+
+    variances, axes = np.linalg.eigh(covariance)
+    (a, b), (s1, s2) = axes.T @ offset, np.sqrt(np.maximum(variances, (1e-9 * radius) ** 2))
+    low, high = max(-radius, a - _REACH * s1), min(radius, a + _REACH * s1)
+    if low >= high:
+        return 0.0
+    start, end = math.asin(low / radius), math.asin(high / radius)
+    nodes, weights = _gauss_legendre()
+    theta = 0.5 * (end - start) * nodes + 0.5 * (end + start)
+    u, chord = radius * np.sin(theta), radius * np.cos(theta)
+    density = np.exp(-0.5 * ((u - a) / s1) ** 2) / (s1 * math.sqrt(2.0 * math.pi))
+    ends = ndtr((chord - b) / s2) - ndtr((-chord - b) / s2)
+    return min(max(float(0.5 * (end - start) * np.sum(weights * density * ends * chord)), 0.0), 1.0)
+
+
+@lru_cache(maxsize=1)
+def _gauss_legendre() -> tuple[Floats, Floats]:
+    nodes, weights = np.polynomial.legendre.leggauss(160)
+    return nodes, weights
+
+
+SPREAD = "spread"
+"""Name, in a reference, of the factors (k,) on the cue's k standard deviations."""
+
+BOUNDS = (0.1, 30.0)
+"""Least and largest factor: a rendered target does not vary at all, and a wrong match by any amount."""
+
+MEAN_DEVIATION = float(np.sqrt(2.0 / np.pi))
+"""Mean absolute deviation of a Gaussian, in standard deviations."""
+
+
+def spread_of(reference: Mapping[str, Array], count: int) -> Floats:
+    """The factors (count,); 1 in a reference without them."""
+    return np.asarray(reference.get(SPREAD, np.ones(count)), dtype=np.float64)
+
+
+def start(count: int, frames: float | None) -> dict[str, Array]:
+    """`SPREAD` alone, of a target of which nothing is known yet; nothing where sds do not follow."""
+    return {} if frames is None else {SPREAD: np.ones(count)}
+
+
+def follow(
+    reference: Mapping[str, Array], errors: Sequence[Floats], sds: Sequence[float], frames: float | None
+) -> dict[str, Array]:
+    """`SPREAD` alone, moved toward what the errors (n,) of each standard deviation say, over so many frames.
+
+    Each factor is the mean absolute error of the last frames over that of a Gaussian with the standard
+    deviation. One without errors in this frame stays. Nothing where sds do not follow (`frames` is None).
+
+    >>> follow({}, [np.array([-4.0, 4.0]), np.empty(0)], [1.0, 1.0], 5.0)["spread"].round(3).tolist()
+    [1.727, 1.0]
+    """
+    if frames is None:
+        return {}
+    factors, share = spread_of(reference, len(sds)).copy(), -np.expm1(-1.0 / frames)
+    for k, (found, sd) in enumerate(zip(errors, sds, strict=True)):
+        if len(found):
+            factors[k] += share * (np.abs(found).mean() / (MEAN_DEVIATION * sd) - factors[k])
+    return {SPREAD: np.clip(factors, *BOUNDS)}

@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import special
 
-from bayesnet_track.numerics.binomial import vouched_share
+from bayesnet_track.numerics.distributions import vouched_share
 
 
 @given(

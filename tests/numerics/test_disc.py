@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from bayesnet_track.numerics.disc import gaussian_mass_in_disc, weighted_mass_in_disc
+from bayesnet_track.numerics.distributions import gaussian_mass_in_disc, weighted_mass_in_disc
 
 
 @given(st.floats(0.05, 20.0), st.floats(0.0, 12.0), st.floats(0.0, 6.3), st.floats(0.5, 10.0))

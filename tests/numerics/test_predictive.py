@@ -3,8 +3,8 @@
 import numpy as np
 from scipy import stats
 
+from bayesnet_track.numerics.distributions import p_after, p_value
 from bayesnet_track.numerics.gaussian import linear_update
-from bayesnet_track.numerics.predictive import p_after, p_value
 
 COVARIANCE = np.array([[4.0, 1.5], [1.5, 2.0]])
 

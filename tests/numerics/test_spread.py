@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.spread import BOUNDS, follow, spread_of, start
+from bayesnet_track.numerics.distributions import BOUNDS, follow, spread_of, start
 
 
 def test_factors_come_to_what_the_errors_vary_by():

@@ -27,7 +27,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import MeasurementGated
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.disc import gaussian_mass_in_disc
+from bayesnet_track.numerics.distributions import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import changed

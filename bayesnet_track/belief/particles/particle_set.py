@@ -12,7 +12,7 @@ from bayesnet_track.belief.contract import Evaluate, MotionModel, Stream
 from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.disc import weighted_mass_in_disc
+from bayesnet_track.numerics.distributions import weighted_mass_in_disc
 from bayesnet_track.numerics.log_weights import LogWeights, select, uncertainty_deviation
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.cue import Hypotheses

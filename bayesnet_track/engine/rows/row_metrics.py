@@ -17,9 +17,9 @@ from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.encoder import Written, written
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.distributions import p_after
 from bayesnet_track.numerics.gaussian import roots
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
-from bayesnet_track.numerics.predictive import p_after
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.planes import Frame
 
