@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.marginals import marginalise
+from bayesnet_track.numerics.association import marginalise
 from bayesnet_track.numerics.records import changed
 
 NEGLIGIBLE = 1e-3
@@ -141,7 +141,7 @@ class Population:
         """After detections (N, 4)."""
         if not len(boxes):
             return self
-        from bayesnet_track.numerics.kernels.size_kernels import follow_sizes
+        from bayesnet_track.numerics.association import follow_sizes
 
         known = self.size_mean, self.size_covariance, float(self.sizes)
         mean, covariance = follow_sizes(np.ascontiguousarray(boxes), *known, SIZE_SD**2)
@@ -150,7 +150,7 @@ class Population:
 
     def log_density(self, boxes: Floats, area_px2: float) -> Floats:
         """(N,) log density of a box (N, 4) that may be anywhere, of the sizes that detections have."""
-        from bayesnet_track.numerics.kernels.size_kernels import log_size_densities
+        from bayesnet_track.numerics.association import log_size_densities
 
         known = self.size_mean, self.size_covariance
         sizes = log_size_densities(np.ascontiguousarray(boxes), *known, LEAST_SIZE_SD**2)

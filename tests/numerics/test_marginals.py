@@ -5,8 +5,7 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.kernels.marginal_kernels import group_pairs, weigh_pairs
-from bayesnet_track.numerics.marginals import Marginals, marginalise
+from bayesnet_track.numerics.association import Marginals, group_pairs, marginalise, weigh_pairs
 
 
 def enumerated(weights: np.ndarray) -> np.ndarray:

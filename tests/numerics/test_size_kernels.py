@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesnet_track.numerics.kernels.size_kernels import follow_sizes, log_size_densities
+from bayesnet_track.numerics.association import follow_sizes, log_size_densities
 
 
 def boxes(seed, count):
