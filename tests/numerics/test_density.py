@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.density import log_gaussians, mixture_argmax, mixture_log_density
-from bayesnet_track.numerics.kernels.density_kernels import (
+from bayesnet_track.numerics.density import (
     FAST_ERROR,
     _add_some,
     _likely,
@@ -12,6 +11,9 @@ from bayesnet_track.numerics.kernels.density_kernels import (
     _peaks,
     add_sums,
     exact_sum,
+    log_gaussians,
+    mixture_argmax,
+    mixture_log_density,
 )
 
 

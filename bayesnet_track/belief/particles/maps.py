@@ -64,7 +64,7 @@ def find_places(motion: MotionModel, dt: float, before: Before, said: Floats, st
     -1 where all densities are 0 in floating point. The motion is that of a `KinematicMotion`.
     """
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.density_kernels import likeliest_of_each
+    from bayesnet_track.numerics.density import likeliest_of_each
 
     (count, own), known = states.shape[:2], before.states.shape[1]
     transition = motion.transition(before.states.reshape(count * known, -1), dt)
