@@ -50,7 +50,7 @@ def _log_of(away: Floats, measured: Measurement) -> Floats:
     if measured.variances is not None:
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.compiled import plain
-        from bayesnet_track.numerics.kernels.gaussian_kernels import independent_log
+        from bayesnet_track.numerics.gaussian import independent_log
 
         log = np.empty(len(away))
         independent_log(plain(away), np.array(measured.variances), FAR * FAR, log)

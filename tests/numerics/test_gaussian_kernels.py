@@ -5,8 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.gaussian import linear_update, root, standard_normals, weighted_moments
-from bayesnet_track.numerics.kernels.gaussian_kernels import carry, correct_fields, stand_for
+from bayesnet_track.numerics.gaussian import (
+    carry,
+    correct_fields,
+    linear_update,
+    root,
+    stand_for,
+    standard_normals,
+    weighted_moments,
+)
 
 ANYWHERE = (np.inf, np.inf)
 

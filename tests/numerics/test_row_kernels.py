@@ -8,8 +8,7 @@ from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
 from bayesnet_track.graph.spec import Gaussian, Motion
-from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_update, root
-from bayesnet_track.numerics.kernels.cholesky_kernels import root_of
+from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_update, root, root_of
 from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
 from bayesnet_track.numerics.kernels.row_columns import ESS, FIT, LOG_EVIDENCE, UD
 from bayesnet_track.numerics.kernels.row_kernels import append_medians, predict_rows, take_median, update_rows

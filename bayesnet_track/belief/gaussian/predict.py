@@ -31,7 +31,7 @@ def predict(
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.gaussian_kernels import carry
+    from bayesnet_track.numerics.gaussian import carry
 
     free = motion.motion if isinstance(motion, Confined) else motion
     transition, noise = free.linearise(mean, dt)

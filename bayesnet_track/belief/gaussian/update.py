@@ -80,7 +80,7 @@ def _draw(
     """Samples, so many or as many as the rank of the covariance needs."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.gaussian_kernels import stand_for
+    from bayesnet_track.numerics.gaussian import stand_for
 
     width, bounds = len(mean), (math.inf, math.inf, LEAST)
     if isinstance(motion, Confined) and not motion.leaves_image:

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.cholesky_kernels import root_of
+from bayesnet_track.numerics.gaussian import root_of
 from bayesnet_track.numerics.kernels.row_kernels import correct_row
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.cholesky_kernels import factor
+from bayesnet_track.numerics.gaussian import factor
 
 
 @compiled

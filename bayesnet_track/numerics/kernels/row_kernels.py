@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.cholesky_kernels import factor, root_of
+from bayesnet_track.numerics.gaussian import factor, root_of
 from bayesnet_track.numerics.kernels.row_columns import (
     AGENT_UD,
     AREA,
