@@ -6,7 +6,7 @@ import types
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.kernel_sources import fingerprint
+from bayesnet_track.numerics.compiled import fingerprint
 
 
 def recursive(n):
