@@ -120,7 +120,7 @@ def summarise_one(work: FrameWork, target: str, step: Step[Posterior], covarianc
 def _summarise_rows(
     work: FrameWork, targets: Sequence[str], steps: Sequence[Step[Posterior]], spreads: Floats
 ) -> dict[str, Summary]:
-    from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even_of_each
+    from bayesnet_track.numerics.resampling import look_up_even_of_each
 
     states = np.array([step.support.states for step in steps])
     weights = np.array([step.support.weights.weights for step in steps])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bayesnet_track
-from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
+from bayesnet_track.numerics.resampling import copy_row, copy_rows
 
 ROOT = Path(bayesnet_track.__file__).parent
 KERNELS = [path for path in sorted(ROOT.rglob("*.py")) if "\n@compiled" in path.read_text()]

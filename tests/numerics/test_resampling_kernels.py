@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.kernels.resampling_kernels import look_up, look_up_even
+from bayesnet_track.numerics.resampling import look_up, look_up_even
 
 
 def searched(weights, positions):

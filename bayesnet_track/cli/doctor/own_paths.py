@@ -34,7 +34,7 @@ import os, sys
 os.environ["NUMBA_CACHE_DIR"] = sys.argv[1]
 import time
 import numpy as np
-from bayesnet_track.numerics.kernels.resampling_kernels import _total_and_last as kernel
+from bayesnet_track.numerics.resampling import _total_and_last as kernel
 weights = np.array([1.0, 2.0, 0.0])
 started = time.perf_counter()
 found = kernel(weights)

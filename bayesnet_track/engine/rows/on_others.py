@@ -93,7 +93,7 @@ def _uniforms(work: FrameWork, neighbours: Mapping[str, Sequence[str]]) -> Float
 
 def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Floats:
     """(K, D) states of a target, `ON_SIZE` on each of the others."""
-    from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
+    from bayesnet_track.numerics.resampling import look_up_even
 
     count, size = len(others), ON_SIZE * len(others)
     uniforms = work.stream(one.target, "on")("places").random(1 + count + 2 * size)

@@ -118,7 +118,7 @@ def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows | None:
 
 def _move(work: FrameWork, table: ParticleTable) -> Floats:
     """(T, N, D) hypotheses of the frame."""
-    from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even_of_each
+    from bayesnet_track.numerics.resampling import look_up_even_of_each
 
     compiled, frame, root = table.compiled, work.frame, table.compiled.plate.root
     belief, motion, streams = compiled.belief, compiled.motion, work.engine.streams

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled, compiled_fusing
 from bayesnet_track.numerics.kernels.exponential_kernels import exp_of
-from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
+from bayesnet_track.numerics.resampling import look_up_even
 
 Indices = NDArray[np.intp]
 Hidden = tuple[float, float, float, float, int]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.copy_kernels import copy_row
+from bayesnet_track.numerics.resampling import copy_row
 
 Steps = NDArray[np.int8]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.copy_kernels import copy_row
+from bayesnet_track.numerics.resampling import copy_row
 
 
 @compiled

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.copy_kernels import copy_rows
+from bayesnet_track.numerics.resampling import copy_rows
 
 POINTS = 64
 """Points of a snake."""

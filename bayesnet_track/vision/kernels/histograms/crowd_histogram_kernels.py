@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.box_kernels import find_distinct, pixels_of_boxes
-from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
+from bayesnet_track.numerics.resampling import copy_row, copy_rows
 from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
     cumulative_differences,
     gather,

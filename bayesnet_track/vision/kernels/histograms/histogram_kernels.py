@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
-from bayesnet_track.numerics.kernels.copy_kernels import copy_row
+from bayesnet_track.numerics.resampling import copy_row
 
 Counts = NDArray[np.int32]
 Bins = NDArray[np.uint8]
