@@ -12,7 +12,7 @@ import numpy as np
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.graph.settings.modes import Hidden, Mode
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.chains import Chain
+from bayesnet_track.numerics.mixtures import Chain
 
 FIELD = "mode"
 """Name of the last column of the states of particles: the number of the mode."""

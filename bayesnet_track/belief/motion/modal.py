@@ -14,7 +14,7 @@ from bayesnet_track.belief.modes import FIELD, Modes
 from bayesnet_track.belief.motion.forgetting import complete
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.chains import Chain
+from bayesnet_track.numerics.mixtures import Chain
 
 
 @dataclass(frozen=True, eq=False)
