@@ -3,7 +3,7 @@
 import numpy as np
 
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.kernels.exponential_kernels import LARGEST, exp_of
+from bayesnet_track.numerics.kernels.joint_kernels import LARGEST, exp_of
 
 
 @compiled
