@@ -99,7 +99,7 @@ def observe(
         return observed
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.observed_kernels import append_detections, units_of
+    from bayesnet_track.numerics.kernels.judging_kernels import append_detections, units_of
 
     heading = np.empty((len(observed), 2))
     layout, after = Layout.of(rule, before[0].shape[1]), observed.copy()
@@ -118,7 +118,7 @@ def earlier(layout: Layout, observed: Floats) -> Floats:
     """(T, 4) the earliest detection within the last L frames, else the last; NaN with the first one only."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.observed_kernels import earlier_rows
+    from bayesnet_track.numerics.kernels.judging_kernels import earlier_rows
 
     return np.asarray(earlier_rows(plain(observed), COUNT, FIXED, layout.frames))
 
@@ -131,7 +131,7 @@ def direction_consistency(rule: AssociationRule, observed: Floats, boxes: Floats
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.observed_kernels import cosines_of, weigh_angles
+    from bayesnet_track.numerics.kernels.judging_kernels import cosines_of, weigh_angles
 
     layout = Layout(rule.direction_frames, 0)
     heading, origin = observed[:, layout.heading], earlier(layout, observed)

@@ -59,7 +59,7 @@ def share_by_overlap(
         if by == "first" and rule.direction > 0:
             # Imported here: a graph is validated without compiling anything.
             from bayesnet_track.numerics.compiled import plain
-            from bayesnet_track.numerics.kernels.observed_kernels import overlaps_of
+            from bayesnet_track.numerics.kernels.judging_kernels import overlaps_of
 
             consistency = direction_consistency(rule, observed[rows], boxes[columns], scores[columns])
             common = overlaps_of(plain(reference), plain(boxes[columns]))

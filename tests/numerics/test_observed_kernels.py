@@ -3,7 +3,7 @@
 import numpy as np
 
 from bayesnet_track.numerics.boxes import overlap
-from bayesnet_track.numerics.kernels.observed_kernels import (
+from bayesnet_track.numerics.kernels.judging_kernels import (
     append_detections,
     cosines_of,
     earlier_rows,
