@@ -2,7 +2,7 @@
 
 Integrated probabilistic data association, in the form of Poisson multi-Bernoulli filters: a target exists
 with a probability r, is detected with a probability d if it does, and false detections and new targets have
-densities over x, y, w, h. With the marginal association probabilities p_ij (`numerics.marginals`),
+densities over x, y, w, h. With the marginal association probabilities p_ij (`numerics.association`),
 
     w_ij = r_i d_i N(z_j; m_i, P_i + R_j) / ((1 - r_i d_i) (c(z_j) + b(z_j))),
     r_i' = sum_j p_ij + p_i0 r_i (1 - d_i) / (1 - r_i d_i),

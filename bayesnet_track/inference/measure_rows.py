@@ -187,7 +187,7 @@ def _without_each(plan: Plan, agents: Sequence[str], messages: Floats) -> Floats
 
 
 def _uds(boxes: Floats, weights: Floats, centres: Floats) -> list[float]:
-    """UD of each target (`numerics.divergence.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
+    """UD of each target (`numerics.log_weights.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
     away = (boxes - centres[:, None]).reshape(-1, boxes.shape[2])
     squares = np.einsum("nk,nk->n", away, away).reshape(weights.shape)
     return [float(np.dot(*pair)) for pair in zip(weights, squares, strict=True)]

@@ -183,7 +183,7 @@ def tilt(prior_log: Floats, log_likelihoods: Floats) -> Floats:
 
 
 def divergences(f: Floats, g: Floats) -> Floats:
-    """(M,) KL(f || g_m) in nats of normalised log-weights, as `numerics.divergence.kl`.
+    """(M,) KL(f || g_m) in nats of normalised log-weights, as `kl`.
 
     Args:
         f: (N,) or (M, N).

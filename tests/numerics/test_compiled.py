@@ -132,7 +132,7 @@ def test_importing_the_kernels_of_the_library_does_not_need_a_cache(tmp_path):
         "import tempfile\n"
         "def denied(*_, **__): raise PermissionError(13, 'Permission denied')\n"
         "tempfile.TemporaryFile = denied\n"
-        "from bayesnet_track.numerics.kernels import density_kernels\n"
+        "from bayesnet_track.numerics import density\n"
     )
     environment = {"PATH": "", "NUMBA_CACHE_DIR": nowhere, "HOME": nowhere, "XDG_CACHE_HOME": nowhere}
     folder = Path(__file__).parents[2]

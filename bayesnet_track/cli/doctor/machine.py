@@ -16,12 +16,13 @@ THREAD_SETTINGS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS",
 _CACHE = """
 from pathlib import Path
 from bayesnet_track.numerics.compiled import is_whole
-from bayesnet_track.numerics.kernels import resampling_kernels
+from bayesnet_track.numerics import resampling
+from bayesnet_track.numerics.kernels import box_kernels
 from bayesnet_track.vision.kernels import gradient_kernels
 from bayesnet_track.vision.kernels.histograms import histogram_kernels
 from bayesnet_track.vision.shape import shape_snake
 folders = []  # Numba keeps one for each folder of sources
-for module in (resampling_kernels, gradient_kernels, histogram_kernels, shape_snake):
+for module in (resampling, box_kernels, gradient_kernels, histogram_kernels, shape_snake):
     kernels = (v for v in vars(module).values() if hasattr(v, "_cache"))
     kernel = next(v for v in kernels if v.__module__ == module.__name__)  # others come from other folders
     folders.append(getattr(kernel._cache, "cache_path", None))

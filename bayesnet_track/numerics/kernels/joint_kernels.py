@@ -1,4 +1,4 @@
-"""Compiled kernel of joint beliefs: the likelihood of each hypothesis of one target by pairs with another's."""
+"""Compiled kernel of joint beliefs: messages between the hypotheses of two targets."""
 
 from __future__ import annotations
 
