@@ -137,12 +137,12 @@ class ColorHistogram:
         return sharpen(reference, attempt, STEP)
 
     def log_likelihood_of_each(
-        self, planes: Sequence[Planes], boxes: Floats, starts: Ints, references: Sequence[Reference]
+        self, planes: Sequence[Planes], hypotheses: Hypotheses, starts: Ints, references: Sequence[Reference]
     ) -> Floats:
         """`log_likelihood` of several targets at once."""
         from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import color_distances_of_each
 
-        p = self.parameters
+        p, boxes = self.parameters, hypotheses.boxes
         counts, visible, nominal, firsts, places = self._count_of_each(planes, boxes, starts)
         shares = column(references, "shares")
         distances, _ = color_distances_of_each(

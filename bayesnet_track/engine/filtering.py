@@ -93,7 +93,8 @@ class Filtered:
 def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
     """Predict the target's belief and weigh it by what its active agents see.
 
-    It is weighed anew, without them, when agents fail that have answered before in the same frame.
+    It is weighed anew, without them, when agents fail that have answered before in the same frame. Those that
+    failed when they were asked about a group are not asked again.
     """
     live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
     before = with_agents(compiled, before, live.looking(frame.ordinal))
@@ -104,7 +105,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
     belief = within(compiled.belief, live.most_particles)
     motion = confined(moves.motion, frame.width, frame.height)
-    failed: dict[str, str] = {}
+    failed = dict(work.faults.get((target, "observing"), {}))
     while True:
         observer = Observer(
             work.cache,

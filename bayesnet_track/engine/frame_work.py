@@ -9,6 +9,7 @@ from functools import partial
 from bayesnet_track.belief.contract import Stream
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.external_inputs import ByHand
+from bayesnet_track.inference.asking import Fault
 from bayesnet_track.inference.availability import Availability, TargetAvailability
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import Frame, PlaneCache
@@ -24,6 +25,8 @@ class FrameWork:
         cache: the frame, the one before it, and their planes.
         availability: agents that give no answer.
         by_hand: target -> what a person switched.
+        faults: (target, what its agents were asked for in a group) -> agent -> what was wrong; a target that
+            goes by itself then does not ask these agents again.
         seconds: agent (or planes, belief, measure, learn, life, joins) -> seconds, added up here.
     """
 
@@ -32,6 +35,7 @@ class FrameWork:
     cache: PlaneCache
     availability: Availability = field(default_factory=Availability)
     by_hand: Mapping[str, tuple[ByHand, ...]] = field(default_factory=dict)
+    faults: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -50,6 +54,13 @@ class FrameWork:
     def availability_of(self, target: str, during: str) -> TargetAvailability:
         """Which of the target's agents give no answer when asked for one thing."""
         return self.availability.of_target(target, during)
+
+    def note_fault(self, target: str, during: str, agent: str, fault: Fault) -> None:
+        """An agent of a group had no answer for one of its targets."""
+        if isinstance(fault, str):
+            self.faults.setdefault((target, during), {})[agent] = fault
+        else:
+            self.availability.note(target, agent, during, fault.reason)
 
     def charge(self, part: str, started: float) -> float:
         """Add the seconds since `started` to a part's; the moment."""

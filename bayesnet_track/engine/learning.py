@@ -1,14 +1,10 @@
-"""The last part of a target's frame: its references learn, and agents do what they do by themselves.
-
-Targets whose cues learn of several targets at once (`CrowdCue`) learn together, to the same bytes.
-"""
+"""The last part of a target's frame: its references learn, and agents do what they do by themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +15,6 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.executor import is_elsewhere
@@ -27,7 +22,6 @@ from bayesnet_track.inference.guard import guard, judge, judge_nothing, watch
 from bayesnet_track.inference.learn import (
     Lesson,
     adapt_reference,
-    check_references,
     frames_between,
     largest_rate,
     learn_references,
@@ -38,11 +32,8 @@ from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
-from bayesnet_track.observation.cue import ANGLE, CrowdCue, Reference, context_of
-from bayesnet_track.observation.guests import FAULTS
-from bayesnet_track.observation.shared import shown
+from bayesnet_track.observation.cue import ANGLE
 
 Rates = tuple[float, Mapping[str, float]]
 """The share of the largest rate that the belief allows, and agent -> its rate."""
@@ -59,19 +50,12 @@ def learn_all(
         target: learning_rates(work, one, measured[target], decided[target])
         for target, one in filtered.items()
     }
-    together = [target for target, one in filtered.items() if _learns_plainly(work, one, decided[target])]
-    moved = follow_all(
-        work,
-        {target: filtered[target].before.references for target in together},
-        {target: measured[target].box for target in together},
-        {target: rates[target][1] for target in together},
-    )
     found: dict[str, Learnt] = {}
     for target, one in filtered.items():
-        if target in moved or _learns_nothing(one, decided[target], rates[target]):
-            watched, references = one.before.watched, moved.get(target, one.before.references)
-            judged = judge_nothing(watched)
-            found[target] = Learnt(references, watched, judged, decided[target].chosen, 0.0, rates[target][0])
+        if _learns_nothing(one, decided[target], rates[target]):
+            before, chosen = one.before, decided[target].chosen
+            judged = judge_nothing(before.watched)
+            found[target] = Learnt(before.references, before.watched, judged, chosen, 0.0, rates[target][0])
         else:
             found[target] = learn_target(work, one, measured[target], decided[target], rates[target])
     return found
@@ -83,67 +67,14 @@ def _learns_nothing(filtered: Filtered, decided: Decided, rates: Rates) -> bool:
     return still and not decided.chosen and ANGLE not in filtered.step.posterior.fields
 
 
-def _learns_plainly(work: FrameWork, filtered: Filtered, decided: Decided) -> bool:
-    """Whether a target's references do nothing but learn, by cues that learn of many at once."""
-    return (
-        plate_learns(work.plate_of(filtered.target))
-        and not decided.chosen
-        and not work.availability.known
-        and ANGLE not in filtered.step.posterior.fields
-        and filtered.before.references.keys() == work.plate_of(filtered.target).cues.keys()
-    )
-
-
 @lru_cache(maxsize=64)
 def plate_learns(compiled: CompiledPlate) -> bool:
-    """Whether the agents of several targets of a plate may learn in one call."""
+    """Whether the references of a plate's targets do nothing but learn, by cues that are at work here."""
     return (
         compiled.guard is None
         and not compiled.part_of
-        and all(isinstance(cue, CrowdCue) and not is_elsewhere(cue) for cue in compiled.cues.values())
+        and not any(is_elsewhere(cue) for cue in compiled.cues.values())
     )
-
-
-def follow_all(
-    work: FrameWork,
-    before: Mapping[str, Mapping[str, Reference]],
-    boxes: Mapping[str, Floats],
-    rates: Mapping[str, Mapping[str, float]],
-) -> dict[str, dict[str, Reference]]:
-    """Target -> its references after learning in its box (4,); without those of plates whose cues fail."""
-    if not rates:
-        return {}
-    moved = {target: dict(references) for target, references in before.items()}
-    plates = {work.plate_of(target).plate.name: work.plate_of(target) for target in rates}
-    for compiled in plates.values():
-        for agent, cue in compiled.cues.items():
-            own = [
-                target
-                for target, of in rates.items()
-                if work.plate_of(target) is compiled and of.get(agent, 0.0) > 0.0
-            ]
-            if not own:
-                continue
-            known = [shown(moved[target][agent]) for target in own]
-            at = np.array([boxes[target] for target in own])
-            after = follow_some(work, cue, known, at, np.array([rates[target][agent] for target in own]))
-            if after is None:
-                return {}
-            for target, reference in zip(own, after, strict=True):
-                moved[target][agent] = reference
-    return moved
-
-
-def follow_some(
-    work: FrameWork, cue: Any, known: Sequence[Reference], boxes: Floats, rates: Floats
-) -> Sequence[Reference] | None:
-    """What an agent remembers of T targets after learning in the boxes (T, 4); None where its cue fails."""
-    try:
-        planes = planes_of_each(work, cue.needs, boxes, np.arange(len(known) + 1), context_of(cue))
-        after = check_references(cue.follow_each(planes, boxes.copy(), known, rates))
-    except FAULTS:
-        return None
-    return after if after is not None and len(after) == len(known) else None
 
 
 def learn_target(
@@ -159,6 +90,7 @@ def learn_target(
         {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
         work.availability,
         filtered.target,
+        work.faults.get((filtered.target, "learning"), {}),
     )
     learnt = learn(lesson, compiled, filtered.before, decided, own_rates)
     first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)

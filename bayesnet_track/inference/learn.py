@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,10 +9,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import scale_of
 from bayesnet_track.graph.spec import Learn
+from bayesnet_track.inference.asking import check_reference, fault_of, follow
 from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
@@ -33,9 +32,8 @@ from bayesnet_track.observation.cue import (
     context_of,
 )
 from bayesnet_track.observation.guests import FAULTS, text_of
-from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes
-from bayesnet_track.observation.reference_rows import ReferenceRows
-from bayesnet_track.observation.shared import seal, shown
+from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
+from bayesnet_track.observation.shared import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +47,7 @@ class Lesson:
         own_boxes: agent that looks at a part -> the centre box (4,) of that part.
         availability: agents that give no answer for a reason outside of them.
         target: target id.
+        failed: agent -> what was wrong when it learnt in a group; it is not asked again.
     """
 
     cues: Mapping[str, AnyCue]
@@ -57,6 +56,7 @@ class Lesson:
     own_boxes: Mapping[str, Floats] = field(default_factory=dict)
     availability: Availability = field(default_factory=Availability)
     target: str = ""
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     def box_of(self, agent: str) -> Floats:
         """(4,) the centre box that the agent looks at."""
@@ -185,14 +185,17 @@ def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: i
 
 def _all_learnt(
     lesson: Lesson,
-    agents: Iterable[str],
+    agents: Sequence[str],
     old: Mapping[str, Reference],
     rates: Mapping[str, float],
     availability: TargetAvailability,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """What the agents learn, blended into their old references where they have one; and what went wrong."""
     ahead, here = partial(_learn_ahead, lesson, old, rates), partial(_learnt, lesson, old, rates)
-    outcomes = dict(each_at_once(ahead, here, agents))
+    outcomes: dict[str, Reference | str | Missing] = {
+        name: lesson.failed[name] for name in agents if name in lesson.failed
+    }
+    outcomes |= dict(each_at_once(ahead, here, [agent for agent in agents if agent not in outcomes]))
     return _split_faults({agent: outcomes[agent] for agent in agents}, availability)
 
 
@@ -205,23 +208,13 @@ def _learnt(
         method, arguments = _to_learn(lesson, agent)
         if agent not in old:
             return check_reference(getattr(cue, method)(*arguments))
-        known, rate = shown(old[agent]), rates[agent]
         if method == "learn":
-            return check_reference(follow(cue, known, rate, *arguments))
-        return check_reference(cue.blend(known, getattr(cue, method)(*arguments), rate))
+            planes, box = arguments
+            after, faults = follow(cue, [planes], box[None], [old[agent]], np.array([rates[agent]]))
+            return faults.get(0, after[0])
+        return check_reference(cue.blend(shown(old[agent]), getattr(cue, method)(*arguments), rates[agent]))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
-        return _failure(error)
-
-
-def follow(cue: Any, reference: Reference, rate: float, planes: Planes, box: Floats) -> Reference:
-    """The reference blended with what the cue sees in the centre box (4,)."""
-    own = getattr(cue, "follow", None)
-    moved: Reference
-    if own is None:
-        moved = cue.blend(reference, cue.learn(planes, box), rate)
-    else:
-        moved = own(planes, box, reference, rate)
-    return moved
+        return fault_of(error, " while learning")
 
 
 def _learn_ahead(
@@ -257,41 +250,7 @@ def _collect(wait: Wait[Reference]) -> Reference | str | Missing:
     try:
         return check_reference(wait())
     except FAULTS as error:
-        return _failure(error)
-
-
-def _failure(error: BaseException) -> str | Missing:
-    if isinstance(error, AgentUnavailable):
-        return Missing(str(error))
-    return f"raised {type(error).__name__} while learning: {text_of(error)}"
-
-
-def check_references(references: Sequence[Reference]) -> Sequence[Reference] | None:
-    """What a cue learnt of several targets, each array for reading only; None where one is not finite."""
-    together = isinstance(references, ReferenceRows)
-    every = [references.columns] if isinstance(references, ReferenceRows) else references
-    arrays = [np.asarray(values) for one in every for values in one.values()]
-    floating = [array.ravel() for array in arrays if array.dtype.kind in "fc"]
-    if floating and not np.isfinite(np.concatenate(floating)).all():
-        return None
-    return references if together else [seal(one) for one in references]
-
-
-def check_reference(reference: Reference) -> Reference | str:
-    """What a cue learnt of one target, each array for reading only; or which of them is not finite."""
-    for name, values in reference.items():
-        array = np.asarray(values)
-        if array.dtype.kind in "fc" and not _is_finite(array):
-            return f"made a reference whose {name!r} is not finite"
-    return seal(reference)
-
-
-def _is_finite(array: NDArray[Any]) -> bool:
-    if array.ndim == 0:
-        return cmath.isfinite(array.item())
-    # What is not finite leaves no sum of squares that is; but so do large numbers.
-    line = array.ravel()
-    return cmath.isfinite(np.vdot(line, line)) or np.count_nonzero(np.isfinite(array)) == array.size
+        return fault_of(error, " while learning")
 
 
 def _split_faults(

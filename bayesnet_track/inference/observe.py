@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
+from bayesnet_track.inference.asking import check_log_likelihood, fault_of, score
 from bayesnet_track.inference.availability import Missing, TargetAvailability
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.inference.executor import (
-    AgentUnavailable,
     Wait,
     defer_faults,
     each_at_once,
@@ -25,20 +25,13 @@ from bayesnet_track.inference.executor import (
 from bayesnet_track.inference.factors import Factors
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
-from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, said
+from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers
 from bayesnet_track.observation.planes import PlaneCache, Region
 from bayesnet_track.observation.shared import shown
 
 Clock = Callable[[], float]
 Answer = Floats | Measurement | str | Missing | None
 """(N,) log-likelihood, a measurement, None for nothing seen, what is wrong with it, or why it is missing."""
-
-ROUNDING = 1e-6
-"""How far above 0, the value of a perfect match, a log-likelihood may end by rounding."""
-
-ZERO_BELOW = -1e100
-"""A log-likelihood below this is a likelihood of zero, so that sums of them stay finite."""
-
 
 CHARGING = Lock()
 """Held while seconds are added up: agents are asked side by side, and several charge the planes."""
@@ -142,20 +135,19 @@ def observe(question: Question, observer: Observer, step: Observe) -> Answer:
     agent, part = step.agent, "planes"
     cue: Any = observer.cues[agent]
     given = question.at[step.at]
-    # A copy of its own: what it writes there reaches no other agent.
-    own = Hypotheses(given.boxes.copy(), {name: v.copy() for name, v in given.fields.items()})
     started = observer.clock()
     try:
         planes = observer.cache.planes(cue.needs, question.region)
         started, part = _charge(observer, part, started), agent
-        reference = shown(observer.references[agent])
+        reference = observer.references[agent]
         if step.measures:
-            return _check_measurement(
-                cue.measure(planes, own, np.exp(question.prior_log), reference), _known(step, own)
-            )
-        return check_log_likelihood(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
+            weights = np.exp(question.prior_log)
+            measured = cue.measure(planes, given.copied(), weights, shown(reference))
+            return _check_measurement(measured, _known(step, given))
+        values, faults = score(cue, [planes], given, np.array([0, len(given)]), [reference])
+        return faults.get(0, values)
     except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
-        return _failure(error)
+        return fault_of(error)
     finally:
         _charge(observer, part, started)
 
@@ -187,13 +179,9 @@ def _collect(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any]
             return _check_measurement(answer, _known(step, own))
         return check_log_likelihood(real_numbers(answer), len(own))
     except FAULTS as error:
-        return _failure(error)
+        return fault_of(error)
     finally:
         _charge(observer, step.agent, started)
-
-
-def _failure(error: BaseException) -> str | Missing:
-    return Missing(str(error)) if isinstance(error, AgentUnavailable) else f"raised {said(error)}"
 
 
 def remember(step: Observe, answer: Answer, observer: Observer) -> None:
@@ -284,21 +272,3 @@ def _check_choices(
     if not all(0.0 <= weight <= 1.0 for weight in weights) or sum(weights) > 1.0 + 1e-9:
         return f"measured choices with probabilities that sum to {sum(weights):.6g}"
     return tuple(checked)
-
-
-def check_log_likelihood(log_likelihood: Floats | str, size: int) -> Floats | str:
-    """What a cue returned for (size,) hypotheses, or in words what is wrong with it."""
-    if isinstance(log_likelihood, str):
-        return f"returned a value of type {log_likelihood}, not {size} real numbers"
-    if log_likelihood.shape != (size,):
-        return f"returned an array of shape {log_likelihood.shape} for {size} hypotheses"
-    if size and log_likelihood.max() <= ROUNDING and log_likelihood.min() >= ZERO_BELOW:  # neither when NaN
-        return log_likelihood
-    wrong = np.isnan(log_likelihood) | (log_likelihood > ROUNDING)
-    if wrong.any():
-        what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
-        return f"returned {what} for {int(wrong.sum())} of {size} hypotheses"
-    log_likelihood[log_likelihood < ZERO_BELOW] = -np.inf
-    if not np.isfinite(log_likelihood).any():
-        return f"returned a likelihood of zero for all {size} hypotheses"
-    return log_likelihood

@@ -33,8 +33,8 @@ from bayesnet_track.observation.protocols import OBSERVED as OBSERVED
 from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
-from bayesnet_track.observation.protocols import CrowdCue as CrowdCue
 from bayesnet_track.observation.protocols import Cue as Cue
+from bayesnet_track.observation.protocols import GroupCue as GroupCue
 from bayesnet_track.observation.protocols import Hypotheses as Hypotheses
 from bayesnet_track.observation.protocols import LocallyAdaptable as LocallyAdaptable
 from bayesnet_track.observation.protocols import Measurement as Measurement

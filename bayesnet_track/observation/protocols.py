@@ -34,6 +34,16 @@ class Hypotheses:
     def __len__(self) -> int:
         return int(self.boxes.shape[0])
 
+    def copied(self) -> Hypotheses:
+        """The same in arrays of its own."""
+        return Hypotheses(self.boxes.copy(), {name: values.copy() for name, values in self.fields.items()})
+
+    def part(self, first: int, end: int) -> Hypotheses:
+        """Those from `first` to before `end`, in the same arrays."""
+        return Hypotheses(
+            self.boxes[first:end], {name: values[first:end] for name, values in self.fields.items()}
+        )
+
 
 ANGLE = "angle"
 """Name of the field that says how far the target is turned since its first frame, in degrees, clockwise."""
@@ -215,22 +225,18 @@ class LocallyAdaptable(Protocol):
         """
 
 
-@runtime_checkable
-class CrowdCue(Protocol):
-    """A cue that scores, and learns of, several targets in one call: with the bits of one call for each.
+class GroupCue(Protocol):
+    """The two methods of a cue that score, and learn of, T > 1 targets in one call; it may have either.
 
-    Planes come one for each target, or the same for all; boxes of all targets below each other, those of
-    target t from `starts[t]` to before `starts[t + 1]`.
+    They give the bits of a call for each target, which is what the engine makes for a cue without them, for
+    one target, and where they fail. Planes come one for each target, or the same for all; the hypotheses of
+    all targets below each other, those of target t from `starts[t]` to before `starts[t + 1]`.
     """
 
-    @property
-    def needs(self) -> tuple[Plane, ...]:
-        """As of a `Cue`."""
-
     def log_likelihood_of_each(
-        self, planes: Sequence[Planes], boxes: Floats, starts: Ints, references: Sequence[Reference]
+        self, planes: Sequence[Planes], hypotheses: Hypotheses, starts: Ints, references: Sequence[Reference]
     ) -> Floats:
-        """(N,) `log_likelihood` of the boxes (N, 4), each by the reference of its target."""
+        """(N,) `log_likelihood` of the hypotheses, each by the reference of its target."""
 
     def follow_each(
         self, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats

@@ -33,11 +33,10 @@ class ReferenceRows(Sequence[Reference]):
         if isinstance(references, ReferenceRows) or not references:
             return references
         first = references[0]
-        kinds = [(name, np.shape(values), np.asarray(values).dtype) for name, values in first.items()]
+        kinds = {name: _kind(values) for name, values in first.items()}
         for one in references:
-            if one.keys() != first.keys() or any(
-                np.shape(one[name]) != shape or np.asarray(one[name]).dtype != kind
-                for name, shape, kind in kinds
+            if one.keys() != kinds.keys() or any(
+                kind is None or _kind(one[name]) != kind for name, kind in kinds.items()
             ):
                 return references
         return ReferenceRows({name: np.array([one[name] for one in references]) for name in first})
@@ -84,6 +83,11 @@ class ReferenceRows(Sequence[Reference]):
         for name, array in after.items():
             array[rows] = others.columns[name]
         return ReferenceRows(after)
+
+
+def _kind(values: Any) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
+    """Shape and type of an array; None of anything else, which a row would change."""
+    return (values.shape, values.dtype) if type(values) is np.ndarray and values.dtype != object else None
 
 
 def column(references: Sequence[Reference], name: str, missing: float | None = None) -> NDArray[Any]:

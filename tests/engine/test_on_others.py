@@ -1,5 +1,6 @@
 """What agents say of boxes on another target: together, to the same bytes as one by one."""
 
+import numpy as np
 import pytest
 
 import bayesnet_track.engine.rows.on_others as on_others
@@ -21,6 +22,10 @@ def work_and_targets():
     return work, Together(filter_rows(work, state.targets), {}, [*alone]), Together([], alone, [*alone])
 
 
+def _fail(work, table, hypotheses, starts, rows):
+    return {"color": np.zeros(len(hypotheses))}, {row: {} for row in range(len(rows))}
+
+
 def test_they_are_asked_together_with_the_answers_of_each_alone(work_and_targets, monkeypatch):
     work, targets, alone = work_and_targets
     monkeypatch.setattr(on_others, "_ask", None)
@@ -28,7 +33,7 @@ def test_they_are_asked_together_with_the_answers_of_each_alone(work_and_targets
     assert {name: list(found) for name, found in together.items()} == NEIGHBOURS
     assert all(log < 0 for found in together.values() for log in found.values())
     monkeypatch.undo()
-    monkeypatch.setattr(on_others, "ask_together", lambda *asked: None)  # as where an agent fails
+    monkeypatch.setattr(on_others, "ask_together", _fail)
     assert on_others.logs_on(work, NEIGHBOURS, targets) == together
     monkeypatch.setattr(on_others, "_ask_together", None)
     assert on_others.logs_on(work, NEIGHBOURS, alone) == together

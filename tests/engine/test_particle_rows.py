@@ -71,55 +71,6 @@ def known(state):
     return state.memory, references, [array.tobytes() for array in arrays], state.time, state.plan.active
 
 
-def test_together_and_one_by_one_are_the_same_bytes(monkeypatch):
-    asked = []
-    own = ColorHistogram.log_likelihood_of_each
-    monkeypatch.setattr(
-        ColorHistogram, "log_likelihood_of_each", lambda self, *args: asked.append(0) or own(self, *args)
-    )
-    together = lines()
-    assert len(asked) == 8
-    monkeypatch.setattr(steps, "filter_rows", lambda work, before: [])
-    assert lines() == together
-
-
-@pytest.mark.parametrize("answer", ["raises", "positive", "short", "nothing"])
-def test_what_a_cue_says_of_all_and_cannot_be_used_is_asked_one_by_one(monkeypatch, answer):
-    def said(self, planes, boxes, starts, references):
-        if answer == "raises":
-            raise RuntimeError("of all")
-        shape = len(boxes) - (answer == "short")
-        return np.full(shape, {"positive": 1.0, "nothing": np.nan}.get(answer, 0.0))
-
-    expected = lines(3)
-    monkeypatch.setattr(ColorHistogram, "log_likelihood_of_each", said)
-    assert lines(3) == expected
-
-
-@pytest.mark.parametrize("answer", ["raises", "not finite"])
-def test_agents_of_all_that_cannot_learn_together_learn_one_by_one(monkeypatch, answer):
-    def followed(self, planes, boxes, references, rates):
-        if answer == "raises":
-            raise RuntimeError("of all")
-        return [{**one, "alpha": np.array(np.nan)} for one in references]
-
-    expected = lines(3)
-    monkeypatch.setattr(ColorHistogram, "follow_each", followed)
-    assert lines(3) == expected
-
-
-def test_agents_of_all_targets_learn_in_one_call(monkeypatch):
-    asked, own = [], ColorHistogram.follow_each
-    monkeypatch.setattr(
-        ColorHistogram, "follow_each", lambda self, *args: asked.append(len(args[1])) or own(self, *args)
-    )
-    together = lines(4)
-    assert asked and max(asked) > 1
-    monkeypatch.setattr(finishing, "finish_rows", lambda *_: None)
-    monkeypatch.setattr(learning, "plate_learns", lambda compiled: False)
-    assert lines(4) == together
-
-
 def test_finished_together_and_one_by_one_are_the_same_bytes(monkeypatch):
     """So is what the rules remember; a target that looks lost is finished by itself."""
     finished = []
@@ -261,7 +212,7 @@ def test_agents_learn_only_of_targets_with_a_rate():
     table = ParticleTable.of(engine.plates["thing"], state.targets)
     boxes = np.array([[*at, 16.0, 16.0] for at in PLACES])
     every, some, none = (
-        follow_rows(work, table, boxes, rates)
+        follow_rows(work, table, boxes, rates)[0]
         for rates in ([0.5, 0.5, 0.5, 0.5], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0])
     )
     for agent in ("color", "coarse"):
@@ -270,7 +221,7 @@ def test_agents_learn_only_of_targets_with_a_rate():
             same = every if row % 2 == 0 else none
             assert some[agent][row]["shares"].tobytes() == same[agent][row]["shares"].tobytes()
     listed = replace(table, references={agent: list(own) for agent, own in table.references.items()})
-    again = follow_rows(work, listed, boxes, [0.5, 0.0, 0.5, 0.0])
+    again, _ = follow_rows(work, listed, boxes, [0.5, 0.0, 0.5, 0.0])
     assert [one["shares"].tolist() for one in again["color"]] == [
         one["shares"].tolist() for one in some["color"]
     ]

@@ -15,7 +15,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.cues.intensity import IntensityCue
 from bayesnet_track.graph.spec import GraphSpec
 
-MOST = 8
+MOST = 9
 IMAGE = np.full((60, 80, 3), 120, np.uint8)
 
 BELIEFS = {
@@ -68,9 +68,9 @@ def stacks(monkeypatch):
 
 
 @pytest.mark.parametrize("name", BELIEFS)
-def test_at_most_eight_calls_lie_between_the_tracker_and_a_cue(name, stacks):
+def test_at_most_nine_calls_lie_between_the_tracker_and_a_cue(name, stacks):
     (*_, deepest) = sorted(stacks(BELIEFS[name]), key=len)
     print("\n".join(("Tracker.update", *deepest, "log_likelihood")))
     assert deepest[0] == "bayesnet_track.engine.step.step"
-    assert deepest[-1] == "bayesnet_track.inference.observe.observe"
+    assert deepest[-1] == "bayesnet_track.inference.asking.score"
     assert len(deepest) <= MOST

@@ -1,7 +1,6 @@
 """What the agents of joined targets say of boxes that lie on another target.
 
-Targets whose agents score hypotheses of several targets at once (`CrowdCue`) are asked together, to the same
-bytes.
+Targets of a group are asked together, to the same bytes.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def logs_on(
         names = [
             name for name in group.ids if name in neighbours and all(one in group for one in neighbours[name])
         ]
-        if len(names) > 1:  # arrays of one row take longer
+        if names:
             found |= _ask_together(work, group, {name: neighbours[name] for name in names})
     return {
         name: found[name] if name in found else _ask(work, of[name], others, [of[other] for other in others])
@@ -52,7 +51,7 @@ def logs_on(
 def _ask_together(
     work: FrameWork, group: FilteredRows, neighbours: Mapping[str, Sequence[str]]
 ) -> dict[str, dict[str, float]]:
-    """What `logs_on` gives of targets and neighbours of one group; nothing where an agent fails."""
+    """What `logs_on` gives of targets and neighbours of one group, without those where an agent fails."""
     from bayesnet_track.numerics.kernels.joint_kernels import put_on_others
 
     index, counts = group.before.index, [len(others) for others in neighbours.values()]
@@ -67,15 +66,14 @@ def _ask_together(
         _uniforms(work, neighbours),
         ON_SIZE,
     )
-    boxes = np.ascontiguousarray(places[:, :4])
-    messages = ask_together(work, group.before, boxes, firsts * ON_SIZE, rows)
-    if messages is None:
-        return {}
-    log = join_plain(group.plan, messages, (len(boxes),))[group.plan.root]
+    hypotheses = hypotheses_of(places, group.clouds.fields)
+    messages, failed = ask_together(work, group.before, hypotheses, firsts * ON_SIZE, rows)
+    log = join_plain(group.plan, messages, (len(places),))[group.plan.root]
     means = _means(log)
     return {
         name: dict(zip(others, means[first : first + len(others)], strict=True))
-        for (name, others), first in zip(neighbours.items(), firsts.tolist(), strict=False)
+        for t, ((name, others), first) in enumerate(zip(neighbours.items(), firsts.tolist(), strict=False))
+        if t not in failed
     }
 
 

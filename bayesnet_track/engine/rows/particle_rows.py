@@ -1,15 +1,14 @@
 """The first half of the frame of many targets held by particles, in a few calls on arrays.
 
 Targets fit whose plate has one belief, a fixed number of hypotheses drawn from the motion model, and whose
-active agents all score several targets at once (`CrowdCue`). All others go one by one, to the same bytes
-(`filtering.filter_target`), and so do all where an agent fails.
+active agents are at work here and score hypotheses. All others go one by one (`filtering.filter_target`), and
+so does a target where an agent fails.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from bayesnet_track.belief.motion.moved_rows import draws_twice, propagate_rows
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.clouds import Clouds
+from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
@@ -27,20 +27,25 @@ from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.rows.particle_table import ParticleStates, ParticleTable
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.state import TargetState, with_agents
+from bayesnet_track.inference.asking import Fault, score
+from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import join_plain
-from bayesnet_track.inference.observe import ROUNDING, ZERO_BELOW
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.observation.cue import CrowdCue
+from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.guests import FAULTS
 
 
 def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> list[FilteredRows]:
     """Those of the targets that fit, predicted and weighed by what their active agents see, by groups."""
-    groups = (_filter(work, table) for table in _tables(work, before))
-    return [group for group in groups if group is not None]
+    groups = []
+    for table in _tables(work, before):
+        group = _filter(work, table)
+        if len(group):
+            groups.append(group)
+    return groups
 
 
 def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[ParticleTable]:
@@ -49,7 +54,7 @@ def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[Particle
     tables: dict[Hashable, ParticleTable] = {}
     key: Hashable
     for table in () if known is None else known.tables:
-        if asks_together(work, table.compiled, [one.agent for one in table.plan.observations]):
+        if _asks_here(work, table.compiled, table.plan):
             shape = table.clouds.states.shape[1:]
             tables[table.compiled.plate.name, table.plan.active, table.time, shape] = table
     alike: dict[Hashable, dict[str, TargetState]] = {}
@@ -58,10 +63,9 @@ def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[Particle
         if not plate_fits(compiled) or live.most_particles is not None:
             continue
         own = with_agents(compiled, state, live.looking(work.frame.ordinal))
-        agents = [one.agent for one in own.plan.observations if one.agent in own.references]
-        if own.plan.factors or len(agents) < len(own.plan.observations):
+        if own.plan.factors or any(one.agent not in own.references for one in own.plan.observations):
             continue
-        if not asks_together(work, compiled, agents):
+        if not _asks_here(work, compiled, own.plan):
             continue
         key = (live.template, own.plan.active, own.time, particles(own.belief).states.shape)
         alike.setdefault(key, {})[target] = own
@@ -90,21 +94,22 @@ def plate_fits(compiled: CompiledPlate) -> bool:
     )
 
 
-@lru_cache(maxsize=256)
-def _scores_crowds(compiled: CompiledPlate, agent: str) -> bool:
-    cue = compiled.cues[agent]
-    return isinstance(cue, CrowdCue) and not is_elsewhere(cue)
+def _asks_here(work: FrameWork, compiled: CompiledPlate, plan: Plan) -> bool:
+    """Whether all agents of a plan, one at least, are at work here and score hypotheses."""
+    return (
+        not work.availability.known
+        and len(plan.observations) > 0
+        and not any(one.measures or is_elsewhere(compiled.cues[one.agent]) for one in plan.observations)
+    )
 
 
-def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows | None:
-    """The targets of a table, without those whose weights say nothing; None where an agent fails."""
+def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows:
+    """The targets of a table, without those whose weights say nothing, or where an agent fails."""
     started, compiled, plan = work.engine.clock(), table.compiled, table.plan
     moved = _move(work, table)
-    count, size = moved.shape[:2]
-    boxes = np.ascontiguousarray(moved[:, :, :4]).reshape(-1, 4)
-    answers = ask_together(work, table, boxes, np.arange(0, count * size + 1, size))
-    if answers is None:
-        return None
+    count, size, fields = moved.shape
+    hypotheses = hypotheses_of(moved.reshape(-1, fields), compiled.motion.fields)
+    answers, failed = ask_together(work, table, hypotheses, np.arange(0, count * size + 1, size))
     messages = {agent: answer.reshape(count, size) for agent, answer in answers.items()}
     total = join_plain(plan, messages, moved.shape[:2])[plan.root]
     log, log_evidence = weigh(LogWeights.uniform(size).log, total)
@@ -113,6 +118,10 @@ def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows | None:
     found = FilteredRows(work, table, clouds, messages, total, total, log_evidence, motion)
     work.charge("belief", started)
     is_usable = np.isfinite(log_evidence)
+    is_usable[list(failed)] = False
+    for row, faults in failed.items():
+        for agent, fault in faults.items():
+            work.note_fault(table.ids[row], "observing", agent, fault)
     return found if is_usable.all() else found.take(np.flatnonzero(is_usable).tolist())
 
 
@@ -133,34 +142,26 @@ def _move(work: FrameWork, table: ParticleTable) -> Floats:
     return moved
 
 
-def asks_together(work: FrameWork, compiled: CompiledPlate, agents: Sequence[str]) -> bool:
-    """Whether agents, one at least, score hypotheses of several targets of a plate at once."""
-    return (
-        not work.availability.known
-        and len(agents) > 0
-        and all(_scores_crowds(compiled, agent) for agent in agents)
-    )
-
-
 def ask_together(
-    work: FrameWork, table: ParticleTable, boxes: Floats, starts: Ints, rows: Ints | None = None
-) -> dict[str, Floats] | None:
-    """Agent -> (N,) its log-likelihoods; None where one fails, or says something that cannot be used.
+    work: FrameWork, table: ParticleTable, hypotheses: Hypotheses, starts: Ints, rows: Ints | None = None
+) -> tuple[dict[str, Floats], dict[int, dict[str, Fault]]]:
+    """Agent -> (N,) its log-likelihoods; target t -> agent -> its fault, where one fails.
 
-    Those of target t, of all or of some `rows`, are `starts[t]` to `starts[t + 1] - 1` of the boxes (N, 4).
+    Those of target t, of all or of some `rows`, are `starts[t]` to `starts[t + 1] - 1` of the hypotheses.
     """
     messages: dict[str, Floats] = {}
+    failed: dict[int, dict[str, Fault]] = {}
     for one in table.plan.observations:
-        cue: Any = table.compiled.cues[one.agent]
+        cue, references = table.compiled.cues[one.agent], table.remembered(one.agent, rows)
+        share = hasattr(cue, "log_likelihood_of_each")
         try:
-            planes = planes_of_each(work, cue.needs, boxes, starts)
-            started, references = work.engine.clock(), table.shown(one.agent, rows)
-            said = cue.log_likelihood_of_each(planes, boxes.copy(), starts, references)
-            said = np.asarray(said, dtype=np.float64).reshape(len(boxes))
-        except FAULTS:
-            return None
+            planes = planes_of_each(work, cue.needs, hypotheses.boxes, starts, share=share)
+        except FAULTS:  # of planes: whose is found out where each target is asked by itself
+            return {**messages, one.agent: np.zeros(len(hypotheses))}, {t: {} for t in range(len(references))}
+        started = work.engine.clock()
+        values, faults = score(cue, planes, hypotheses, starts, references)
         work.charge(one.agent, started)
-        if not (said.max() <= ROUNDING and said.min() >= ZERO_BELOW):
-            return None
-        messages[one.agent] = said if one.temperature == 1.0 else said / one.temperature
-    return messages
+        messages[one.agent] = values if one.temperature == 1.0 else values / one.temperature
+        for t, fault in faults.items():
+            failed.setdefault(t, {})[one.agent] = fault
+    return messages, failed

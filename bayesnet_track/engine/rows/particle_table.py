@@ -22,7 +22,6 @@ from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.reference_rows import ReferenceRows
-from bayesnet_track.observation.shared import shown
 
 _NOBODY = ParticleSet(np.zeros((1, 0)), (), LogWeights.uniform(1))
 """In the place of the belief of a target whose particles are a row."""
@@ -88,12 +87,14 @@ class ParticleTable:
             )
         return self._made[row]
 
-    def shown(self, agent: str, rows: Ints | None = None) -> Sequence[Reference]:
-        """What an agent remembers of each, or of some, as its cue is given it: it can change nothing."""
+    def remembered(self, agent: str, rows: Ints | None = None) -> Sequence[Reference]:
+        """What an agent remembers of each, or of some."""
         references = self.references[agent]
+        if rows is None:
+            return references
         if isinstance(references, ReferenceRows):
-            return references if rows is None else references.take(rows)
-        return [shown(references[row]) for row in (range(len(references)) if rows is None else rows.tolist())]
+            return references.take(rows)
+        return [references[row] for row in rows.tolist()]
 
     def columns(self) -> PlainMemories:
         """What the rules remember, of targets that all have a place for it in the columns."""
@@ -130,10 +131,7 @@ class ParticleTable:
             tuple(self.base[row] for row in rows),
             self.time,
             self.clouds.take(rows),
-            {
-                agent: of.take(chosen) if isinstance(of, ReferenceRows) else [of[row] for row in rows]
-                for agent, of in self.references.items()
-            },
+            {agent: self.remembered(agent, chosen) for agent in self.references},
             self.memories.take(held) if self.memories is not None and held else None,
             tuple(self.nets[row] for row in held),
         )

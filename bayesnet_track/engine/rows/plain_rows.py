@@ -1,8 +1,8 @@
 """The second half of the frame of many targets held by particles that do the usual, as arrays.
 
-They are of a flat net whose rules judge nothing but the status, nothing is decided about them, and their
-agents learn of several targets at once. What the next frame needs is found here; what describes a target is
-found when its line is asked for. All others go one by one, to the same bytes (`finishing.finish_targets`).
+They are of a flat net whose rules judge nothing but the status, and nothing is decided about them. What the
+next frame needs is found here; what describes a target is found when its line is asked for. All others go one
+by one, to the same bytes (`finishing.finish_targets`).
 """
 
 from __future__ import annotations
@@ -225,9 +225,10 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
             zip(measures.uds, areas, hidden, stays.tolist(), strict=True)
         )
     ]
-    references = follow_rows(work, table, boxes, rates)
+    references, failed = follow_rows(work, table, boxes, rates)
     work.charge("learn", started)
-    if references is None or not stays.any():
+    stays[list(failed)] = False
+    if not stays.any():
         return None
     after = table.then(work.frame.time, group.clouds, references, memories, work.net.targets)
     rows = after.index if stays.all() else {table.ids[row]: row for row in np.flatnonzero(stays).tolist()}

@@ -8,21 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.learning import follow_some
 from bayesnet_track.engine.rows.particle_table import ParticleTable
+from bayesnet_track.engine.rows.shared_planes import planes_of_each
+from bayesnet_track.inference.asking import follow
 from bayesnet_track.inference.learn import frames_between, largest_rate, over_frames
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import Reference
+from bayesnet_track.observation.cue import Reference, context_of
+from bayesnet_track.observation.guests import FAULTS
 from bayesnet_track.observation.reference_rows import ReferenceRows
 
 
 def follow_rows(
     work: FrameWork, table: ParticleTable, boxes: Floats, rates: Sequence[float]
-) -> Mapping[str, Sequence[Reference]] | None:
-    """Agent -> what it remembers of each target after learning in the boxes (T, 4); None where one fails.
+) -> tuple[Mapping[str, Sequence[Reference]], set[int]]:
+    """Agent -> what it remembers of each target after learning in the boxes (T, 4); the rows where one fails.
 
     `rates` are T shares of each agent's largest rate.
     """
+    failed: set[int] = set()
     after, plate = dict(table.references), table.compiled.plate
     rule = plate.inference(plate.root).learn
     every, ages = frames_between(rule, {}), [work.frame.since(one.started) for one in table.base]
@@ -37,12 +40,19 @@ def follow_rows(
         if not len(rows):
             continue
         whole = len(rows) == len(rates)
-        known = table.shown(agent, None if whole else rows)
-        found = follow_some(work, table.compiled.cues[agent], known, boxes[rows], own[rows])
-        if found is None:
-            return None
+        known, cue = table.remembered(agent, None if whole else rows), table.compiled.cues[agent]
+        share = hasattr(cue, "follow_each")
+        try:
+            starts = np.arange(len(rows) + 1)
+            planes = planes_of_each(work, cue.needs, boxes[rows], starts, context_of(cue), share)
+        except FAULTS:  # whose is found out where each target learns by itself
+            return after, set(range(len(rates)))
+        found, faults = follow(cue, planes, boxes[rows], known, own[rows])
+        for t, fault in faults.items():
+            failed.add(int(rows[t]))
+            work.note_fault(table.ids[rows[t]], "learning", agent, fault)
         after[agent] = found if whole else _replaced(table.references[agent], rows, found)
-    return after
+    return after, failed
 
 
 def _replaced(

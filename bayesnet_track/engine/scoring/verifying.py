@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.spec import Verifier
-from bayesnet_track.inference.learn import check_reference, follow, over_frames
-from bayesnet_track.inference.observe import check_log_likelihood
+from bayesnet_track.inference.asking import Fault, check_reference, follow, score
+from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.capabilities import make_cue
 from bayesnet_track.observation.cue import Cue, CueDeclaration, Hypotheses, Reference, context_of
-from bayesnet_track.observation.guests import FAULTS, real_numbers, said
+from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes
-from bayesnet_track.observation.shared import shown
 
 HELD = 0.1
 """Verifiers learn from frames with at least this score."""
@@ -53,12 +54,12 @@ class VerifierAtWork:
     def log_likelihood(self, cache: PlaneCache, box: Floats, reference: Reference) -> float | str:
         """Of the centre box (4,), or what was wrong."""
         try:
-            at = Hypotheses(box[None].copy())
-            given = real_numbers(self.cue.log_likelihood(self.planes(cache, box), at, shown(reference)))
+            planes = self.planes(cache, box)
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             return f"raised {said(error)}"
-        value = check_log_likelihood(given, 1)
-        return value if isinstance(value, str) else float(value[0])
+        at, starts = Hypotheses(box[None]), np.array([0, 1])
+        (value,), faults = score(self.cue, [planes], at, starts, [reference])
+        return _text_of(faults[0]) if faults else float(value)
 
     def follow(self, cache: PlaneCache, box: Floats, reference: Reference) -> Reference | str:
         """The reference moved toward what the centre box (4,) holds, or what was wrong."""
@@ -66,9 +67,15 @@ class VerifierAtWork:
             return reference
         try:
             planes = self.planes(cache, box)
-            return check_reference(follow(self.cue, shown(reference), self.learn_rate, planes, box.copy()))
-        except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+        except FAULTS as error:
             return f"raised {said(error)}"
+        rates = np.array([self.learn_rate])
+        (moved,), faults = follow(self.cue, [planes], box[None], [reference], rates)
+        return _text_of(faults[0]) if faults else moved
+
+
+def _text_of(fault: Fault) -> str:
+    return fault if isinstance(fault, str) else fault.reason
 
 
 def make_verifiers(

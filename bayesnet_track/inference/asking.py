@@ -1,0 +1,164 @@
+"""Ask a cue about a group of targets: each by its own reference, its fault its own.
+
+A cue is written for one target; `score` and `follow` lift it to T of them. Where it has a form for all at
+once (`GroupCue`) that is asked; if it fails, one target after the other, so that others keep their answers.
+"""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.inference.availability import Missing
+from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.observation.cue import Hypotheses, Reference
+from bayesnet_track.observation.guests import FAULTS, real_numbers, said, text_of
+from bayesnet_track.observation.planes import Planes
+from bayesnet_track.observation.reference_rows import ReferenceRows
+from bayesnet_track.observation.shared import seal, shown
+
+Fault = str | Missing
+"""What is wrong with an answer, or why there is none."""
+
+ROUNDING = 1e-6
+"""How far above 0, the value of a perfect match, a log-likelihood may end by rounding."""
+
+ZERO_BELOW = -1e100
+"""A log-likelihood below this is a likelihood of zero, so that sums of them stay finite."""
+
+
+def score(
+    cue: Any, planes: Sequence[Planes], hypotheses: Hypotheses, starts: Ints, references: Sequence[Reference]
+) -> tuple[Floats, dict[int, Fault]]:
+    """(N,) log-likelihoods of the hypotheses of T targets, and the faults of those targets that have none.
+
+    Those of target t are `starts[t]` to `starts[t + 1] - 1`. The cue is given copies that it may write into.
+    """
+    own = hypotheses.copied()
+    if len(references) > 1 and hasattr(cue, "log_likelihood_of_each"):
+        try:
+            values = real_numbers(cue.log_likelihood_of_each(planes, own, starts, _shown(references)))
+        except FAULTS:  # of whom is found out below
+            values = ""
+        if not isinstance(values, str) and values.shape == (len(own),) and _is_usual(values):
+            return values, {}
+        own = hypotheses.copied()
+    firsts, faults = starts.tolist(), dict[int, Fault]()
+    values = np.zeros(len(own))
+    for t, reference in enumerate(references):
+        its = own if len(references) == 1 else own.part(firsts[t], firsts[t + 1])
+        try:
+            answer = real_numbers(cue.log_likelihood(planes[t], its, shown(reference)))
+            checked: Floats | Fault = check_log_likelihood(answer, len(its))
+        except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
+            checked = fault_of(error)
+        if isinstance(checked, str | Missing):
+            faults[t] = checked
+        else:
+            values[firsts[t] : firsts[t + 1]] = checked
+    return values, faults
+
+
+def follow(
+    cue: Any, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats
+) -> tuple[Sequence[Reference], dict[int, Fault]]:
+    """T references, each blended at its rate with what is learnt in its centre box of (T, 4), and the faults.
+
+    A target with a fault keeps its reference. Without a change of shapes, `ReferenceRows` stay rows.
+    """
+    if len(references) > 1 and hasattr(cue, "follow_each"):
+        try:
+            moved = cue.follow_each(planes, boxes.copy(), _shown(references), rates)
+            if len(moved) == len(references) and _are_finite(moved):
+                return (moved if isinstance(moved, ReferenceRows) else [seal(one) for one in moved]), {}
+        except FAULTS:  # of whom is found out below
+            pass
+    after, faults = list(references), dict[int, Fault]()
+    for t, reference in enumerate(references):
+        try:
+            known, rate = shown(reference), float(rates[t])
+            checked = check_reference(_follow_one(cue, planes[t], boxes[t].copy(), known, rate))
+        except FAULTS as error:
+            faults[t] = fault_of(error, " while learning")
+            continue
+        if isinstance(checked, str):
+            faults[t] = checked
+        else:
+            after[t] = checked
+    return (ReferenceRows.of(after) if isinstance(references, ReferenceRows) else after), faults
+
+
+def _follow_one(cue: Any, planes: Planes, box: Floats, reference: Reference, rate: float) -> Reference:
+    """The reference blended with what the cue sees in the centre box (4,)."""
+    own = getattr(cue, "follow", None)
+    moved: Reference
+    if own is None:
+        moved = cue.blend(reference, cue.learn(planes, box), rate)
+    else:
+        moved = own(planes, box, reference, rate)
+    return moved
+
+
+def fault_of(error: BaseException, during: str = "") -> Fault:
+    """What an exception of a cue is called."""
+    if isinstance(error, AgentUnavailable):
+        return Missing(str(error))
+    return f"raised {type(error).__name__}{during}: {text_of(error)}" if during else f"raised {said(error)}"
+
+
+def _shown(references: Sequence[Reference]) -> Sequence[Reference]:
+    """References as a cue is given them: it can change nothing."""
+    return references if isinstance(references, ReferenceRows) else [shown(one) for one in references]
+
+
+def _is_usual(log_likelihood: Floats) -> bool:
+    """Whether nothing is NaN, above 0 or zero."""
+    if not len(log_likelihood):
+        return False
+    return bool(log_likelihood.max() <= ROUNDING and log_likelihood.min() >= ZERO_BELOW)  # neither when NaN
+
+
+def check_log_likelihood(log_likelihood: Floats | str, size: int) -> Floats | str:
+    """What a cue returned for (size,) hypotheses, or in words what is wrong with it."""
+    if isinstance(log_likelihood, str):
+        return f"returned a value of type {log_likelihood}, not {size} real numbers"
+    if log_likelihood.shape != (size,):
+        return f"returned an array of shape {log_likelihood.shape} for {size} hypotheses"
+    if _is_usual(log_likelihood):
+        return log_likelihood
+    wrong = np.isnan(log_likelihood) | (log_likelihood > ROUNDING)
+    if wrong.any():
+        what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
+        return f"returned {what} for {int(wrong.sum())} of {size} hypotheses"
+    log_likelihood[log_likelihood < ZERO_BELOW] = -np.inf
+    if not np.isfinite(log_likelihood).any():
+        return f"returned a likelihood of zero for all {size} hypotheses"
+    return log_likelihood
+
+
+def check_reference(reference: Mapping[str, Any]) -> Reference | str:
+    """What a cue learnt of one target, each array for reading only; or which of them is not finite."""
+    for name, values in reference.items():
+        array = np.asarray(values)
+        if array.dtype.kind in "fc" and not _is_finite(array):
+            return f"made a reference whose {name!r} is not finite"
+    return seal(reference)
+
+
+def _are_finite(references: Sequence[Reference]) -> bool:
+    every = [references.columns] if isinstance(references, ReferenceRows) else references
+    arrays = [np.asarray(values) for one in every for values in one.values()]
+    return all(_is_finite(array) for array in arrays if array.dtype.kind in "fc")
+
+
+def _is_finite(array: NDArray[Any]) -> bool:
+    if array.ndim == 0:
+        return cmath.isfinite(array.item())
+    # What is not finite leaves no sum of squares that is; but so do large numbers.
+    line = array.ravel()
+    return cmath.isfinite(np.vdot(line, line)) or np.count_nonzero(np.isfinite(array)) == array.size
