@@ -295,7 +295,6 @@ def test_an_installation_imports_nothing_from_the_working_directory(site, tmp_pa
             "9,9,20,20",
             "--out",
             "b",
-            "--isolate-decoder",
         ),
         ("batch", "two_squares", "--source", "images", "--init", "9,9,20,20", "--out", "c", "--jobs", "1"),
     ):

@@ -87,7 +87,6 @@ def track(
     workers: int | None = None,
     allow_plugins: Iterable[str] = (),
     cues: Iterable[GivenCue] = (),
-    isolate_decoder: bool = False,
     stride: int = 1,
     allow_network: bool = False,
     live: bool | None = None,
@@ -122,7 +121,6 @@ def track(
             where graphs name them.
         cues: cues of one's own that the graph may name: declarations, or paths of Python files with a
             ``CUE``, which are run; path and SHA-256 of files are recorded in `out`.
-        isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
         stride: track every `stride`-th frame of a `source` that is a text; see `open_source`.
         allow_network: let a `source` that is a text be a URL.
         live: of a URL, whether the newest frame is read, or every one; see `open_source`.
@@ -181,15 +179,13 @@ def track(
                 open_source(
                     str(source),
                     allow_network=allow_network,
-                    isolate_decoder=isolate_decoder,
                     stride=stride,
                     live=live,
                     value_range=value_range,
                 )
             )
-        elif isolate_decoder or stride != 1 or live is not None or value_range is not None:
+        elif stride != 1 or live is not None or value_range is not None:
             usual = {
-                "isolate_decoder": not isolate_decoder,
                 "stride": stride == 1,
                 "live": live is None,
                 "value_range": value_range is None,

@@ -31,19 +31,12 @@ def has_workers() -> bool:
     return hasattr(os, "fork") and hasattr(socket, "send_fds")
 
 
-def has_sandbox() -> bool:
-    """Whether a decoding process can be limited."""
-    return os.name == "posix" and find_spec("resource") is not None
-
-
 def lacking() -> Iterator[str]:
     """What is missing here, and what that means, one clause each."""
     if not has_workers():
         yield "no worker processes (--executor processes)"
-    if not has_sandbox():
-        yield "no sandbox (--isolate-decoder)"
-    elif sys.platform == "darwin":
-        yield "no limit on memory (--isolate-decoder limits time only, --agent-memory nothing)"
+    if sys.platform == "darwin":
+        yield "no limit on memory (--agent-memory limits nothing)"
     if find_spec("fcntl") is None and find_spec("msvcrt") is None:
         yield "no lock on files (two runs may write one folder)"
     if sys.platform == "win32":

@@ -202,7 +202,7 @@ class _Listener:
             return arrival
 
     def abandon(self) -> None:
-        """Read no further; what reads in a process of its own is ended at once."""
+        """Read no further; a wait between the pictures of a segment ends at once."""
         with self._news:
             self._is_abandoned = self._is_over = True
             self._news.notify_all()

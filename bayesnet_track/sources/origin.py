@@ -57,7 +57,6 @@ class Origin:
         depth: folder or glob of depth files.
         calibration: the pair's file.
         seed: of a scene.
-        isolate_decoder: whether it is decoded in a process of its own.
         stride: every how many-th frame is read.
         value_range: the values that become black and white; None for all that their type holds.
         absolute: a path as given -> the same from the root.
@@ -75,7 +74,6 @@ class Origin:
     depth: str | None = None
     calibration: str | None = None
     seed: int = 0
-    isolate_decoder: bool = False
     stride: int = 1
     value_range: tuple[float, float] | None = None
     absolute: Mapping[str, str] = field(default_factory=dict)

@@ -30,7 +30,6 @@ def reopen(origin: Origin) -> Source | SceneSource:
         source = open_source(
             at[origin.text],
             *window,
-            origin.isolate_decoder,
             origin.stride,
             value_range=origin.value_range,
         )
@@ -42,7 +41,6 @@ def reopen(origin: Origin) -> Source | SceneSource:
             depth=None if origin.depth is None else at[origin.depth],
             side_by_side=origin.kind == "side_by_side",
             calibration=None if origin.calibration is None else at[origin.calibration],
-            isolate_decoder=origin.isolate_decoder,
             stride=origin.stride,
             value_range=origin.value_range,
         )

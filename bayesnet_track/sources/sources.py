@@ -27,7 +27,6 @@ from bayesnet_track.sources.readers import Reader
 from bayesnet_track.sources.stride import strided
 
 if TYPE_CHECKING:
-    from bayesnet_track.sources.isolated import IsolatedReader
     from bayesnet_track.sources.video import VideoReader
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
@@ -42,7 +41,6 @@ def open_source(
     end: int | None = None,
     allow_network: bool = False,
     on_resize: OnResize = "stop",
-    isolate_decoder: bool = False,
     stride: int = 1,
     live: bool | None = None,
     value_range: ValueRange | None = None,
@@ -52,8 +50,6 @@ def open_source(
     `start` and `end` are frame indices, from 0, `end` exclusive. URLs are opened only with `allow_network`;
     every other protocol (`concat:`, `subfile,`, `file:`, `pipe:`, ...) is refused. `on_resize` says what a
     change of frame size does: "stop" ends the source, "rescale" brings the picture to the first one's size.
-    `isolate_decoder` decodes in a process of its own, held down by limits (`isolated.IsolatedReader`): the
-    same frames, and a decoder that crashes, hangs or takes too much memory ends the source, not the program.
     With `stride` K only every K-th frame is handed out, from `start` on; numbers and times stay the source's.
     Of a URL, `live` says whether the newest frame is to be read and a broken connection made again (True), or
     every frame up to the end (False). None finds out: RTSP, a multipart stream of images (MJPEG), a playlist
@@ -65,7 +61,7 @@ def open_source(
     """
     check_range(text, start, end)
     value_range = _checked_values(text, value_range)
-    reader = make_reader(text, allow_network, isolate_decoder, start or 0, live, value_range)
+    reader = make_reader(text, allow_network, live, value_range)
     reader = strided(text, reader, start, stride)
     shown = shown_address(text)
     origin = Origin(
@@ -76,7 +72,6 @@ def open_source(
         end,
         on_resize,
         allow_network,
-        isolate_decoder=isolate_decoder,
         stride=stride,
         value_range=value_range,
     )
@@ -105,20 +100,13 @@ def _checked_values(text: str, value_range: ValueRange | None) -> ValueRange | N
 def make_reader(
     text: str,
     allow_network: bool,
-    isolate: bool = False,
-    start: int = 0,
     live: bool | None = None,
     value_range: ValueRange | None = None,
 ) -> Reader:
-    """The reader of what `text` names, as `open_source` takes it; raises SourceError.
-
-    Pixels of pictures before `start` are not asked for.
-    """
+    """The reader of what `text` names, as `open_source` takes it; raises SourceError."""
     if not text or "\0" in text:
         raise SourceError(text, "it is empty or holds a NUL", KINDS, "name a source")
     if text.isascii() and text.isdigit():
-        if isolate:
-            raise SourceError(text, "a camera decodes no file", "isolation of files and URLs", "leave it out")
         if live is False:
             raise SourceError(text, "a camera has no end", "URLs that are read as files", "leave it out")
         from bayesnet_track.sources.camera import camera_reader
@@ -129,20 +117,20 @@ def make_reader(
     if scheme:
         _check_scheme(text, scheme.group(1).lower(), allow_network)
         live = True if live is None and scheme.group(1).lower() in LIVE_SCHEMES else live
-        return _of_network(text, isolate, start, live, value_range)
+        return _of_network(text, live, value_range)
     if live:
         raise SourceError(
             text, "a file is not live: every frame of it is read", "cameras and URLs", "leave it out"
         )
     try:
         if path.is_dir():
-            return _images(text, _in_folder(text, path), isolate, start, value_range)
+            return _images(text, _in_folder(text, path), value_range)
         if path.is_file():
             if not os.access(path, os.R_OK):
                 raise SourceError(text, "permission denied", KINDS, "make the file readable")
             if path.suffix.lower() in IMAGE_SUFFIXES and not is_animated_png(path):
-                return _images(text, [path], isolate, start, value_range)
-            return _video(text, False, isolate, start, value_range)
+                return _images(text, [path], value_range)
+            return _video(text, False, value_range)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
     except PermissionError as error:
@@ -150,14 +138,12 @@ def make_reader(
     except OSError as error:
         raise SourceError(text, f"{error.strerror}", KINDS, "check the name") from error
     if glob.has_magic(text):
-        return _images(text, _matching(text), isolate, start, value_range)
+        return _images(text, _matching(text), value_range)
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
 
 
-def _of_network(
-    text: str, isolate: bool, start: int, live: bool | None, value_range: ValueRange | None
-) -> Reader:
-    reader = _video(text, True, isolate, 0 if live else start, value_range)
+def _of_network(text: str, live: bool | None, value_range: ValueRange | None) -> Reader:
+    reader = _video(text, True, value_range)
     flow = reader.flow
     if live is False or (live is None and flow.endless is None):
         return reader
@@ -166,12 +152,9 @@ def _of_network(
             f"{shown_address(text)}: taken as live, since {flow.endless}: the newest frame is tracked, the "
             "others are dropped; --no-live (live=False) reads every frame"
         )
-    if start and not live:
-        reader.close()  # an isolated one leaves out what comes first
-        reader = _video(text, True, isolate, 0, value_range)
     from bayesnet_track.sources.stream import stream_reader
 
-    return stream_reader(lambda: _video(text, True, isolate, 0, value_range), reader)
+    return stream_reader(lambda: _video(text, True, value_range), reader)
 
 
 def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
@@ -191,9 +174,7 @@ def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
         )
 
 
-def _images(
-    text: str, paths: list[Path], isolate: bool, start: int, value_range: ValueRange | None
-) -> Reader:
+def _images(text: str, paths: list[Path], value_range: ValueRange | None) -> Reader:
     from bayesnet_track.sources.entrances.sequences import check_names, say_other_images, say_strays
     from bayesnet_track.sources.images import ImageReader
 
@@ -201,21 +182,10 @@ def _images(
     if Path(text).is_dir():
         say_other_images(text, paths[0].parent)
         say_strays(text, sorted(paths, key=natural_key))
-    reader = ImageReader(text, paths, value_range)
-    if not isolate:
-        return reader
-    from bayesnet_track.sources.isolated import IsolatedReader
-
-    return IsolatedReader(text, reader, start=start, value_range=value_range)
+    return ImageReader(text, paths, value_range)
 
 
-def _video(
-    text: str, network: bool, isolate: bool, start: int, value_range: ValueRange | None
-) -> IsolatedReader | VideoReader:
-    if isolate:
-        from bayesnet_track.sources.isolated import IsolatedReader
-
-        return IsolatedReader(text, network=network, start=start, value_range=value_range)
+def _video(text: str, network: bool, value_range: ValueRange | None) -> VideoReader:
     from bayesnet_track.sources.video import VideoReader
 
     return VideoReader(text, network, value_range)

@@ -50,7 +50,6 @@ def open_stereo_source(
     depth: str | None = None,
     side_by_side: bool = False,
     calibration: str | Path | None = None,
-    isolate_decoder: bool = False,
     stride: int = 1,
     live: bool | None = None,
     value_range: ValueRange | None = None,
@@ -63,8 +62,8 @@ def open_stereo_source(
         depth: instead of a right eye, depth images (16 bit, 0 for unknown) or ``.npy`` arrays, (H, W) depths
             or (H, W, 3) points in m, one per picture: a folder or a glob.
         calibration: OpenCV YAML file; only ``.npy`` points do without.
-        start, end, allow_network, on_resize, isolate_decoder, stride, live, value_range: as for
-            `open_source`; depth images are read in this process, and have no range.
+        start, end, allow_network, on_resize, stride, live, value_range: as for `open_source`; depth images
+            have no range.
 
     Raises:
         SourceError: nothing can be read, or the eyes do not belong together.
@@ -83,7 +82,7 @@ def open_stereo_source(
             "make one from chessboard pictures with `bayesnet-track calibrate`",
         )
     shown = shown_address(left)
-    first = make_reader(left, allow_network, isolate_decoder, start or 0, live, value_range)
+    first = make_reader(left, allow_network, live, value_range)
     try:
         if side_by_side and rectifier is not None:
             description, reader = f"{shown} (side by side)", Joined(left, first, partial(halves, rectifier))
@@ -95,7 +94,7 @@ def open_stereo_source(
         else:
             assert right is not None and rectifier is not None
             description = f"{shown} + {shown_address(right)}"
-            second = make_reader(right, allow_network, isolate_decoder, start or 0, live, value_range)
+            second = make_reader(right, allow_network, live, value_range)
             if (files := _files(second)) is not None:
                 _check_alike(first, files.paths, left, right)
             reader = Joined(left, first, partial(two_eyes, rectifier), second)
@@ -115,7 +114,6 @@ def open_stereo_source(
         right,
         depth,
         calibration=pair,
-        isolate_decoder=isolate_decoder,
         stride=stride,
         value_range=value_range,
     )
@@ -295,5 +293,4 @@ def _check_alike(first: Reader, paths: Sequence[Path], left: str, right: str) ->
 
 def _files(reader: Reader) -> ImageReader | None:
     """The image files of a reader; None when it reads a video, a camera or a file of several images."""
-    files = getattr(reader, "files", reader)
-    return files if isinstance(files, ImageReader) and files.stack is None else None
+    return reader if isinstance(reader, ImageReader) and reader.stack is None else None

@@ -70,11 +70,8 @@ class Stream:
             self._zero = now - time_s
 
     def cancel(self) -> None:
-        """Wake the thread that reads, where that can be done from another one."""
+        """Wake the thread that reads, where it waits for the time of a picture."""
         self._is_cancelled.set()
-        cancel = getattr(self._reader, "cancel", None)
-        if cancel is not None:
-            cancel()
 
     def close(self) -> None:
         """Let go of the connection."""

@@ -18,8 +18,6 @@ from bayesnet_track.cli.batch import places
 from bayesnet_track.cli.batch.jobs import Job, Video
 from bayesnet_track.observation.child import cut, end_with, python, tie
 from bayesnet_track.runtime.executors.fork_server import ForkServer
-from bayesnet_track.sources.isolated import IsolatedReader
-from bayesnet_track.sources.sandbox import Limits
 
 TOLD = "import json, sys; print(json.dumps(sys.path))"
 posix = pytest.mark.skipif(os.name != "posix", reason="nothing of the kind is known elsewhere")
@@ -40,13 +38,12 @@ def started_by(monkeypatch, start):
 
 
 @posix
-@pytest.mark.parametrize("kind", ["fork_server", "decoder", "batch"])
+@pytest.mark.parametrize("kind", ["fork_server", "batch"])
 def test_every_process_looks_in_no_folder_but_those_of_this_one(monkeypatch, tmp_path, kind):
     """The first lines of each process, run in a folder of decoys, say where it imports from."""
     job = Job("g", Video("v", "v"), 0, str(tmp_path))
     start = {
         "fork_server": lambda: ForkServer(0, 0, 1.0),
-        "decoder": lambda: IsolatedReader("missing.mp4", limits=Limits()),
         "batch": lambda: list(places.Processes(1).run([job])),
     }
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "of this run only")])

@@ -40,11 +40,11 @@ def damaged(data, seed):
     return found.tobytes()
 
 
-def outcome(path, isolate=False):
+def outcome(path):
     """[frames, end reason, all gaps told, reported]."""
     last, reported, gaps, before = None, 0, True, None
     try:
-        with open_source(str(path), isolate_decoder=isolate) as source:
+        with open_source(str(path)) as source:
             for item in source:
                 if isinstance(item, Frame):
                     if last is not None:

@@ -162,12 +162,11 @@ def test_a_redirection_leads_to_no_file_of_this_machine(videos, served, tmp_path
             open_source(f"{url}/redirect.mp4", allow_network=True)
 
 
-@pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("name", PLAYLISTS)
-def test_a_local_playlist_opens_nothing_at_all(videos, tmp_path, name, isolate):
+def test_a_local_playlist_opens_nothing_at_all(videos, tmp_path, name):
     (tmp_path / name).write_text(PLAYLISTS[name].format(videos["start.mp4"]))
     with pytest.raises(SourceError):
-        open_source(str(tmp_path / name), isolate_decoder=isolate)
+        open_source(str(tmp_path / name))
 
 
 def test_a_packed_model_does_not_unpack_to_any_size(here):

@@ -44,7 +44,7 @@ def of_group(group):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize("way", [["--isolate-decoder"], ["--executor", "processes"]])
+@pytest.mark.parametrize("way", [[], ["--executor", "processes"]])
 def test_signals_at_random_times(videos, graph, tmp_path, way):
     rng = np.random.default_rng([16, len(way)])
     stopped = 0

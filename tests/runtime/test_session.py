@@ -1,5 +1,6 @@
 """Tracking in one call: what may be given as graph, source and box, and that nothing is written too early."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -46,16 +47,6 @@ def test_a_result_shows_what_matters_and_draws_on_a_copy(video):
     assert (result.plot(other) != other).any() and not other.any()
     np.testing.assert_array_equal(result.plot(other[..., 0].astype(np.uint16)), result.plot(other))
     assert repr(result.detections()) == "<Detections: 1, tracker_id [1]>"
-
-
-def test_the_decoder_is_isolated_when_asked(video, tmp_path):
-    list(track("general", video, SQUARE, out=tmp_path / "run", isolate_decoder=True))
-    assert Recipe.read(tmp_path / "run").origin.isolate_decoder
-    list(track("general", video, SQUARE, out=tmp_path / "plain"))
-    for name in ("journal.jsonl", "frames.jsonl"):
-        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
-    with open_source(str(video)) as source, pytest.raises(ValueError, match="open already"):
-        next(track("general", source, SQUARE, isolate_decoder=True))
 
 
 def test_every_kind_of_graph_source_and_box(video, tmp_path):
@@ -157,6 +148,23 @@ def test_a_value_out_of_its_range_is_refused_at_the_call(video, tmp_path, name, 
     with pytest.raises(ValueError, match=message):
         track("general", video, SQUARE, out=tmp_path / "run", **{name: value})
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("name", "value"), [("stride", 2), ("live", True), ("value_range", (0, 9))])
+def test_what_says_how_a_source_is_opened_does_not_fit_an_open_one(video, name, value):
+    with open_source(str(video)) as source, pytest.raises(ValueError, match=f"{name} .* open already"):
+        next(track("general", source, SQUARE, **{name: value}))
+
+
+def test_a_run_that_was_decoded_in_a_process_of_its_own_is_read_again(video, tmp_path):
+    """As runs of earlier versions were, by an option that is gone."""
+    list(track("general", video, SQUARE, out=tmp_path / "run"))
+    path = tmp_path / "run" / "run.json"
+    plain = json.loads(path.read_text())
+    plain["origin"]["isolate_decoder"] = True
+    path.write_text(json.dumps(plain))
+    with Recipe.read(tmp_path / "run").open_source() as again:
+        assert next(iter(again)).index == 0
 
 
 def test_numbers_of_numpy_are_recorded(video, tmp_path):

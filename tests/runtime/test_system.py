@@ -43,11 +43,11 @@ def test_on_the_tested_system_nothing_is_said(on):
     )
 
 
-def test_windows_lacks_workers_sandbox_and_signals(on):
+def test_windows_lacks_workers_and_signals(on):
     on("win32", "Windows", "AMD64")
     said = system.describe_missing()
     assert said.startswith("Windows AMD64 is not tested (Linux x86_64 is); missing here: no worker processes")
-    for missing in ("--executor processes", "--isolate-decoder", "SIGTERM", "sync of folders"):
+    for missing in ("--executor processes", "SIGTERM", "sync of folders"):
         assert missing in said
     assert "two runs" not in said or sys.platform != "win32", "msvcrt locks there"
 

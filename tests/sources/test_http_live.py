@@ -49,8 +49,7 @@ def frames_from(count):
     return lambda items: len(of(Frame, items)) >= count
 
 
-@pytest.mark.parametrize("isolate", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_camera_that_breaks_once_is_one_line_and_goes_on(isolate):
+def test_a_camera_that_breaks_once_is_one_line_and_goes_on():
     with camera(multipart(JPEGS[:15], 0.02), multipart(JPEGS, 0.02)) as (address, moments):
         _, items = read(address, until=lambda items: len(moments) > 1 and isinstance(items[-1], Frame))
     assert not of(SourceDamaged, items)

@@ -79,15 +79,14 @@ def server():
     httpd.server_close()
 
 
-@pytest.mark.parametrize("isolate", [False, True])
-def test_a_stream_that_stalls_and_breaks_is_taken_up_again(server, tmp_path, isolate):
+def test_a_stream_that_stalls_and_breaks_is_taken_up_again(server, tmp_path):
     address, connections = server
     with pytest.raises(SourceError, match="allow_network=True"):
         open_source(address)
     assert connections == []
     scene = SceneSource.named("two_squares", 0, 3)  # what is compiled for the first frames is there then
     list(track("general", scene, scene.scene.start_box))
-    with open_source(address, allow_network=True, isolate_decoder=isolate, live=True) as source:
+    with open_source(address, allow_network=True, live=True) as source:
         assert source.is_live
         taken = []
         for result in track("general", source, (10, 30, 20, 20), out=tmp_path / "run"):
@@ -110,13 +109,3 @@ def test_a_stream_that_stalls_and_breaks_is_taken_up_again(server, tmp_path, iso
     # The belief is predicted over the true gap, in frame intervals.
     missing = max(event.missing for event in events if isinstance(event, FramesMissing))
     assert missing >= RATE * steps.max() - 1.5
-
-
-def test_what_decodes_a_stream_that_hangs_is_gone_with_the_source(server):
-    address, connections = server
-    with open_source(address, allow_network=True, isolate_decoder=True, live=True) as source:
-        feed = source._reader._listener._feed
-        process = feed._reader._process
-        while len(connections) < 2:  # until the stall is told
-            next(source)
-        assert process.wait(2.0) is not None

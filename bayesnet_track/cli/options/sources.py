@@ -97,9 +97,6 @@ def add_window_options(parser: argparse.ArgumentParser) -> None:
         help="read the newest frame of a URL and reconnect, or (--no-live) every frame up to its end "
         "(default: live where it seems to have no end)",
     )
-    parser.add_argument(
-        "--isolate-decoder", action="store_true", help="decode in a separate process with resource limits"
-    )
 
 
 def open_given(options: argparse.Namespace) -> Source:
@@ -111,7 +108,7 @@ def open_given(options: argparse.Namespace) -> Source:
     if options.calibration is not None:
         raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
     window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
-    return open_source(*window, options.isolate_decoder, options.stride, options.live, options.value_range)
+    return open_source(*window, options.stride, options.live, options.value_range)
 
 
 def open_depth(options: argparse.Namespace, end: int | None) -> Source:
@@ -128,7 +125,6 @@ def open_depth(options: argparse.Namespace, end: int | None) -> Source:
         depth=options.depth,
         side_by_side=options.stereo is not None,
         calibration=options.calibration,
-        isolate_decoder=options.isolate_decoder,
         stride=options.stride,
         live=options.live,
         value_range=options.value_range,

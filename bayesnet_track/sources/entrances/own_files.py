@@ -58,7 +58,6 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "cli.doctor.packages._home",
             "cli.doctor.packages.installed",
             "runtime.executors.memory.own_bytes",
-            "sources.sandbox.give_up_rights",
             "view.run_page._built",
         ),
         "the fingerprint of a source, which changes nothing but a comparison": ("sources.origin._samples",),

@@ -54,7 +54,7 @@ FRAMES = (
         "`--source 0`, `track`, `open_source`",
         ("sources.camera: camera_reader Camera.__init__",),
         "levels that are lost at 8 bits; frames that were dropped are in the journal",
-        "an index without a camera; a stride; isolation; repeating the run",
+        "an index without a camera; a stride; repeating the run",
         "`0` is a camera, `./0` a file",
     ),
     Entrance(

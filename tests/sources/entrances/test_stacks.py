@@ -57,7 +57,6 @@ def read(source, **settings):
     return [item for item in items if isinstance(item, Frame)], [i for i in items if not isinstance(i, Frame)]
 
 
-@pytest.mark.parametrize("isolate_decoder", [False, True])
 @pytest.mark.parametrize(
     ("name", "dtype", "shape"),
     [
@@ -70,8 +69,8 @@ def read(source, **settings):
         ("a.gif", np.uint8, (24, 32, 3)),
     ],
 )
-def test_every_image_of_a_file_is_a_frame(tmp_path, name, dtype, shape, isolate_decoder):
-    frames, events = read(write(tmp_path, name, dtype, shape), isolate_decoder=isolate_decoder)
+def test_every_image_of_a_file_is_a_frame(tmp_path, name, dtype, shape):
+    frames, events = read(write(tmp_path, name, dtype, shape))
     tolerance = 61 if name == "a.gif" else 0  # OpenCV gives it few colours
     assert [int(frame.image[12, 16, 0]) for frame in frames] == pytest.approx(SHADES, abs=tolerance)
     assert all(int(frame.image[0, 0, 0]) == 0 for frame in frames)
