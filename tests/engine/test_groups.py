@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -114,8 +115,11 @@ def frame(index):
     return Frame(index, float(index), np.roll(image, 2 * index, axis=1))
 
 
-def run(graph, names, frames=4, tell=None):
-    """Target -> what is known of it and was written of it, frame by frame, in bytes; and all events."""
+def run(graph, names, frames=4, tell=None, cap=None):
+    """Target -> what is known of it and was written of it, frame by frame, in bytes; and all events.
+
+    `cap`: target -> frame from which it may have 30 hypotheses only.
+    """
     engine, state = steps.make_engine(graph, 3), steps.State()
     for name in names:
         state = steps.start_target(
@@ -125,6 +129,9 @@ def run(graph, names, frames=4, tell=None):
     for index in range(1, frames):
         if tell is not None:
             tell(index)
+        for name in names:
+            if cap is not None and cap.get(name) == index:
+                state = capped(state, name)
         outcome = steps.step(engine, state, frame(index))
         state, lines = outcome.state, {one.target: to_json(one) for one in outcome.metrics}
         events += outcome.events
@@ -137,6 +144,12 @@ def run(graph, names, frames=4, tell=None):
             cloud = one.belief.states.tobytes(), one.belief.weights.log.tobytes()
             found[name].append((cloud, references, one.memory, lines[name]))
     return found, events
+
+
+def capped(state, name):
+    """The state after load was shed at a target."""
+    net = replace(state.net.targets[name], most_particles=30)
+    return replace(state, net=replace(state.net, targets={**state.net.targets, name: net}))
 
 
 @pytest.fixture(autouse=True)
@@ -156,6 +169,16 @@ def test_the_bytes_of_a_target_do_not_depend_on_who_else_is_in_its_group(cue, pl
         assert run(graph, [name])[0] == {name: together[name]}
     some, _ = run(graph, ["e", "c", "a"])
     assert some == {name: together[name] for name in some}
+
+
+def test_targets_with_fewer_hypotheses_for_want_of_time_are_groups_as_well(monkeypatch):
+    """Also of those that are reduced one after the other, and then are alike."""
+    graph, cap = graph_of({"color_histogram": {}}), {"a": 1, "c": 2, "d": 3}
+    together, _ = run(graph, PLACES, 6, cap=cap)
+    for name in ("c", "d", "e"):
+        assert run(graph, [name], 6, cap=cap)[0] == {name: together[name]}
+    monkeypatch.setattr(steps, "filter_target", None)
+    assert run(graph, PLACES, 6, cap=cap)[0] == together
 
 
 FAULTS = {

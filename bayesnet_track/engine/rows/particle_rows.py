@@ -26,6 +26,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.rows.particle_table import ParticleStates, ParticleTable
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
+from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.asking import Fault, score
 from bayesnet_track.inference.compile import Plan
@@ -52,22 +53,30 @@ def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[Particle
     """The targets that fit, those together that are alike: those that are columns already come first."""
     known = before.unchanged(work.net.targets) if isinstance(before, ParticleStates) else None
     tables: dict[Hashable, ParticleTable] = {}
+    others = dict(before if known is None else known.others)
     key: Hashable
     for table in () if known is None else known.tables:
-        if _asks_here(work, table.compiled, table.plan):
-            shape = table.clouds.states.shape[1:]
-            tables[table.compiled.plate.name, table.plan.active, table.time, shape] = table
+        if not _asks_here(work, table.compiled, table.plan):
+            continue
+        most = work.net.targets[table.ids[0]].most_particles
+        shape = table.clouds.states.shape[1:]
+        key = (table.compiled.plate.name, table.plan.active, table.time, shape, most)
+        if key in tables:  # they had another number of hypotheses so far
+            others |= {target: table.state(row) for row, target in enumerate(table.ids)}
+        else:
+            tables[key] = table
     alike: dict[Hashable, dict[str, TargetState]] = {}
-    for target, state in (before if known is None else known.others).items():
+    for target, state in others.items():
         live, compiled = work.net.targets[target], work.plate_of(target)
-        if not plate_fits(compiled) or live.most_particles is not None:
+        if not plate_fits(compiled):
             continue
         own = with_agents(compiled, state, live.looking(work.frame.ordinal))
         if own.plan.factors or any(one.agent not in own.references for one in own.plan.observations):
             continue
         if not _asks_here(work, compiled, own.plan):
             continue
-        key = (live.template, own.plan.active, own.time, particles(own.belief).states.shape)
+        shape = particles(own.belief).states.shape
+        key = (live.template, own.plan.active, own.time, shape, live.most_particles)
         alike.setdefault(key, {})[target] = own
     for key, group in alike.items():
         others = ParticleTable.of(work.plate_of(next(iter(group))), group)
@@ -130,7 +139,8 @@ def _move(work: FrameWork, table: ParticleTable) -> Floats:
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
     compiled, frame, root = table.compiled, work.frame, table.compiled.plate.root
-    belief, motion, streams = compiled.belief, compiled.motion, work.engine.streams
+    belief = within(compiled.belief, work.net.targets[table.ids[0]].most_particles)
+    motion, streams = compiled.motion, work.engine.streams
     assert isinstance(belief, ParticleFilter) and isinstance(motion, KinematicMotion)
     shifts = streams.uniforms(table.ids, root, frame.index, "resample")
     parents = look_up_even_of_each(table.clouds.weights, shifts, start_size(belief.settings))
