@@ -25,6 +25,7 @@ class Candidate:
         step: (2,) its centre's last displacement per look, px.
         looks: for each of the last looks, its score there, or None when it was not seen.
         first_frame: frame in which it was first detected.
+        birth: what its draws are keyed by once it is a target: its first detection.
         mean: (D,) of its belief, where the plate has `existence` or tentative tracks.
         covariance: (D, D) of its belief.
         existence: probability that it exists.
@@ -35,6 +36,7 @@ class Candidate:
     step: Floats
     looks: tuple[float | None, ...]
     first_frame: int
+    birth: str
     mean: Floats | None = None
     covariance: Floats | None = None
     existence: float | None = None
@@ -53,14 +55,20 @@ class Candidate:
 
 
 def feed(
-    candidates: Sequence[Candidate], boxes: Floats, scores: Floats, frame: int, rule: Birth
+    candidates: Sequence[Candidate],
+    boxes: Floats,
+    scores: Floats,
+    births: Sequence[str],
+    frame: int,
+    rule: Birth,
 ) -> tuple[Candidate, ...]:
     """The candidates after a look that found the boxes (N, 4), the best first, which are no live target's.
 
     A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
     too often to be confirmed by the looks it has left is dropped. No more than twice `rule.max_targets` (and
     8) are
-    kept: those seen most often, then those with the best scores.
+    kept: those seen most often, then those with the best scores. `births` are what the draws of each box are
+    keyed by if it is the first of a target.
     """
     confirm = rule.confirm
     expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
@@ -76,8 +84,8 @@ def feed(
             after = changed(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
         if not _is_hopeless(after, confirm):
             kept.append(after)
-    for new in np.flatnonzero(owner == NOBODY):
-        kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame))
+    for new in np.flatnonzero(owner == NOBODY).tolist():
+        kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame, births[new]))
     return keep_best(kept, rule)
 
 

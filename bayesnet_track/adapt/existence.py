@@ -55,6 +55,8 @@ class Prospects:
         covariance: (K, D, D).
         existence: (K,) probability that it exists.
         first: (K,) frame in which it was first detected.
+        born: (K,) time of that frame, frame intervals.
+        number: (K,) number of that detection in its frame.
         seen: (K,) looks in which it was more probably detected than not.
         looks: (K,) looks since.
         score: (K,) sum of the scores of its detections.
@@ -64,6 +66,8 @@ class Prospects:
     covariance: Floats
     existence: Floats
     first: Ints
+    born: Floats
+    number: Ints
     seen: Ints
     looks: Ints
     score: Floats
@@ -86,7 +90,9 @@ class Prospects:
     def none(cls, width: int) -> Prospects:
         """None, of a state of so many fields."""
         none, whole = np.empty(0), np.empty(0, np.int64)
-        return cls(np.empty((0, width)), np.empty((0, width, width)), none, whole, whole, whole, none)
+        return cls(
+            np.empty((0, width)), np.empty((0, width, width)), none, whole, none, whole, whole, whole, none
+        )
 
 
 @dataclass(frozen=True, eq=False)

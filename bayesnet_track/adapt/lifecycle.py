@@ -25,6 +25,7 @@ class AppearanceMemory:
         covariance: (D, D) of its belief then.
         time: that time, frame intervals.
         references: agent -> what it remembers.
+        birth: what its draws were keyed by.
     """
 
     target: str
@@ -33,6 +34,7 @@ class AppearanceMemory:
     covariance: Floats
     time: float
     references: Mapping[str, Reference]
+    birth: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,7 @@ class TrackHistory:
         refused: plate -> births refused so far.
         cut: detector -> frames in which it found more than `max_count`.
         last_id: largest number that was given to a target.
+        births: live target -> what its draws are keyed by (`numerics.streams.birth_key`).
         populations: plate with `existence` -> what its detections have told about all of them.
     """
 
@@ -82,6 +85,7 @@ class TrackHistory:
     refused: Mapping[str, int] = field(default_factory=dict)
     cut: Mapping[str, int] = field(default_factory=dict)
     last_id: int = 0
+    births: Mapping[str, str] = field(default_factory=dict)
     populations: Mapping[str, Population] = field(default_factory=dict)
 
 

@@ -14,6 +14,7 @@ from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.streams import moment_of
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,19 @@ class Forecast(Boxed):
 
 
 def forecast(
-    engine: Engine, state: TargetState, last: FrameMetrics, frames: int, size: tuple[int, int]
+    engine: Engine,
+    state: TargetState,
+    birth: str,
+    last: FrameMetrics,
+    frames: int,
+    size: tuple[int, int],
 ) -> list[Forecast]:
     """The belief of one target 1 to `frames` frames ahead.
 
     Args:
         engine: of the run.
         state: what is known of the target after the last frame.
+        birth: what its draws are keyed by.
         last: what was measured of it there.
         frames: how far to look.
         size: width and height of the image.
@@ -56,7 +63,7 @@ def forecast(
     motion = confined(_motion_of(compiled, state), *size)
     belief, found = state.belief, []
     for ahead in range(1, frames + 1):
-        stream = engine.streams.of(last.target, compiled.plate.root, last.frame + ahead, "forecast")
+        stream = engine.streams.of(birth, compiled.plate.root, moment_of(state.time + ahead), "forecast")
         belief = compiled.belief.predict(belief, motion, 1.0, stream)
         found.append(_described(compiled, belief, last, ahead))
     return found

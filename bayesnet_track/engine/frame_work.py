@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -12,6 +12,7 @@ from bayesnet_track.engine.external_inputs import ByHand
 from bayesnet_track.inference.asking import Fault
 from bayesnet_track.inference.availability import Availability, TargetAvailability
 from bayesnet_track.journal.net.net import Net
+from bayesnet_track.numerics.streams import moment_of
 from bayesnet_track.observation.planes import Frame, PlaneCache
 
 
@@ -23,6 +24,7 @@ class FrameWork:
         engine: the graph ready to run, made once for all frames.
         net: the live nets that the frame begins with.
         cache: the frame, the one before it, and their planes.
+        births: target -> what its draws are keyed by (`numerics.streams.birth_key`).
         availability: agents that give no answer.
         by_hand: target -> what a person switched.
         faults: (target, what its agents were asked for in a group) -> agent -> what was wrong; a target that
@@ -33,6 +35,7 @@ class FrameWork:
     engine: Engine
     net: Net
     cache: PlaneCache
+    births: Mapping[str, str] = field(default_factory=dict)
     availability: Availability = field(default_factory=Availability)
     by_hand: Mapping[str, tuple[ByHand, ...]] = field(default_factory=dict)
     faults: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
@@ -49,7 +52,20 @@ class FrameWork:
 
     def stream(self, target: str, node: str) -> Stream:
         """The random streams of a target's node in this frame, by purpose."""
-        return partial(self.engine.streams.of, target, node, self.frame.index)
+        return self.stream_of(self.births[target], node)
+
+    def stream_of(self, birth: str, node: str) -> Stream:
+        """The same of what is born so, live or not."""
+        return partial(self.engine.streams.of, birth, node, self.moment)
+
+    @property
+    def moment(self) -> int:
+        """What the frame's draws are keyed by."""
+        return moment_of(self.frame.time)
+
+    def births_of(self, targets: Iterable[str]) -> list[str]:
+        """What the draws of targets are keyed by."""
+        return [self.births[target] for target in targets]
 
     def availability_of(self, target: str, during: str) -> TargetAvailability:
         """Which of the target's agents give no answer when asked for one thing."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import (
     CarriedHypotheses,
@@ -151,7 +151,11 @@ def _marginals(
         name: _member(of, name, levels[name], on[name], _states_of(of[name]) if relates else {})
         for name in neighbours
     }
-    keys = partial(work.engine.streams.keys, frame=work.frame.index, purpose="partners")
+
+    def keys(pairs: Sequence[Pair]) -> NDArray[np.uint64]:
+        births = [(work.births[speaker], work.births[hearer]) for speaker, hearer in pairs]
+        return work.engine.streams.keys(births, work.moment, "partners")
+
     return joint_marginals(members, tree.edges, keys, tree.closing)
 
 

@@ -48,6 +48,7 @@ def start(
     target: str,
     template: str,
     box: Floats,
+    birth: str,
     known: Mapping[str, Reference] = MappingProxyType({}),
 ) -> Born:
     """A net for the target inside the centre box (4,) of the frame: references learnt, belief placed.
@@ -55,7 +56,7 @@ def start(
     The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
     that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run;
     one that gives no answer for a reason outside of it is out for a while, and learns it then.
-    `known` are references that agents have already and need not learn.
+    `known` are references that agents have already and need not learn. Its draws are keyed by `birth`.
     """
     compiled, frame = work.engine.plates[template], work.frame
     active = tuple(agent for agent in compiled.plate.agents if compiled.plate.agent(agent).active)
@@ -81,7 +82,7 @@ def start(
     ]
     working = tuple(agent for agent in active if agent not in faults and agent not in availability.missed)
     born = TargetState(
-        belief=_start_belief(work, compiled, target, box),
+        belief=_start_belief(work, compiled, birth, box),
         references=references,
         memory=Memory(),
         plan=compile_plan(compiled.plate, working, compiled.cues),
@@ -136,7 +137,7 @@ def restart(work: FrameWork, target: str, template: str, box: Floats, before: Ta
     learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in compiled.looks])
     return replace(
         before,
-        belief=_start_belief(work, compiled, target, box),
+        belief=_start_belief(work, compiled, work.births[target], box),
         references={**before.references, **learnt},
         memory=replace(
             before.memory,
@@ -166,8 +167,8 @@ def _first_lesson(
     return Lesson(compiled.cues, cache, Hypotheses(box[None]), own, work.availability, target)
 
 
-def _start_belief(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:
+def _start_belief(work: FrameWork, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
     motion = confined(compiled.motion, work.frame.width, work.frame.height)
-    belief: Posterior = compiled.belief.start(box, motion, work.stream(target, compiled.plate.root))
+    belief: Posterior = compiled.belief.start(box, motion, work.stream_of(birth, compiled.plate.root))
     return belief

@@ -161,7 +161,7 @@ def start_targets(
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     given = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, None))
-    work = FrameWork(engine, State().net, cache, given.availability, given.by_hand)
+    work = FrameWork(engine, State().net, cache, {}, given.availability, given.by_hand)
     boxes = {
         str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))
         for number, start in enumerate(starts, 1)

@@ -39,6 +39,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.streams import birth_key
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [
@@ -67,7 +68,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     state, cuts = find_cuts(engine, state, frame)
     given = route_inputs(engine, state.net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, state.previous))
-    work = FrameWork(engine, state.net, cache, given.availability, given.by_hand)
+    work = FrameWork(engine, state.net, cache, state.history.births, given.availability, given.by_hand)
 
     rows = find_rows(work, state)
     if rows is not None:
@@ -116,27 +117,31 @@ def start_target(
     """Start a net for the target inside the centre box (4,) of `frame`; see `engine.starting.start`."""
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame, previous)))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame, previous)), state.history.births)
     return start_all(work, state, {target: (template, box)})
 
 
 def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Floats]]) -> Outcome:
     """Start nets: target -> its plate and the centre box (4,) that it fills in the frame."""
-    net, targets = state.net, dict(state.targets)
+    net, targets, births = state.net, dict(state.targets), dict(state.history.births)
     metrics: list[FrameMetrics] = []
     events: list[Event] = []
     for target, (template, box) in starts.items():
-        born = start(work, target, template, box)
+        births[target] = birth_key(work.frame.time, template, f"-{target}")
+        born = start(work, target, template, box, births[target])
         net, targets[target] = apply_decisions(net, born.decisions), born.state
         metrics.append(born.metrics)
         events += born.decisions
-    after = changed(state, net=net, targets=targets, previous=work.frame)
+    history = changed(state.history, births=births)
+    after = changed(state, net=net, targets=targets, previous=work.frame, history=history)
     return Outcome(after, tuple(metrics), tuple(events))
 
 
 def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
     """The first frame's outcome: what the detectors find in it besides the targets that started there."""
-    return finish_first(FrameWork(engine, started.state.net, PlaneCache(FramePair(frame, None))), started)
+    state = started.state
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame, None)), state.history.births)
+    return finish_first(work, started)
 
 
 def finish_first(work: FrameWork, started: Outcome) -> Outcome:

@@ -130,7 +130,7 @@ def _summarise_rows(
     surprises = [kl(step.support.weights.log, step.prior.log) for step in steps]
     regions = np.concatenate([_regions(states[:, :, axis], weights) for axis in (0, 1)], axis=2).tolist()
     root = work.plate_of(targets[0]).plate.root
-    shifts = work.engine.streams.uniforms(targets, root, work.frame.index, "cloud")
+    shifts = work.engine.streams.uniforms(work.births_of(targets), root, work.moment, "cloud")
     chosen = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
     clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
     return {

@@ -172,7 +172,8 @@ class _Curves:
     def add(self, engine: Engine, state: State, frame: Frame, true: Floats, side: float) -> None:
         """One frame more, weighed once again."""
         cache = PlaneCache(FramePair(frame, state.previous))
-        filtered = filter_target(FrameWork(engine, state.net, cache), "1", state.targets["1"])
+        work = FrameWork(engine, state.net, cache, state.history.births)
+        filtered = filter_target(work, "1", state.targets["1"])
         evidence, prior = filtered.step.evidence, filtered.step.prior.log
         away = (filtered.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)
         near = np.exp(-0.5 * (away**2).sum(axis=1)) / (2.0 * np.pi * TEMPERATURE_SLACK**2)

@@ -96,7 +96,8 @@ def residuals_of(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats, se
         true = centre_from_corner(box)
         if overlap(np.array(line.centre_box)[None], true[None])[0] <= 0.5:
             continue
-        work = FrameWork(engine, before.net, PlaneCache(FramePair(frame, before.previous)))
+        cache = PlaneCache(FramePair(frame, before.previous))
+        work = FrameWork(engine, before.net, cache, before.history.births)
         offsets = lattice()
         boxes = np.tile(true, (len(offsets), 1))
         boxes[:, :2] += offsets * true[2:]

@@ -70,6 +70,7 @@ class Result:
         kinds: target id -> name of its plate, for all in `targets`.
         states: target id -> what is known of it after the frame, its belief included; in these pixels, too.
         heard: target id -> what its agents said in the frame.
+        births: target id -> what its draws are keyed by (`numerics.streams.birth_key`).
         plates: names of all plates of the graph, in its order; empty where unknown.
     """
 
@@ -83,6 +84,7 @@ class Result:
     kinds: dict[str, str] = field(default_factory=dict)
     states: Mapping[str, TargetState] = field(default_factory=dict)
     heard: Mapping[str, Heard] = field(default_factory=dict)
+    births: Mapping[str, str] = field(default_factory=dict)
     plates: tuple[str, ...] = ()
 
     def detections(self, lost: bool = False) -> Detections:

@@ -237,6 +237,7 @@ def _result(
         {line.target: nets[line.target].template for line in outcome.metrics if line.target in nets},
         outcome.state.targets,
         outcome.heard,
+        outcome.state.history.births,
         plates,
     )
 

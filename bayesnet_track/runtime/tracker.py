@@ -261,12 +261,12 @@ class Tracker(Boxed, Storable):
         now = self._started
         if frames < 1:
             raise ValueError(f"predict({frames}): at least 1 frame ahead is needed")
-        size, states = now.resizing.tracked, now.state.targets
+        size, states, births = now.resizing.tracked, now.state.targets, now.state.history.births
         return tuple(
             now.resizing.estimate(one)
             for line in now.metrics
             if line.target in states
-            for one in forecast(self._engine, states[line.target], line, frames, size)
+            for one in forecast(self._engine, states[line.target], births[line.target], line, frames, size)
         )
 
     def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:

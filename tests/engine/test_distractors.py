@@ -244,7 +244,7 @@ def test_a_look_alike_limits_the_score_for_as_long_as_the_rule_says(fakes):
 @pytest.mark.parametrize(
     ("rule", "see"),
     [
-        ({"beyond_box": 1.0}, {}),
+        ({"beyond_box": 1.5}, {}),
         ({"within_nats": 0.5}, {"less": 3.0}),
         ({"fit": 0.5}, {"low": -2.0}),
         ({"frames": 5}, {}),

@@ -269,19 +269,20 @@ def test_a_prospect_begins_with_the_share_of_new_targets_among_free_detections()
     compiled = steps.make_engine(own, 0, detectors={"detections": FileDetector({})}).plates["target"]
     rule = CrowdRule.of(compiled)
     boxes = np.array([[100.0, 100, 30, 60], [300, 200, 30, 60]])
-    prospects = first_population(rule, Found(boxes, np.ones(2)), 7).prospects
+    seventh = Frame(7, 7.0, np.zeros((480, 640, 3), np.uint8))
+    prospects = first_population(rule, Found(boxes, np.ones(2), np.arange(2)), seventh).prospects
     np.testing.assert_allclose(prospects.existence, 0.1 / (0.1 + 0.3))
     np.testing.assert_array_equal(prospects.mean[:, :4], boxes)
-    assert prospects.first.tolist() == [7, 7] and confirmed(rule, prospects) == {}
+    assert prospects.first.tolist() == [7, 7] and confirmed(rule, prospects, "target") == {}
 
 
 def test_a_target_starts_and_is_remembered_with_the_belief_that_it_has(graph):
     done = outcomes(graph, {k: seen_at([100, 100, 30, 60]) for k in range(8)}, 8)[-1]
     ((target, state),) = done.state.targets.items()
     mean, spread = state.belief.mean + 3.0, 2.0 * state.belief.covariance
-    waiting = Candidate(mean[:4], np.zeros(2), (1.0,), 5)
+    waiting = Candidate(mean[:4], np.zeros(2), (1.0,), 5, "birth")
     assert with_belief(state, waiting, ()) is state  # it has no belief
-    born = with_belief(state, Candidate(mean[:4], np.zeros(2), (1.0,), 5, mean, spread, 0.93), ())
+    born = with_belief(state, Candidate(mean[:4], np.zeros(2), (1.0,), 5, "birth", mean, spread, 0.93), ())
     assert born.existence == 0.93
     np.testing.assert_array_equal(born.belief.mean, mean)
     np.testing.assert_array_equal(born.belief.covariance, spread)

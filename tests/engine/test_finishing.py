@@ -17,7 +17,8 @@ NODES = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a"
 
 
 def work_of(engine, state, frame, **settings):
-    return FrameWork(engine, state.net, PlaneCache(FramePair(frame, state.previous)), **settings)
+    cache = PlaneCache(FramePair(frame, state.previous))
+    return FrameWork(engine, state.net, cache, state.history.births, **settings)
 
 
 def test_both_halves_are_the_step_of_a_target_that_is_alone(fakes):

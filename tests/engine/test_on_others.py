@@ -17,7 +17,7 @@ NEIGHBOURS = {"1": ["2", "3"], "2": ["1"], "3": ["1"]}
 @pytest.fixture
 def work_and_targets():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)), state.history.births)
     alone = {target: filter_target(work, target, one) for target, one in state.targets.items()}
     return work, Together(filter_rows(work, state.targets), {}, [*alone]), Together([], alone, [*alone])
 

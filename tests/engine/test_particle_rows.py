@@ -120,7 +120,7 @@ def test_what_learns_early_in_every_second_frame_learns_the_same_together(monkey
 
 def test_only_targets_that_fit_go_together():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
     (group,) = filter_rows(work, state.targets)
     assert list(group) == ["0", "1", "2", "3"]
     work.availability.known["0", "color", "observing"] = "late"
@@ -133,7 +133,7 @@ def test_only_targets_that_fit_go_together():
 @pytest.mark.parametrize("side", [8.0, 200.0])
 def test_planes_hold_the_boxes_of_each_target(side):
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)), state.history.births)
     boxes = np.array([[[*at, side, side], [at[0] + 3, at[1], side, side]] for at in PLACES])
     needs = engine.plates["thing"].cues["color"].needs
     starts = np.arange(0, 2 * len(boxes) + 1, 2)
@@ -185,7 +185,8 @@ def test_targets_are_rows_until_something_is_decided_about_them():
 def test_rows_of_which_something_may_be_decided_are_finished_one_by_one(change):
     engine, state = started()
     nets = {**state.net.targets, "2": replace(state.net.targets["2"], **change)}
-    work = FrameWork(engine, replace(state.net, targets=nets), PlaneCache(FramePair(frame(1), frame(0))))
+    cache = PlaneCache(FramePair(frame(1), frame(0)))
+    work = FrameWork(engine, replace(state.net, targets=nets), cache, state.history.births)
     groups = filter_rows(work, state.targets)
     (group,) = [one for one in groups if len(one) > 1]
     found = plain_rows.finish_rows(work, group, plain_rows.Described(work, {}, {}))
@@ -194,7 +195,7 @@ def test_rows_of_which_something_may_be_decided_are_finished_one_by_one(change):
 
 def test_a_group_and_some_of_it_hold_the_same_of_each():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
     (group,) = filter_rows(work, state.targets)
     group.find_maps()
     some = group.take([1, 3])
@@ -208,7 +209,7 @@ def test_a_group_and_some_of_it_hold_the_same_of_each():
 
 def test_agents_learn_only_of_targets_with_a_rate():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
     table = ParticleTable.of(engine.plates["thing"], state.targets)
     boxes = np.array([[*at, 16.0, 16.0] for at in PLACES])
     every, some, none = (

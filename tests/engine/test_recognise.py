@@ -18,7 +18,7 @@ from bayesnet_track.engine.lifecycle.recognise import (
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.graph.spec import Motion
 
-NOWHERE = AppearanceMemory("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {})
+NOWHERE = AppearanceMemory("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {}, "birth")
 
 
 def test_the_cheapest_pairs_come_first_one_to_one():
@@ -77,7 +77,9 @@ def test_place_is_a_density_over_the_frame():
     motion = make_motion(Motion(random_walk={"sd_px": {"x": 2, "y": 3}}))
     x, y = (g.ravel() for g in np.meshgrid(np.arange(0.5, 200), np.arange(0.5, 160)))
     boxes = np.column_stack([x, y, np.full_like(x, 8.0), np.full_like(x, 8.0)])
-    known = AppearanceMemory("1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {})
+    known = AppearanceMemory(
+        "1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {}, "birth"
+    )
     fading, place, distance = weigh_place(known, motion, boxes, 20.0, 200.0 * 160, Reidentify(frames=50))
     assert fading == pytest.approx(-0.2)
     assert np.mean(np.exp(place)) == pytest.approx(1.0, abs=1e-6)
@@ -98,7 +100,7 @@ def test_looks_are_compared_with_what_is_elsewhere():
 
 def compared(name, odds):
     log = np.log(odds)
-    one = AppearanceMemory(name, "t", NOWHERE.mean, NOWHERE.covariance, 0.0, {})
+    one = AppearanceMemory(name, "t", NOWHERE.mean, NOWHERE.covariance, 0.0, {}, "birth")
     return Compared(one, 1.0, np.zeros(len(log)), 0.0, log, np.zeros(len(log)), ())
 
 

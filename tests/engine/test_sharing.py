@@ -91,7 +91,7 @@ def test_only_tracks_seen_again_are_filtered_anew():
 
 def test_a_tentative_track_is_filtered_and_given_up():
     moments = np.array([100.0, 50, 20, 40, 0, 0, 0, 0]), 10 * np.eye(8)
-    one = start_tentative(RULE, moments[0][:4], 0.8, 5, moments)
+    one = start_tentative(RULE, moments[0][:4], 0.8, (5, "birth"), moments)
     own = np.array([[102.0, 50, 20, 40, 0.6]])
     expected = predict(one.mean[None], one.covariance[None])
     after = Tracks(*expected, one.observed[None])

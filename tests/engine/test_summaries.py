@@ -48,7 +48,7 @@ def filtered(motion, agents, fuse="product"):
     state = State()
     for number, at in enumerate([(20.0, 20.0), (60.0, 40.0), (118.0, 90.0)]):
         state = start_target(engine, state, first, str(number), "thing", np.array([*at, 16.0, 16.0])).state
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(second, first)))
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(second, first)), state.history.births)
     return work, {target: filter_target(work, target, state.targets[target]) for target in state.targets}
 
 

@@ -37,7 +37,7 @@ def test_what_if_tells_where_it_parts(run, higher, capsys, tmp_path):
     code, out, _ = run_command(capsys, "compare", run, higher, "--html", page)
     assert code == 0
     assert "targets.square.nodes.square.adapt.activate.above.ud_px2: 130 → 400" in out
-    assert "they first diverge at frame 25, motion\n  A  frame 25: UD 187 px² > 130" in out
+    assert "they first diverge at frame 25, motion\n  A  frame 25: UD 144 px² > 130" in out
     assert "AUC" in out and "reconfigurations" in out
     assert "They first diverge at frame 25, motion" in page.read_text(encoding="utf-8")
 

@@ -76,7 +76,7 @@ def test_an_unfinished_one_of_another_checkpoint_format_is_refused_and_keeps_eve
         standing(run)
     assert main(["resume", str(run)]) == 4
     said = capsys.readouterr().err
-    assert "format 1 of checkpoints; this version reads format 3" in said
+    assert "format 1 of checkpoints; this version reads format 4" in said
     assert f"bayesnet-track=={writer}" in said and "--overwrite" in said
     assert content(run) == before
 

@@ -274,13 +274,13 @@ def test_bytes_that_say_something_else_make_nothing(stored, tmp_path, change):
 def test_another_version_is_refused_with_both_named(stored, tmp_path, monkeypatch):
     data = stored.read_bytes()
     here = data.split(b"\n")[0].decode().split("tracker ", 1)[1]
-    (tmp_path / "old").write_bytes(data.replace(b"format 1.", b"format 0.", 1))
-    old = here.replace("format 1", "format 0")
+    (tmp_path / "old").write_bytes(data.replace(b"format 2.", b"format 1.", 1))
+    old = here.replace("format 2", "format 1")
     with pytest.raises(StoredError, match=rf"stored in {old}, and this is {here}:"):
         DetectionsTracker.load(tmp_path / "old")
     pickled = pickle.dumps(DetectionsTracker("sort"))
-    monkeypatch.setattr(storing, "FORMAT", 2)
-    with pytest.raises(StoredError, match=r"stored in format 1\..* and this is format 2\."):
+    monkeypatch.setattr(storing, "FORMAT", 3)
+    with pytest.raises(StoredError, match=r"stored in format 2\..* and this is format 3\."):
         pickle.loads(pickled)
 
 

@@ -54,7 +54,7 @@ class Sharing:
         """Whose each detection is, the targets with what they were given, and the tentative tracks left."""
         compiled, names = self.work.engine.plates[self.plate], tuple(targets)
         rule = next(iter(compiled.association_rules.values()))
-        seen = Found(np.empty((0, 4)), np.empty(0)) if self.found is None else self.found
+        seen = Found.none() if self.found is None else self.found
         waiting = tentative_tracks(compiled, self.history)
         if not (waiting or rule.remembers):
             owner = self._owners(rule, targets, NO_TRACKS, seen)

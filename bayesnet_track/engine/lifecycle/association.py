@@ -117,7 +117,7 @@ def _divide(
     before = np.array([1.0 if one is None else one for one in existence])
     all_of = Crowd(mean, covariance, before, names, log_looks)
     done = divide(rule, work.cache.frames, all_of, population, found)
-    seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
+    seen = Found.none() if found is None else found
     whose: list[str | None] = [None] * len(seen.boxes)
     given = {}
     for row, target in enumerate(names):

@@ -26,6 +26,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.reidentification import Reacquired
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.streams import birth_key
 
 
 def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
@@ -70,11 +71,11 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
         held = tracks.boxes(tracks.held(plate))
         near = alike(found.boxes, held, now.birth.min_distance_box, now.birth.covered)
         free = found.only(np.logical_not(np.any(near, axis=1)))
-        population = first_population(rule, free, now.frame.index)
+        population = first_population(rule, free, now.frame)
     else:
         tracks.mark_seen([target for target in owners if target is not None])
         population = tracks.history.populations[plate]
-    ready = confirmed(rule, population.prospects)
+    ready = confirmed(rule, population.prospects, plate)
     if ready:
         done = start_confirmed(now, list(ready.values()), found)
         left = np.ones(len(population.prospects), dtype=bool)
@@ -86,13 +87,14 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
 def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:
     """The candidates of a plate after the look, in which nobody was given these detections."""
     before, frame = now.tracks.history.candidates.get(now.plate, ()), now.frame.index
+    births = [birth_key(now.frame.time, now.plate, number) for number in found.numbers.tolist()]
     if not now.birth.tentative:
-        return feed(before, found.boxes, found.scores, frame, now.birth)
+        return feed(before, found.boxes, found.scores, births, frame, now.birth)
     compiled = now.work.engine.plates[now.plate]
     rule = next(iter(compiled.association_rules.values()))
     new = [
-        start_tentative(rule, box, float(score), frame, compiled.motion.start_moments(box))
-        for box, score in zip(found.boxes, found.scores, strict=True)
+        start_tentative(rule, box, float(score), (frame, birth), compiled.motion.start_moments(box))
+        for box, score, birth in zip(found.boxes, found.scores, births, strict=True)
     ]
     return keep_best([*before, *new], now.birth)
 

@@ -23,6 +23,7 @@ from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.births import BirthsRefused, CandidateConfirmed
 from bayesnet_track.journal.events.reidentification import Returned
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import OBSERVED
 from bayesnet_track.observation.planes import Frame
 
@@ -81,7 +82,7 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:
         old = next(one for one in tracks.history.dead if one.target == target)
         looks = now.work.engine.plates[now.plate].looks
         known = {agent: one for agent, one in old.references.items() if agent in looks}
-        born = start(now.work, target, now.plate, box, known)
+        born = start(now.work, target, now.plate, box, candidate.birth, known)
         first = born.decisions[0]
         active = getattr(first, "active", ())
         back = Returned(frame.index, target, now.plate, box_of(box), active, nearest.recognition)
@@ -107,8 +108,9 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:
                 confirm=None if now.rule.existence is None else now.rule.existence.confirm,
             )
         )
-        born = start(now.work, target, now.plate, box)
+        born = start(now.work, target, now.plate, box, candidate.birth)
         tracks.decide(*born.decisions)
+    tracks.history = changed(tracks.history, births={**tracks.history.births, target: candidate.birth})
     state = with_belief(born.state, candidate, now.work.engine.plates[now.plate].association_rules)
     tracks.add(target, state, start_record(state, frame.index, frame), born.metrics)
 

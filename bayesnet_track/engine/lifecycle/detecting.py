@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.births import MOST_DETECTIONS, DetectionsCut, DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.detector import (
     Detections,
@@ -35,14 +36,21 @@ class Found:
     Attributes:
         boxes: (N, 4) centre boxes.
         scores: (N,) 0..1.
+        numbers: (N,) their numbers in the look.
     """
 
     boxes: Floats
     scores: Floats
+    numbers: Ints
+
+    @classmethod
+    def none(cls) -> Self:
+        """Nothing."""
+        return cls(np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
 
     def only(self, which: NDArray[np.bool_]) -> Found:
         """Those that are True in (N,)."""
-        return Found(self.boxes[which], self.scores[which])
+        return Found(self.boxes[which], self.scores[which], self.numbers[which])
 
 
 def look(
@@ -131,9 +139,9 @@ def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
     rules = engine.plates[plate].lifecycle
     labels = () if rules is None or rules.birth is None else rules.birth.labels
     if not labels:
-        return Found(found.boxes, found.scores)
+        return Found(found.boxes, found.scores, np.arange(len(found)))
     keep = np.array([label in labels for label in found.labels], dtype=bool)
-    return Found(found.boxes[keep], found.scores[keep])
+    return Found(found.boxes[keep], found.scores[keep], np.flatnonzero(keep))
 
 
 def _word(engine: Engine, plate: str) -> str:

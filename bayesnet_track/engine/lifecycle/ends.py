@@ -95,10 +95,14 @@ def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> Non
     overlaps = {pair: streak for pair, streak in before.items() if live >= {*pair}}
     if len(overlaps) < len(before):
         tracks.history = changed(tracks.history, overlaps=overlaps)
+    births = tracks.history.births
+    if len(births) > len(live):
+        kept_births = {target: birth for target, birth in births.items() if target in live}
+        tracks.history = changed(tracks.history, births=kept_births)
 
 
 def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
     """What a live target would be remembered by."""
-    record = tracks.record(target)
+    record, birth = tracks.record(target), tracks.history.births[target]
     references = tracks.state(target).references
-    return AppearanceMemory(target, plate, record.mean, record.covariance, record.time, references)
+    return AppearanceMemory(target, plate, record.mean, record.covariance, record.time, references, birth)

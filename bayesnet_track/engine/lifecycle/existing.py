@@ -116,7 +116,7 @@ def divide(
     shared = _share(rule, all_of, detection_of(most, cover, hidden), population, found.boxes, area)
     pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.boxes))
     prospects = advance_prospects(rule, prospects, pairs, shared, found)
-    prospects = prospects.extend(begin_prospects(rule, population, found, shared.free, frame.index))
+    prospects = prospects.extend(begin_prospects(rule, population, found, shared.free, frame))
     population = _learn(rule, population, shared, crowd.names, (cover, hidden))
     return _of_targets(
         pairs, shared, count, changed(population, prospects=prune(rule, population, prospects))

@@ -19,7 +19,9 @@ from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.streams import birth_key
 from bayesnet_track.observation.cue import AssociationRule
+from bayesnet_track.observation.planes import Frame
 
 HOPELESS = 0.02
 """A prospect is dropped when it exists with less than this share of a new one's probability."""
@@ -61,7 +63,7 @@ class CrowdRule:
         return cls(association, life.existence, is_marginal, compiled.motion, most)
 
 
-def first_population(rule: CrowdRule, found: Found, frame: int) -> Population:
+def first_population(rule: CrowdRule, found: Found, frame: Frame) -> Population:
     """That of a first frame, in which free detections were `found`."""
     population = Population(Prospects.none(len(rule.motion.fields))).with_sizes(found.boxes)
     free = np.ones(len(found.boxes))
@@ -69,14 +71,14 @@ def first_population(rule: CrowdRule, found: Found, frame: int) -> Population:
     return changed(population, prospects=begin_prospects(rule, population, found, free, frame))
 
 
-def confirmed(rule: CrowdRule, prospects: Prospects) -> dict[int, Candidate]:
-    """The prospects that exist probably enough, by their rows, the most probable first."""
+def confirmed(rule: CrowdRule, prospects: Prospects, plate: str) -> dict[int, Candidate]:
+    """The prospects of a plate that exist probably enough, by their rows, the most probable first."""
     ready = np.flatnonzero(prospects.existence >= rule.existence.confirm)
     ready = ready[np.argsort(-prospects.existence[ready], kind="stable")]
-    return {row: _candidate(prospects, row) for row in ready.tolist()}
+    return {row: _candidate(prospects, row, plate) for row in ready.tolist()}
 
 
-def _candidate(prospects: Prospects, row: int) -> Candidate:
+def _candidate(prospects: Prospects, row: int, plate: str) -> Candidate:
     seen, looks = max(int(prospects.seen[row]), 1), max(int(prospects.looks[row]), 1)
     mean = prospects.mean[row]
     scores = (float(prospects.score[row]) / seen,) * seen
@@ -85,6 +87,7 @@ def _candidate(prospects: Prospects, row: int) -> Candidate:
         np.zeros(2),
         ((None,) * max(looks - seen, 0) + scores),
         int(prospects.first[row]),
+        birth_key(float(prospects.born[row]), plate, int(prospects.number[row])),
         mean,
         prospects.covariance[row],
         float(prospects.existence[row]),
@@ -143,6 +146,8 @@ def advance_prospects(
         covariance,
         shared.existence[first:],
         prospects.first,
+        prospects.born,
+        prospects.number,
         prospects.seen + is_seen,
         prospects.looks + 1,
         prospects.score + np.where(is_seen, scores, 0.0),
@@ -150,7 +155,7 @@ def advance_prospects(
 
 
 def begin_prospects(
-    rule: CrowdRule, population: Population, found: Found, free: Floats, frame: int
+    rule: CrowdRule, population: Population, found: Found, free: Floats, frame: Frame
 ) -> Prospects:
     """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
     new = np.flatnonzero(free >= LEAST_FREE)
@@ -165,7 +170,9 @@ def begin_prospects(
         mean,
         covariance,
         free[new] * population.new_share(rule.existence),
-        frame * ones,
+        frame.index * ones,
+        np.full(count, frame.time),
+        found.numbers[new],
         ones,
         ones,
         found.scores[new].astype(np.float64),

@@ -35,7 +35,7 @@ def compare(
         agents = tuple(agent for agent in agents if agent not in compiled.color_agents)
     appearance = np.zeros(len(boxes))
     if agents:
-        stream = work.stream(known.target, compiled.plate.root)
+        stream = work.stream_of(known.birth, compiled.plate.root)
         random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
         observer = Observer(
             work.cache,

@@ -120,12 +120,12 @@ def re_update(
 
 
 def start_tentative(
-    rule: AssociationRule, box: Floats, score: float, frame: int, moments: tuple[Floats, Floats]
+    rule: AssociationRule, box: Floats, score: float, first: tuple[int, str], moments: tuple[Floats, Floats]
 ) -> Candidate:
-    """A tentative track that starts with a detection, its belief of these moments."""
+    """A tentative track that starts with a detection: its frame and birth, its first moments."""
     mean, covariance = moments
     observed = first_observed(rule, box[None], len(mean))[0]
-    return Candidate(box.copy(), np.zeros(2), (score,), frame, mean, covariance, observed=observed)
+    return Candidate(box.copy(), np.zeros(2), (score,), *first, mean, covariance, observed=observed)
 
 
 def update_tentative(

@@ -121,7 +121,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
             previous=frame,
             history=changed(state.history, records=RowRecords(table)),
         ),
-        RowMetrics(table, measured, work.engine.streams, frame, before.is_lost),
+        RowMetrics(table, measured, work, before.is_lost),
         tuple(decisions),
         WhenAsked(rows.ids, lambda target: covariance[rows.index[target]]),
         work.seconds,
@@ -141,7 +141,7 @@ def assign_rows(
     from bayesnet_track.numerics.kernels.row_kernels import update_rows
 
     rule, started, live = rows.rule, work.engine.clock(), slice(len(rows.ids))
-    seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
+    seen = Found.none() if found is None else found
     now, predict = rows.columns, predictor(work, rows)
     before = Tracks(now.mean, now.covariance, now.observed).and_tentative(waiting)
     expected = Tracks(predicted.mean, predicted.covariance, before.observed)
@@ -184,7 +184,7 @@ def divide_rows(
     )
     done = divide(rule.crowd, work.cache.frames, crowd, population, found)
     started = work.charge("life", started)
-    seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
+    seen = Found.none() if found is None else found
     boxes = np.ascontiguousarray(seen.boxes[done.columns])
     numbers = measure_and_mix_rows(
         mean,

@@ -86,7 +86,7 @@ def _means(log: Floats) -> list[float]:
 def _uniforms(work: FrameWork, neighbours: Mapping[str, Sequence[str]]) -> Floats:
     """The random numbers of all: of each target its own shift, a shift for each other, two for each box."""
     counts = [1 + len(others) * (1 + 2 * ON_SIZE) for others in neighbours.values()]
-    return work.engine.streams.uniforms(neighbours, "on", work.frame.index, "places", counts)
+    return work.engine.streams.uniforms(work.births_of(neighbours), "on", work.moment, "places", counts)
 
 
 def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Floats:

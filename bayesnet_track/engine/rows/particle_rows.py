@@ -142,11 +142,12 @@ def _move(work: FrameWork, table: ParticleTable) -> Floats:
     belief = within(compiled.belief, work.net.targets[table.ids[0]].most_particles)
     motion, streams = compiled.motion, work.engine.streams
     assert isinstance(belief, ParticleFilter) and isinstance(motion, KinematicMotion)
-    shifts = streams.uniforms(table.ids, root, frame.index, "resample")
+    births, moment = work.births_of(table.ids), work.moment
+    shifts = streams.uniforms(births, root, moment, "resample")
     parents = look_up_even_of_each(table.clouds.weights, shifts, start_size(belief.settings))
-    own: Iterable[np.random.Generator] = streams.of_each(table.ids, root, frame.index, "propagate")
+    own: Iterable[np.random.Generator] = streams.of_each(births, root, moment, "propagate")
     if draws_twice(motion):
-        own = [streams.of(target, root, frame.index, "propagate") for target in table.ids]
+        own = [streams.of(birth, root, moment, "propagate") for birth in births]
     moved = propagate_rows(motion, table.clouds.states, frame.time - table.time, own, parents)
     confined(motion, frame.width, frame.height).confine(moved.reshape(-1, moved.shape[2]))
     return moved

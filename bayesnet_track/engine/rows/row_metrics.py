@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from statistics import NormalDist
 from typing import Any, overload
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.gaussian.belief import draw_boxes
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.encoder import Written, written
@@ -20,8 +21,6 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import p_after
 from bayesnet_track.numerics.gaussian import roots
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
-from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.observation.planes import Frame
 
 LEAST = np.array([0.0, 0.0, 1.0, 1.0])
 """Least centre and sides of an estimate, px (`engine.state.inside_frame`)."""
@@ -61,8 +60,7 @@ class RowMetrics(Sequence[FrameMetrics]):
     Args:
         rows: the targets after the frame.
         measured: what was measured.
-        streams: all randomness: clouds are drawn when the lines are made.
-        frame: the frame.
+        work: the frame's.
         was_lost: (T,) whether the status was lost before it.
         born: the lines of targets that start in the frame.
     """
@@ -71,13 +69,15 @@ class RowMetrics(Sequence[FrameMetrics]):
         self,
         rows: Rows,
         measured: RowMeasures,
-        streams: Streams,
-        frame: Frame,
+        work: FrameWork,
         was_lost: NDArray[np.bool_],
         born: tuple[FrameMetrics, ...] = (),
     ) -> None:
         self.rows, self.measured, self.born = rows, measured, born
-        self._streams, self._was_lost = streams, was_lost
+        frame, self._was_lost = work.frame, was_lost
+        births = work.births_of(rows.ids)
+        # Clouds are drawn when the lines are made: what is kept until then must not hold the frame.
+        self._draws = partial(work.engine.streams.of_each, births, rows.rule.root, work.moment, "cloud")
         self._index, self._time_s = frame.index, frame.time_s
         high = np.array([frame.width - 1.0, frame.height - 1.0, 2.0 * frame.width, 2.0 * frame.height])
         self.boxes: Floats = np.minimum(np.maximum(rows.columns.mean[:, :4], LEAST), high)
@@ -175,10 +175,9 @@ class RowMetrics(Sequence[FrameMetrics]):
 
     def _clouds(self) -> list[Written]:
         """Hypotheses drawn from the belief of each row."""
-        now, root = self.rows.columns, self.rows.rule.root
+        now = self.rows.columns
         clouds = np.empty((len(self.rows.ids), CLOUD_SIZE, 4))
-        streams = self._streams.of_each(self.rows.ids, root, self._index, "cloud")
-        for row, (lower, rng) in enumerate(zip(roots(now.covariance[:, :4, :4]), streams, strict=True)):
+        for row, (lower, rng) in enumerate(zip(roots(now.covariance[:, :4, :4]), self._draws(), strict=True)):
             clouds[row] = draw_boxes(now.mean[row], lower, CLOUD_SIZE, rng)
         return written(np.rint(clouds).astype(np.int64))
 

@@ -24,7 +24,7 @@ from bayesnet_track.runtime.recording.record import Written
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import RunPosition
 
-CHECKPOINT_FORMAT = 3
+CHECKPOINT_FORMAT = 4
 """Raised when older programs cannot read what is written; each program reads its own format only."""
 MAGIC = b"bayesnet_track checkpoint "
 

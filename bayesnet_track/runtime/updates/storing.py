@@ -31,7 +31,7 @@ from bayesnet_track.runtime.updates.frame_clock import FrameClock
 from bayesnet_track.runtime.updates.looking import image_users
 from bayesnet_track.runtime.updates.standing import Standing
 
-FORMAT = 1
+FORMAT = 2
 """Raised when older programs cannot read what is written; each program reads its own format only."""
 
 MAGIC = b"bayesnet_track tracker"
