@@ -33,7 +33,7 @@ def as_label_studio(document: Document) -> bytes:
             "value": {
                 "framesCount": video.frames,
                 "duration": tidy(video.frames * video.frame_interval_s, 6),
-                "sequence": [*key_frames(own, video)],
+                "sequence": [*_key_frames(own, video)],
                 "labels": [label_of(target)],
             },
         }
@@ -43,7 +43,7 @@ def as_label_studio(document: Document) -> bytes:
     return (json.dumps([task], allow_nan=False) + "\n").encode()
 
 
-def key_frames(own: Mapping[int, Mark], video: Video) -> Iterator[dict[str, Any]]:
+def _key_frames(own: Mapping[int, Mark], video: Video) -> Iterator[dict[str, Any]]:
     """The marks of a target that have a box, as key frames; one that is not enabled ends the region."""
     for frame in sorted(own):
         box = own[frame].box
@@ -78,14 +78,14 @@ def read_label_studio(path: Path, video: Video) -> list[Answer]:
         place = f"result {one.get('id', n)}"
         value = needed(one["value"], ("sequence",), f"{path}, {place}, value")
         if "framesCount" in value:
-            check_frames(value["framesCount"], video, f"{path}, {place}, framesCount")
+            _check_frames(value["framesCount"], video, f"{path}, {place}, framesCount")
         meta = one.get("meta")
         given = meta.get("given") if isinstance(meta, Mapping) else None
         if given is not None and isinstance(meta, Mapping) and meta.get("text"):
             names[n] = str(listed(meta["text"], f"{path}, {place}, meta")[0])
         labels = value.get("labels") or value.get("rectanglelabels") or ["target"]
         label = str(listed(labels, f"{path}, {place}, labels")[0])
-        rows += read_key_frames(value["sequence"], (n, label), video, place, path, given)
+        rows += _read_key_frames(value["sequence"], (n, label), video, place, path, given)
     return answers_of(rows, video, path, names)
 
 
@@ -123,7 +123,7 @@ def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
     return [one for one in results if one["type"] == "videorectangle"]
 
 
-def read_key_frames(
+def _read_key_frames(
     sequence: object,
     target: tuple[Hashable, str],
     video: Video,
@@ -155,7 +155,7 @@ def read_key_frames(
             yield Row(where, frame + 1, key, label, None)
 
 
-def check_frames(frames: object, video: Video, place: str) -> None:
+def _check_frames(frames: object, video: Video, place: str) -> None:
     """Refuse another number of frames; one more or less comes of rounding. Raises MismatchError."""
     found = whole(frames, "frames", place)
     if abs(found - video.frames) > 1:
