@@ -79,8 +79,8 @@ def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[Particle
         key = (live.template, own.plan.active, own.time, shape, live.most_particles)
         alike.setdefault(key, {})[target] = own
     for key, group in alike.items():
-        others = ParticleTable.of(work.plate_of(next(iter(group))), group)
-        tables[key] = tables[key].extended(others) if key in tables else others
+        added = ParticleTable.of(work.plate_of(next(iter(group))), group)
+        tables[key] = tables[key].extended(added) if key in tables else added
     return list(tables.values())
 
 
