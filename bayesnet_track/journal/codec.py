@@ -22,9 +22,18 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.renamed import EVENTS, in_new_words
 
-__all__ = ["JournalError", "event_classes", "event_name", "field_names", "from_json", "to_json", "type_hints"]
+__all__ = [
+    "JournalError",
+    "check_version",
+    "describe_other",
+    "event_classes",
+    "event_name",
+    "field_names",
+    "from_json",
+    "to_json",
+    "type_hints",
+]
 
 LARGEST = 2**64
 """What a whole number of a journal may be: identities have 64 bits, and sentences are made with floats."""
@@ -72,7 +81,6 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
     if not isinstance(values, dict) or not isinstance(values.get("event"), str):
         raise JournalError(f'no object with a key "event": {short(line)}')
     name = values.pop("event")
-    name = EVENTS.get(name, name)
     kind = event_classes().get(name)
     if kind is None:
         raise JournalError(
@@ -80,24 +88,40 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
             f"{short(line)}"
         )
     if kind is RunStarted:
-        _check_version(values)
+        check_version(values)
     decoded: Event | Input | FrameMetrics = _decode_object(values, kind, name)
     return decoded
 
 
-def _check_version(values: Mapping[str, Any]) -> None:
-    """Refuse a journal of a later format; raises JournalError."""
+def describe_other(what: str, versions: object, how: str = "read") -> str:
+    """The sentence that refuses such a file.
+
+    Args:
+        what: what of the file is of another version.
+        versions: library -> version, as the file has them; anything else where it does not say.
+        how: what to do with it in that version.
+
+    >>> describe_other("format 1 of journals; this version reads format 2", {"bayesnet-track": "0.1.0"})
+    ... # doctest: +NORMALIZE_WHITESPACE
+    'format 1 of journals; this version reads format 2: read it with bayesnet-track 0.1.0, which wrote it
+    (python -m pip install bayesnet-track==0.1.0)'
+    """
+    writer = versions.get("bayesnet-track") if isinstance(versions, Mapping) else None
+    if not isinstance(writer, str):
+        return f"{what}: {how} it with the version of bayesnet-track that wrote it"
+    name = "".join(c for c in writer[:40] if c.isprintable())
+    return (
+        f"{what}: {how} it with bayesnet-track {name}, which wrote it "
+        f"(python -m pip install bayesnet-track=={name})"
+    )
+
+
+def check_version(values: Mapping[str, Any]) -> None:
+    """Refuse a journal of another format by the members of its first line; raises JournalError."""
     number = values.get("journal")
-    if type(number) is int and number > JOURNAL_VERSION:
-        versions = values.get("versions")
-        writer = versions.get("bayesnet-track") if isinstance(versions, dict) else None
-        problem = (
-            f"bayesnet-track {short(str(writer))}, which wrote it" if writer else "the version that wrote it"
-        )
-        raise JournalError(
-            f"format {number} of journals; this version reads formats up to {JOURNAL_VERSION}: read it with "
-            f"{problem}, or a newer one"
-        )
+    if type(number) is int and number != JOURNAL_VERSION:
+        what = f"format {short(str(number))} of journals; this version reads format {JOURNAL_VERSION}"
+        raise JournalError(describe_other(what, values.get("versions")))
 
 
 @cache
@@ -147,8 +171,7 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
 
 
 def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
-    hints, values = type_hints(kind), in_new_words(kind.__name__, values)
-    names = field_names(kind)
+    hints, names = type_hints(kind), field_names(kind)
     unknown, missing = values.keys() - names.keys(), _needed(kind) - values.keys()
     if unknown or missing:
         raise JournalError(f"{where}: unknown fields {sorted(unknown)}, missing fields {sorted(missing)}")

@@ -13,13 +13,6 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 
 TESTED = ("Linux", "x86_64")
-GONE_EXECUTORS = {
-    "ray": "ray is no longer an executor: agents on a cluster were slower than processes on one machine; "
-    "use processes, and `bayesnet-track batch --on ray` for whole videos on a cluster",
-    "threads": "threads are no longer an executor: no installed graph gained more than 11 % from them; use "
-    "serial, or processes to isolate agents, and `bayesnet-track batch` for videos side by side",
-}
-"""Name of an executor of earlier versions -> what to use."""
 NO_WORKERS = (
     "this system cannot start worker processes (it has no fork); take --executor serial, and no "
     "--place AGENT=process"

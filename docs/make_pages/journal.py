@@ -118,21 +118,18 @@ frame: one JSON object per line, ASCII, each line ended by a plain newline.
 
 ## How the format changes
 
-The field `journal` of the first line is the version of the format. A program reads its own version and every
-earlier one.
+The field `journal` of the first line is the version of the format. A program reads its own version
+alone.
 
 - Events and fields are added without a new version. An added field has a default value, so that earlier files
   stay readable. An earlier program refuses a line that it does not know.
 - No event or field is removed or renamed, and none gets another type, unit or meaning. If one must, the
-  version goes up by one, and the program keeps reading the earlier version.
-- Version 2 renamed words: `rival_seen` is `distractor_seen`; in `deactivated`, `glance` is `sample_every` and
-  the values of `drop` have new names, as in the graph; `least_probability` is `min_probability`; in
-  `births_refused`, `most` is `max_targets`; the unit `ud_quiet` is `ud_baseline`.
-- A file of a later version is refused (exit code 4) with the program version that wrote it.
+  version goes up by one.
+- A run of another version of the format is refused (exit code 4) with the program version that wrote it:
+  install that one to read it.
 
-`tests/journal/format_1.json` and `format_2.json` hold every event and field of their version, and
-`tests/runtime/earlier/` runs that earlier programs wrote; the tests read both. A [checkpoint](resume.md) is
-read in its own format only."""
+`tests/journal/format_2.json` holds every event and field of the version. A [checkpoint](resume.md) has a
+format of its own."""
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.graph.text.recorded import load_recorded
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.sources.scene_source import SceneSource
@@ -49,7 +48,7 @@ def test_every_executor_writes_the_same(tmp_path: Path, whole: Path) -> None:
 
 
 def test_the_recorded_graph_has_the_factor_and_runs_the_same(tmp_path: Path, whole: Path) -> None:
-    recorded = load_recorded(whole / "graph.yaml")
+    recorded = load_graph(whole / "graph.yaml")
     assert recorded.targets["target"].factors == load_graph("road").targets["target"].factors
     assert written(begun(tmp_path / "run", graph=recorded)) == written(whole)
 

@@ -176,12 +176,3 @@ def test_what_a_kill_in_the_last_moment_left_is_removed(
     assert main(["resume", str(run)]) == 0
     assert "it is finished; there is nothing to do" in capsys.readouterr().out
     assert not (run / "checkpoint").exists() and not (run / "manifest.json.part").exists()
-
-
-def test_a_run_that_an_earlier_version_finished_is_left_alone(run: Path) -> None:
-    (run / "manifest.json").unlink()
-    recipe = json.loads((run / "run.json").read_text())
-    del recipe["options"]["manifest"]
-    (run / "run.json").write_text(json.dumps(recipe))
-    assert standing(run).is_finished and verify(run).status == "unknown"
-    assert list(resume(run)) == []

@@ -91,10 +91,10 @@ def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
     """Type of target -> feature of its score -> coefficient, and `bias`; empty without a graph to read."""
     from bayesnet_track.graph.spec import InferenceNode
     from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.graph.text.recorded import read_recorded
+    from bayesnet_track.graph.text.read import read_graph
 
     try:
-        targets = read_recorded(directory.graph)[0].targets
+        targets = read_graph(directory.graph)[0].targets
     except GraphError:
         return {}  # the frame can be explained without
     return {
@@ -108,11 +108,11 @@ def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
 def _check_node(directory: RunDirectory, node: str | None) -> None:
     """Refuse a node that the run's graph does not have."""
     from bayesnet_track.graph.text.messages import nearest
-    from bayesnet_track.graph.text.recorded import read_recorded
+    from bayesnet_track.graph.text.read import read_graph
 
     if node is None or not directory.graph.is_file():
         return
-    names = [name for target in read_recorded(directory.graph)[0].targets.values() for name in target.nodes]
+    names = [name for target in read_graph(directory.graph)[0].targets.values() for name in target.nodes]
     if node not in names:
         close = nearest(node, names)
         near = f"; nearest: {close}" if close else ""

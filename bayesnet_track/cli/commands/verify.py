@@ -20,7 +20,6 @@ SAID = {
 WITHOUT = {
     "unfinished": "unfinished: it has no manifest to compare with; `bayesnet-track resume {run}` finishes it",
     "running": "a process is writing it now; verify it when it has ended",
-    "unknown": "an earlier version of bayesnet-track wrote it, without a manifest to compare with",
 }
 
 
@@ -57,7 +56,7 @@ def add_verify(commands: argparse._SubParsersAction[Any]) -> None:
         help="check that the files of a finished run are unchanged",
         description="Compare every file of a run with the size and SHA-256 in its manifest.json. Exit code 0:"
         " all are unchanged; 4: a file was changed, truncated, removed or added, or this is no "
-        "run; 5: the run is unfinished (`resume` finishes it), still being written, or has no manifest.",
+        "run; 5: the run is unfinished (`resume` finishes it) or still being written.",
     )
     verify.add_argument("run", metavar="RUN", help="run directory")
     verify.add_argument("--json", action="store_true", help="print what was found as JSON")

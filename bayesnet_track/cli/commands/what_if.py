@@ -7,7 +7,6 @@ import itertools
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,8 +108,7 @@ def _track_again(
             results = track(
                 graph,
                 source,
-                # Earlier versions took a box without a class for the first one.
-                [replace(one, plate=one.plate or next(iter(graph.targets))) for one in recipe.starts] or None,
+                list(recipe.starts) or None,
                 out=out,
                 seed=recipe.seed if options.seed is None else options.seed,
                 detections=None if recipe.detections is None else recipe.detections.place,

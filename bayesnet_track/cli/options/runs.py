@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 from bayesnet_track.cli.options.arguments import milliseconds, seconds, whole_number
-from bayesnet_track.runtime.system import GONE_EXECUTORS
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +57,6 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("where agents run (changes no result)")
     group.add_argument(
         "--executor",
-        type=_executor,
         choices=["serial", "processes"],
         default="serial",
         help="one after the other, or in supervised worker processes (default serial)",
@@ -89,12 +87,6 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         metavar="MB",
         help="memory that a worker process may use, beyond what it starts with (default: no limit)",
     )
-
-
-def _executor(text: str) -> str:
-    if text in GONE_EXECUTORS:
-        raise argparse.ArgumentTypeError(GONE_EXECUTORS[text])
-    return text
 
 
 def add_outside_options(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,6 @@ from bayesnet_track.graph.text.messages import (
     shown,
     shown_name,
 )
-from bayesnet_track.graph.text.renamed import new_word
 from bayesnet_track.graph.text.shapes import Shape, expects, shape_of
 
 NODES: Mapping[Any, str] = {InferenceNode: "an inference", AgentNode: "an agent", FactorNode: "a factor"}
@@ -160,8 +159,6 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Pa
     allowed = "at least one" if kind == "too_short" else _allowed(steps)
     found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
     word = last.value if isinstance(last.value, str) else ""
-    if word and (new := _explain_renamed(f"{name}.{word}", owner, path)):
-        return at.message(path, f"{name} {shown(word)} has been renamed", new)
     return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
 
 
@@ -189,19 +186,9 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
         found = f"unknown {shown_name(choice)} {shown(word)}"
     elif owner in NODES:
         found += f" of {NODES[owner]} node"
-    if new := _explain_renamed(word, owner, path):
-        what = found.removeprefix("unknown ").partition(" of a")[0]
-        return at.message(path, f"{what} has been renamed", new, on_key=True)
     message = at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
     hint = misplaced(word, parent.value, owner) if fields else ""
     return replace(message, nearest="", hint=hint) if hint else message
-
-
-def _explain_renamed(word: str, owner: Any, path: Path) -> str | None:
-    """The new name of a key; a cue's parameters are known by the cue's name."""
-    if not isinstance(owner, type):
-        return None
-    return new_word(owner if issubclass(owner, Model) else str(path[-2]), word)
 
 
 def _bad_choice(last: _Step, name: str, said: str, path: Path, at: Positions) -> GraphMessage:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.step import Engine, State
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import OutputError, Position
 from bayesnet_track.observation.depth import PointMap, RightEye
 from bayesnet_track.observation.planes import Frame
@@ -203,13 +204,10 @@ def _are_counts(values: Iterable[object]) -> bool:
 def _of_another(path: Path, what: str) -> str:
     """What is wrong with a checkpoint of another program version, and which one can resume it."""
     try:
-        writer = str(json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]["bayesnet-track"])[
-            :40
-        ]
-        which = f"bayesnet-track {writer}, which wrote it (pip install bayesnet-track=={writer})"
+        versions = json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        which = "the version of bayesnet-track that wrote it"
-    return f"{path}: {what}; resume it with {which}, or start the run again with --overwrite"
+        versions = None
+    return f"{path}: {describe_other(what, versions, 'resume')}, or start the run again with --overwrite"
 
 
 _NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_frames")

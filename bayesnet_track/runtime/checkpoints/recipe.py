@@ -19,16 +19,17 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.text.recorded import load_recorded
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.observation.cue_files import GivenCue, file_of
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
 from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
 from bayesnet_track.runtime.checkpoints.given_files import GivenFile, given_cue, given_file, model_files
 from bayesnet_track.runtime.checkpoints.recipe_options import (
-    HAS_MANIFEST,
     HORIZON,
     KEEPS_BELIEFS,
     MAX_SIDE,
@@ -130,11 +131,6 @@ class Recipe:
         budget = self.options.get("budget_ms")
         return None if budget is None else float(budget)
 
-    @property
-    def has_manifest(self) -> bool:
-        """Whether the run, once finished, has a manifest."""
-        return bool(self.options.get(HAS_MANIFEST, False))
-
     def text(self) -> str:
         """It as JSON."""
         plain = _codec().dump_python(self)
@@ -229,22 +225,16 @@ class Recipe:
             raise RunDirectoryError(f"{path}: cannot be read: {error}") from error
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
-        return load_recorded(
-            path, tuple(cues), {name: AnyMask()[name] for name in self.masks} | self.read_masks()
-        )
+        masks = {name: AnyMask()[name] for name in self.masks} | self.read_masks()
+        return check(*read_graph(text, str(path)), tuple(cues), masks)
 
 
 def _check_format(path: Path, plain: object) -> None:
     """Refuse a recipe of another format; raises RecipeError."""
     if not isinstance(plain, dict) or plain.get("recipe", RECIPE_VERSION) == RECIPE_VERSION:
         return
-    versions = plain.get("versions")
-    writer = versions.get("bayesnet-track") if isinstance(versions, dict) else None
-    version_text = f"bayesnet-track {str(writer)[:40]}" if writer else "the version of bayesnet-track"
-    raise RecipeError(
-        f"{path}: format {str(plain['recipe'])[:20]} of run.json; this version reads format "
-        f"{RECIPE_VERSION}: use {version_text}, which wrote it"
-    )
+    what = f"format {str(plain['recipe'])[:20]} of run.json; this version reads format {RECIPE_VERSION}"
+    raise RecipeError(f"{path}: {describe_other(what, plain.get('versions'))}")
 
 
 def make_recipe(
@@ -283,7 +273,7 @@ def make_recipe(
             for name, mask in sorted(graph.masks.items())
         },
         models={path: given_file(path) for path in model_files(graph)},
-        options=dict(sorted({**options, HAS_MANIFEST: True}.items())),
+        options=dict(sorted(options.items())),
     )
 
 

@@ -17,9 +17,6 @@ MAX_SIDE = "max_side"
 VIDEO_FORMAT = "video"
 """The option by which a recipe says that the annotated video is `mp4`; without it, it is Matroska."""
 
-HAS_MANIFEST = "manifest"
-"""The option by which a recipe says that its run is finished by a manifest; earlier versions wrote none."""
-
 
 def options_of(
     engine: Engine,

@@ -14,10 +14,6 @@ from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.recording.manifest import read_manifest
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 
-BROKEN_OFF = ("interrupted", "error")
-"""Reasons in the journal's last line after which there is something left to do."""
-
-
 TAIL_BYTES = 1 << 16
 
 
@@ -41,21 +37,22 @@ def standing(path: str | PathLike[str]) -> Standing:
 
     Raises:
         RecipeError: it is no run that can be done again.
+        JournalError: another version wrote it.
         CheckpointError: the checkpoint is damaged or of another version.
         ManifestError: the manifest was changed or is of another version.
     """
     directory = RunDirectory(Path(path))
     if directory.is_replacing:  # nothing of it was tracked yet
         return Standing(False)
-    recipe = Recipe.read(directory)
+    directory.check_version()
+    Recipe.read(directory)
     reason = _ending(directory.journal)
     if read_manifest(directory.manifest) is not None:
         return Standing(True, None, reason)
     checkpoint = newest_checkpoint(directory)
     if checkpoint is not None:
         return Standing(False, checkpoint.frame, reason)
-    is_ended = reason is not None and reason not in BROKEN_OFF
-    return Standing(is_ended and not recipe.has_manifest, None, reason)
+    return Standing(False, None, reason)
 
 
 def _ending(journal: Path) -> str | None:

@@ -19,7 +19,7 @@ from bayesnet_track.runtime.executors.placing import (
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
-from bayesnet_track.runtime.system import GONE_EXECUTORS, NO_WORKERS, has_workers
+from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
@@ -115,8 +115,6 @@ def make_executor(
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.
     """
-    if kind in GONE_EXECUTORS:
-        raise ValueError(GONE_EXECUTORS[kind])
     if kind not in EXECUTORS:
         raise ValueError(f"executor {kind!r}; there are {', '.join(EXECUTORS)}")
     number = os.cpu_count() or 1 if workers is None else workers

@@ -46,7 +46,7 @@ class KeptBelief:
         time: time of the frame, frame intervals.
         posterior: the belief.
         influences: what the motion into the frame depended on besides the states; None where on nothing.
-        heard: what the agents said in the frame; nothing in the files of earlier versions.
+        heard: what the agents said in the frame.
     """
 
     frame: int

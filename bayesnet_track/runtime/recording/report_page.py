@@ -90,12 +90,12 @@ def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
     """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
     from bayesnet_track.graph.checks.run import check, cues_named
     from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.graph.text.recorded import read_recorded
+    from bayesnet_track.graph.text.read import read_graph
     from bayesnet_track.observation.cue import stand_ins
     from bayesnet_track.observation.masks import AnyMask
 
     try:
-        spec, at = read_recorded(directory.graph)
+        spec, at = read_graph(directory.graph)
         return check(spec, at, stand_ins(cues_named(spec)), AnyMask())
     except (GraphError, OSError) as error:
         notice(f"{directory.graph}: the page shows no net: {error}")

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.read import read_graph
-from bayesnet_track.graph.text.recorded import recorded_text
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event
@@ -62,7 +61,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
         raise RunDirectoryError(f"{error.filename}: missing from the run directory") from error
     except UnicodeDecodeError as error:
         raise JournalError(f"{directory.graph}: not a text: {error}") from error
-    run = Run(directory, events, metrics, recorded_text(text))
+    run = Run(directory, events, metrics, text)
     unknown = {line.target for line in metrics} - run.kinds.keys()
     if unknown:
         raise JournalError(
@@ -79,7 +78,7 @@ class Run:
         directory: where its files are.
         events: the lines of journal.jsonl, in order.
         metrics: the lines of frames.jsonl, in order: one per live target and frame.
-        graph_text: the canonical text of its graph, in today's words.
+        graph_text: the canonical text of its graph.
     """
 
     directory: RunDirectory

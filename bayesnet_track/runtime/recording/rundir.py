@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,10 @@ from typing import Self
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART
+from bayesnet_track.journal.codec import JournalError, check_version
 
+MOST_FIRST_LINE = 1 << 24
+"""Bytes of a journal's first line that are looked at."""
 LOCK = ".lock"
 """Beside them, and none of them: nothing replaces or removes it."""
 STAGED, REPLACING = ".staged", ".replacing"
@@ -102,6 +106,7 @@ class RunDirectory:
 
         Raises:
             RunDirectoryError: there is no journal in it.
+            JournalError: another version wrote it.
         """
         run = cls(Path(path))
         try:
@@ -118,7 +123,24 @@ class RunDirectory:
             if isinstance(error, RunDirectoryError):
                 raise
             raise RunDirectoryError(f"{run.path}: not a run directory: {error.strerror}") from error
+        run.check_version()
         return run
+
+    def check_version(self) -> None:
+        """Refuse a run of another version by the first line of its journal, where that can be read.
+
+        Raises:
+            JournalError: names the version.
+        """
+        try:
+            with self.journal.open("rb") as file:
+                first = json.loads(file.readline(MOST_FIRST_LINE))
+            if isinstance(first, dict) and first.get("event") == "run_started":
+                check_version(first)
+        except JournalError as error:
+            raise JournalError(f"{self.path}: {error}") from None
+        except (OSError, ValueError, RecursionError):
+            return  # whoever reads it says what is wrong
 
     def refuse(self, overwrite: bool) -> None:
         """Refuse a folder that holds something else than a run, and without `overwrite` one that holds a run.

@@ -16,7 +16,7 @@ from bayesnet_track.runtime.recording.manifest import Manifest, passing, read_ma
 from bayesnet_track.runtime.recording.rundir import FILES, LOCK, STAGED, RunDirectory
 
 Finding = Literal["ok", "missing", "truncated", "changed", "extra"]
-Status = Literal["verified", "changed", "unfinished", "running", "unknown"]
+Status = Literal["verified", "changed", "unfinished", "running"]
 
 MADE_LATER = frozenset({"report", FILES["report"]})
 """What `report` may have made before the run was finished, or in a folder of its own."""
@@ -28,8 +28,7 @@ class Verified:
 
     Attributes:
         status: ``verified``; ``changed``, see `outputs`; ``unfinished``: there is no manifest yet, and
-            `resume` goes on; ``running``: a process writes the run now; ``unknown``: finished by an earlier
-            version, which wrote no manifest.
+            `resume` goes on; ``running``: a process writes the run now.
         outputs: name -> what it is, in the order of the manifest, then what is extra.
         result: the manifest's SHA-256 of all outputs that equal inputs make equal; None without a manifest.
     """
@@ -44,6 +43,7 @@ def verify(path: str | PathLike[str]) -> Verified:
 
     Raises:
         RecipeError: it is no run.
+        JournalError: another version wrote it.
         CheckpointError: it is unfinished, and its checkpoint is damaged.
         ManifestError: the manifest itself was changed, or is of another version.
         OSError: an output cannot be read.
@@ -53,9 +53,11 @@ def verify(path: str | PathLike[str]) -> Verified:
         return Verified("running")
     if directory.is_replacing:
         return Verified("unfinished")
+    directory.check_version()
     manifest = read_manifest(directory.manifest)
     if manifest is None:
-        return Verified("unknown" if standing(path).is_finished else "unfinished")
+        standing(path)  # says where it is no run at all
+        return Verified("unfinished")
     outputs = _outputs(directory, manifest)
     is_same = all(finding == "ok" for finding in outputs.values())
     return Verified("verified" if is_same else "changed", outputs, manifest.result)

@@ -43,8 +43,6 @@ def test_what_cannot_be_is_refused_with_the_reason(places, placed):
             parse_places([text])
     with pytest.raises(ValueError, match="executor 'thread'; there are serial, processes"):
         make_executor("thread")
-    with pytest.raises(ValueError, match="threads are no longer an executor"):
-        make_executor("threads")
 
 
 def test_a_cue_that_no_other_process_can_make_is_refused(placed):
@@ -79,8 +77,3 @@ targets:
         "it.color",
         "it.flow",
     ]
-
-
-def test_ray_is_refused_with_what_replaces_it():
-    with pytest.raises(ValueError, match=r"use processes, and `bayesnet-track batch --on ray`"):
-        make_executor("ray")
