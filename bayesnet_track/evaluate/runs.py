@@ -50,7 +50,7 @@ def score_run(
     folder = Path(run_directory)
     truth = read_truth(truth_path, form)
     say_misplaced(folder, truth_path, truth[np.isfinite(truth).all(axis=1)])
-    _say_lengths(folder, truth_path, len(truth))
+    say_lengths(folder, truth_path, len(truth))
     every = list(read_metrics(folder / "frames.jsonl"))
     seconds = dict(read_seconds(folder / "timings.jsonl"))
     lines = {line.frame: line for line in _of_target(every, target, folder)}
@@ -91,25 +91,27 @@ def frames_of_run(run_directory: Path) -> tuple[set[int] | None, range | None]:
     return (frames if step > 1 else None), whole
 
 
-def _say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
-    """A notice where the ground truth is shorter than the run, or longer than one of the whole source."""
-    strided, ran = frames_of_run(folder)
-    if strided is not None or ran is None or rows == ran.stop or (rows > ran.stop and _is_part(folder)):
+def say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
+    """A notice where the ground truth has fewer rows than the run has frames, or more."""
+    _, ran = frames_of_run(folder)
+    if ran is None or ran.stop <= rows < ran.stop + ran.step:
         return
     left = f"frames {rows} to {ran.stop - 1}" if rows < ran.stop else f"rows {ran.stop} to {rows - 1}"
+    asked = rows > ran.stop and _has_end(folder)
+    question = "as --end says." if asked else "is it of this video?"
     notice(
-        f"{truth_path} has {rows} rows, the run {len(ran)} frames: is it of this video? Not scored: {left}, "
-        "counted from 0"
+        f"{truth_path} has {rows} rows, the run {len(ran)} frames: {question} Not scored: {left}, counted "
+        "from 0"
     )
 
 
-def _is_part(folder: Path) -> bool:
-    """Whether a run was asked for only a part of its source, or nothing is known of that."""
+def _has_end(folder: Path) -> bool:
+    """Whether a run was asked to end before its source does, or nothing is known of that."""
     try:
         origin = json.loads((folder / "run.json").read_text(encoding="utf-8"))["origin"]
-        return origin.get("start") is not None or origin.get("end") is not None
+        return origin.get("end") is not None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return True
+        return False
 
 
 def _events(folder: Path, kind: type[E]) -> list[E]:

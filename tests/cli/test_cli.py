@@ -1104,6 +1104,11 @@ def test_truth_of_another_length_is_asked_about(demo_run, tmp_path, capsys):
     few.write_text("1,2,3,4\n" * 7)
     main(["score", str(demo_run), "--truth", str(few)])
     assert f"{few} has 7 rows, the run 60 frames: is it of this video?" in capsys.readouterr().err
+    few.write_text("57,21,31,45\n" * 80)
+    for command in (["score"], ["report", "--out", str(tmp_path / "page.html")]):
+        main([command[0], str(demo_run), "--truth", str(few), *command[1:]])
+        said = capsys.readouterr().err
+        assert f"{few} has 80 rows, the run 60 frames: as --end says. Not scored: rows 60 to 79" in said
     main(["score", str(demo_run)])
     assert "is it of this video" not in capsys.readouterr().err
 

@@ -55,6 +55,18 @@ def test_masks_and_boxes_give_the_same_model(
     assert first.modes[0] @ second.modes[0] > 0.9
 
 
+def test_boxes_after_the_last_frame_are_said(
+    video: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    long = tmp_path / "long.txt"
+    rows = video[1].read_text().splitlines()
+    long.write_text("\n".join([*rows, *rows[-1:] * 3]) + "\n")
+    command = ["learn-shape", str(tmp_path / "m.npz"), "--source", str(video[0]), "--truth"]
+    assert main([*command, str(long)]) == 0
+    assert f"{long} has 8 rows, " in (said := capsys.readouterr().err)
+    assert "4 frames: is it of this video? Not used: rows 4 to 7, counted from 0" in said
+
+
 def test_every_and_grid_are_obeyed(video: tuple[Path, Path], tmp_path: Path) -> None:
     out = tmp_path / "m.npz"
     options = ["--source", str(video[0]), "--truth", str(video[1]), "--every", "2", "--grid", "8"]

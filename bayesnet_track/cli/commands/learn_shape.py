@@ -85,6 +85,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.observation.planes import Frame
+    from bayesnet_track.sources.entrances.notices import notice
     from bayesnet_track.sources.sources import open_source
     from bayesnet_track.vision.planes.shape_planes import EdgePlane
     from bayesnet_track.vision.shape.shape_examples import frame_example
@@ -93,7 +94,10 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
         boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
     edges, found = EdgePlane(options.edge_gray), []
     with open_source(options.source, None, len(boxes), value_range=options.value_range) as source:
+        last = -1
         for item in source:
+            if isinstance(item, Frame):
+                last = item.index
             if not isinstance(item, Frame) or item.index % options.every:
                 continue  # a notice, or not asked for
             box = boxes[item.index]
@@ -101,6 +105,11 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
                 found.append((f"frame {item.index}", *frame_example(item, box, edges, options.grid)))
     if not found:
         raise UsageError(f"{options.truth}: no box for any frame of {options.source}")
+    if last + 1 < len(boxes):
+        notice(
+            f"{options.truth} has {len(boxes)} rows, {options.source} {last + 1} frames: is it of this "
+            f"video? Not used: rows {last + 1} to {len(boxes) - 1}, counted from 0"
+        )
     if source.end_reason != "end_of_source":
         complain(f"{options.source}: {source.end_reason.replace('_', ' ')}; learnt from what could be read")
         return INCOMPLETE, found

@@ -102,6 +102,7 @@ def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
 
 
 def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any] | None:
+    from bayesnet_track.evaluate.runs import say_lengths
     from bayesnet_track.evaluate.truth import read_truth
 
     given = options.truth
@@ -109,7 +110,10 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
     if given is None and not place.is_file():
         return None
     with users_mistake():
-        return read_truth(place, options.truth_format)
+        truth = read_truth(place, options.truth_format)
+    if given is not None:
+        say_lengths(directory.path, place, len(truth))
+    return truth
 
 
 def _write_folder(out: Path, data: Data, found: Found) -> None:

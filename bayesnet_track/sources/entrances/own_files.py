@@ -16,7 +16,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         RUN: (
             "cli.batch.table.read_table",
-            "evaluate.runs._is_part",
+            "evaluate.runs._has_end",
             "journal.reader._read",
             "journal.timings.read_seconds",
             "journal.writer.read_position",

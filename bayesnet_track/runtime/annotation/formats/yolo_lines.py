@@ -173,7 +173,7 @@ def _in_frame(boxes: Floats) -> NDArray[np.bool_]:
     """(N,) whether boxes cx, cy, w, h (N, 4) in parts of the frame have an area and lie in it."""
     half = boxes[:, 2:] / 2
     inside = (boxes[:, :2] - half >= -SLACK) & (boxes[:, :2] + half <= 1 + SLACK) & (half > 0)
-    return np.all(inside, axis=1)
+    return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
 
 def _with_last(
