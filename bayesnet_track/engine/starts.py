@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.engine.external_inputs import route_inputs
 from bayesnet_track.engine.frame_work import FrameWork
@@ -102,7 +104,10 @@ def check_box(box: object, width: int, height: int) -> Floats:
             the frame, or does not touch it.
     """
     try:
-        corner = np.asarray(box, dtype=np.float64)
+        held: NDArray[Any] = np.ma.asarray(box)
+        corner = np.asarray(np.ma.filled(held, np.nan) if np.ma.is_masked(held) else box, dtype=np.float64)
+        if held.dtype.kind not in "iuf" or _has_bool(box):
+            corner = np.empty(0)
     except (TypeError, ValueError, OverflowError):
         corner = np.empty(0)
     if corner.shape != (4,) or not np.isfinite(corner).all():
@@ -121,6 +126,11 @@ def check_box(box: object, width: int, height: int) -> Floats:
             "x,y is the top-left corner"
         )
     return corner
+
+
+def _has_bool(box: object) -> bool:
+    """Whether a value is True or False, which count as 1 and 0 among numbers."""
+    return isinstance(box, Iterable) and any(isinstance(value, bool | np.bool_) for value in box)
 
 
 def _say_outside(box: CornerBox, width: int, height: int) -> None:

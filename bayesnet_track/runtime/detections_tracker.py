@@ -202,7 +202,7 @@ class DetectionsTracker(Storable):
             return blank_image(*size), FrameKind(*size, True, 3, "uint8")
         if not isinstance(frame, np.ndarray):
             raise ValueError(f"a frame is an array of pixels, not {type(frame).__name__}")
-        image, has_color = self._levels(np.array(frame))  # a copy: the caller may reuse its buffer
+        image, has_color = self._levels(frame.copy())  # a copy: the caller may reuse its buffer
         seen = Frame(index, 0.0, image, has_color)
         kind = FrameKind.of(seen)
         if before is not None:

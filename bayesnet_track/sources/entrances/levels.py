@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,15 +10,21 @@ from numpy.typing import NDArray
 
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.pixels import (
+    ValueRange,
+    explain_alpha,
+    explain_not_finite,
+    explain_pixels,
+    flag_of,
+    middle_of,
+    text_of,
+)
 
-ValueRange = tuple[float, float]
-"""The values that become 0 and 255; what lies beyond becomes one of them."""
+__all__ = ["Levels", "ValueRange", "explain_loss", "to_bgr", "value_range_of"]
 
 ROWS_AT_ONCE = 256
 FEW_LEVELS = 64
 MOST_CLIPPED = 0.5
-MIDDLE = (0.1, 99.9)
-"""Percentiles between which the values lie that a range should cover: a broken pixel is beyond."""
 
 
 def value_range_of(given: object) -> ValueRange | None:
@@ -62,7 +67,7 @@ def to_bgr(image: NDArray[Any], value_range: ValueRange | None = None) -> tuple[
     if not ((image.dtype == np.uint8 or deep) and known) or image.size == 0:
         raise PictureError(
             f"{image.dtype} values of shape {image.shape}; allowed: 8 or 16 bit, 1, 3 or 4 channels"
-            + _other(image)
+            + explain_pixels(image, known)
         )
     if image.dtype == np.uint8 and channels == 3 and value_range is None:
         return np.ascontiguousarray(image), True
@@ -71,14 +76,6 @@ def to_bgr(image: NDArray[Any], value_range: ValueRange | None = None) -> tuple[
         rows = slice(top, top + ROWS_AT_ONCE)
         bgr[rows] = _to_bgr(image[rows].reshape(-1, image.shape[1], channels), value_range)
     return bgr, channels != 1
-
-
-def _other(image: NDArray[Any]) -> str:
-    """How values of another type can be used."""
-    if image.dtype.kind not in "fiu" or image.dtype.itemsize == 1 or image.size == 0:
-        return ""
-    low, high = _middle(image)
-    return f"; values of another type need a range: {_flag((low, high))}"
 
 
 def _to_bgr(rows: NDArray[Any], value_range: ValueRange | None) -> NDArray[np.uint8]:
@@ -108,6 +105,7 @@ class Levels:
 
     def __init__(self, name: str, value_range: ValueRange | None = None) -> None:
         self.value_range, self._name, self._is_said = value_range, name, False
+        self._unsaid = [explain_alpha, explain_not_finite]
         self._dtype: np.dtype[Any] | None = None
 
     @property
@@ -118,15 +116,30 @@ class Levels:
     def go_on(self, dtype: str | None) -> None:
         """Go on after a first image of this type, of which all was said; before it with None."""
         if dtype is not None:
-            self._dtype, self._is_said = np.dtype(dtype), True
+            self._dtype, self._is_said, self._unsaid = np.dtype(dtype), True, []
 
     def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.uint8], bool]:
-        """As `to_bgr`; a range holds for values of one type. Raises PictureError."""
+        """As `to_bgr`; a range holds for values of one type. Raises PictureError.
+
+        Once it is said where pixels are transparent, and where values are not finite.
+        """
+        if isinstance(image, np.ma.MaskedArray):
+            if np.ma.is_masked(image):
+                raise PictureError(
+                    f"a masked array, {np.ma.getmaskarray(image).sum()} of {image.size} values masked; give "
+                    "the values that are to stand there: frame.filled(0)"
+                )
+            image = image.data
         self._dtype = image.dtype if self._dtype is None else self._dtype
         if self.value_range is not None and image.dtype != self._dtype:
             raise PictureError(f"{image.dtype} values, and a range that counts those of {self._dtype}")
         made = to_bgr(image, self.value_range)
         self.look(image, made[0])
+        for explain in tuple(self._unsaid):
+            reason = explain(image)
+            if reason is not None:
+                self._unsaid.remove(explain)
+                notice(f"{self._name}: {reason}")
         return made
 
     def look(self, before: NDArray[Any], after: NDArray[np.uint8]) -> None:
@@ -153,13 +166,13 @@ def explain_loss(
     finite = colors[np.isfinite(colors)] if colors.dtype.kind == "f" else colors
     if finite.size == 0:
         return "no value of the first frame is a finite number"
-    found = f"{_text(finite.min())}..{_text(finite.max())}"
+    found = f"{text_of(finite.min())}..{text_of(finite.max())}"
     if value_range is not None:
         clipped = float(np.mean((finite < value_range[0]) | (finite > value_range[1])))
         if clipped > MOST_CLIPPED:
             return (
                 f"{100 * clipped:.0f} % of the values of the first frame lie outside of the range "
-                f"{_text(value_range[0])}..{_text(value_range[1])} and become black or white: "
+                f"{text_of(value_range[0])}..{text_of(value_range[1])} and become black or white: "
                 f"they lie in {found}"
             )
     levels, left = len(np.unique(finite)), len(np.unique(after))
@@ -167,26 +180,6 @@ def explain_loss(
         return None
     return (
         f"the values of the first frame lie in {found}, {levels} levels, of which {left} "
-        f"{'is' if left == 1 else 'are'} left in 8 bits; give the range that counts: {_flag(_middle(finite))}"
+        f"{'is' if left == 1 else 'are'} left in 8 bits; give the range that counts: "
+        f"{flag_of(middle_of(finite))}"
     )
-
-
-def _middle(values: NDArray[Any]) -> ValueRange:
-    """Where all finite values lie, or nearly all where a few are far away."""
-    finite = values[np.isfinite(values)]
-    if finite.size == 0:
-        return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(finite, MIDDLE))
-    least, most = float(finite.min()), float(finite.max())
-    if low == high or most - least <= 2.0 * (high - low):
-        low, high = least, most
-    return low, high if high > low else low + 1.0
-
-
-def _flag(value_range: Sequence[float]) -> str:
-    low, high = (_text(value) for value in value_range)
-    return f"--range {low},{high}, in Python value_range=({low}, {high})"
-
-
-def _text(value: Any) -> str:
-    return f"{float(value):.6g}"

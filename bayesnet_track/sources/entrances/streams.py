@@ -41,6 +41,8 @@ def explain_stream(container: Any, stream: Any) -> Iterator[str]:
             f"{len(sizes)} video streams, {', '.join(sizes)}; the first one is read "
             "(`ffmpeg -i FILE -map 0:v:1 -c copy OTHER` takes out the second)"
         )
+    if stream.metadata.get("alpha_mode") == "1" and "a" not in stream.codec_context.pix_fmt.split("p")[0]:
+        yield "its alpha channel cannot be decoded here: frames are opaque, as if nothing were transparent"
     aspect = getattr(stream, "sample_aspect_ratio", None) or stream.codec_context.sample_aspect_ratio
     if aspect and Fraction(aspect) != 1:
         width, height = stream.codec_context.width, stream.codec_context.height
@@ -68,16 +70,22 @@ def explain_frame(frame: Any) -> str | None:
 def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.uint8], bool]:
     """The pixels of a decoded frame, upright, as ((H, W, 3) uint8 BGR, has_color).
 
-    By a range the values are those of the file where it is gray, and 8 or 16 bit where it has colour.
+    By a range the values are those of the file where it is gray, and 8 or 16 bit where it has colour. Where
+    pixels can be transparent, the frame is laid over black, as images are (`levels.to_bgr`).
 
     Raises:
         PictureError: the pixel format cannot be converted.
     """
     name, bits = frame.format.name, max(part.bits for part in frame.format.components)
     has_color = not name.startswith(("gray", "mono", "ya8", "ya16"))
+    is_clear = any(part.is_alpha for part in frame.format.components)
+    is_wide = levels.value_range is not None and bits > 8
     try:
-        if levels.value_range is not None:
-            wide = ("bgr48le" if bits > 8 else "bgr24") if has_color else _plain_gray(name, bits)
+        if is_clear:
+            wide = "bgra64le" if is_wide else "bgra"
+            image = levels(_samples(frame if name == wide else reformatter.reformat(frame, format=wide)))[0]
+        elif levels.value_range is not None:
+            wide = ("bgr48le" if is_wide else "bgr24") if has_color else _plain_gray(name, bits)
             image = levels(_samples(frame if name == wide else reformatter.reformat(frame, format=wide)))[0]
         else:
             image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
@@ -98,9 +106,9 @@ def _plain_gray(name: str, bits: int) -> str:
 
 
 def _samples(frame: Any) -> Array:
-    """The values of a packed frame as they are stored, (H, W) or (H, W, 3)."""
+    """The values of a packed frame as they are stored, (H, W), (H, W, 3) or (H, W, 4)."""
     name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    channels = 3 if name.startswith("bgr") else 1
+    channels = 4 if name.startswith("bgra") else 3 if name.startswith("bgr") else 1
     kind = "u1" if bits <= 8 else "f4" if bits == 32 else "u2"
     values = np.frombuffer(frame.planes[0], f"{'>' if name.endswith('be') else '<'}{kind}")
     rows = values.reshape(frame.planes[0].height, -1)[:, : channels * frame.width]

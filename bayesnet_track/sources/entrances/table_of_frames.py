@@ -17,7 +17,8 @@ FRAMES = (
         ),
         "levels that are lost at 8 bits, with the range that keeps them; a range that most values miss; "
         "formats that are not read beside images; names unlike the others; two sequences by one pattern; "
-        "numbers that are missing; an EXIF orientation, which is not applied",
+        "numbers that are missing; an EXIF orientation, which is not applied; transparent pixels, laid over "
+        "black, and values that are not finite",
         "an image that is cut off, too large, or of other values than 8 or 16 bits without `--range`; "
         "several images in a file beside others; two sequences with the same numbers in a folder; a run "
         "ends where images change their size, unless `--on-resize rescale`",
@@ -44,7 +45,8 @@ FRAMES = (
             "sources.entrances.streams: explain_stream",
         ),
         "further video streams; pixels that are not square; a mirrored or slanted picture; levels that are "
-        "lost at 8 bits; damage and missing frames are in the journal as well",
+        "lost at 8 bits; transparent pixels, laid over black, and alpha that cannot be decoded; damage and missing "
+        "frames are in the journal as well",
         "what FFmpeg does not read, and files that name other files; a run over a damaged file ends with "
         "code 5",
         "frames as stored, or as a player shows them: quarter turns are applied, the rest is said",
