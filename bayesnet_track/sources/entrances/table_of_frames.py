@@ -45,8 +45,8 @@ FRAMES = (
             "sources.entrances.streams: explain_stream",
         ),
         "further video streams; pixels that are not square; a mirrored or slanted picture; levels that are "
-        "lost at 8 bits; transparent pixels, laid over black, and alpha that cannot be decoded; damage and missing "
-        "frames are in the journal as well",
+        "lost at 8 bits; transparent pixels, laid over black, and alpha that cannot be decoded; damage and "
+        "missing frames are in the journal as well",
         "what FFmpeg does not read, and files that name other files; a run over a damaged file ends with "
         "code 5",
         "frames as stored, or as a player shows them: quarter turns are applied, the rest is said",
