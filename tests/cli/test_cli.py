@@ -731,15 +731,14 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
         ),
         (
             "run general --source x -o y --init 1 2 3 4",
-            "--init takes one word, without spaces: --init 1,2,3,4\n",
+            "nothing takes '2 3 4'; a value is one word, as 1,2,3,4 is, or in quotes",
         ),
-        ("run general --source x -o y --init 1, 2, 3, -4", "without spaces: --init 1,2,3,-4"),
+        ("run general --source x -o y --init 1, 2, 3, -4", "nothing takes '2, 3, -4'; a value is one word"),
         (
             "demo two words",
-            "demo: nothing takes 'words'; a value with spaces is written in quotes",
+            "demo: nothing takes 'words'; a value is one word",
         ),
-        ("run g --source x --out y --executor ray --ray-address auto", "use processes, and"),
-        ("run g --source x --out y --executor ray", "`bayesnet-track batch --on ray` for whole videos"),
+        ("run g --source x --out y --executor ray", "no --executor 'ray'; there are serial, processes"),
         ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
         (
             "run general --init 1,2,3,4 --init-from z --source x --out y",
@@ -761,13 +760,6 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
 def test_what_the_parser_refuses(cli, line, message):
     code, _, err = cli(line)
     assert code == 2 and message in err and err.count("\n") == 2 and "--help` lists what there is" in err
-
-
-def test_a_former_name_of_an_option_works_and_says_the_new_one(cli, images):
-    code, _, err = cli(f"learn-shape {images} --source {images} --boxes {images}/none.txt")
-    first, second = err.splitlines()
-    assert first == "bayesnet-track learn-shape: --boxes is called --truth now; the former name will go"
-    assert code == 2 and second.endswith("none.txt: No such file or directory")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from bayesnet_track.cli.commands.completion import _actions, _kind
+from bayesnet_track.cli.commands.completion import actions, kind_of
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graphs import graph_names
@@ -88,8 +88,8 @@ def test_whatever_names_a_file_or_a_folder_is_completed():
     """Also in commands that are added later: by their words for the value."""
     named = [
         action
-        for action in _actions(make_parser())
+        for action in actions(make_parser())
         if action.nargs != 0 and action.choices is None and action.metavar in ("FILE", "RUN", "GRAPH", "DIR")
     ]
     assert len(named) > 20
-    assert [action.dest for action in named if _kind(action) is None] == []
+    assert [action.dest for action in named if kind_of(action) is None] == []

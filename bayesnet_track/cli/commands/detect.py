@@ -27,7 +27,6 @@ from bayesnet_track.cli.options.sources import (
     add_window_options,
     open_given,
 )
-from bayesnet_track.cli.slips import add_former_name
 from bayesnet_track.numerics.compile_watch import WATCH
 
 if TYPE_CHECKING:
@@ -246,7 +245,6 @@ def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
     detect.add_argument(
         "--save-video", metavar="FILE", help="also write the video with the boxes (.mkv or .mp4)"
     )
-    add_former_name(detect, "--video", "--save-video")
     add_size_option(detect)
     add_window_options(detect)
     detect.add_argument("--overwrite", action="store_true", help="replace existing files")

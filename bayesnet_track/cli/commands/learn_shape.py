@@ -18,7 +18,6 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.options.arguments import cells, gradient, share, whole_number
 from bayesnet_track.cli.options.sources import add_range_option
 from bayesnet_track.cli.options.truths import add_truth_format
-from bayesnet_track.cli.slips import add_former_name
 
 if TYPE_CHECKING:
     from bayesnet_track.numerics.arrays import Floats
@@ -131,7 +130,6 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
     examples.add_argument("--masks", metavar="DIR", help="folder of mask images: the target is not black")
     examples.add_argument("--source", help="video file, folder of images, or glob")
     shape.add_argument("--truth", metavar="FILE", help="ground-truth file of the boxes in --source")
-    add_former_name(shape, "--boxes", "--truth")
     add_truth_format(shape)
     add_range_option(shape)
     shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
