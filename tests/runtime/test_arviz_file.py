@@ -8,11 +8,14 @@ import pytest
 
 from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.lifetimes import KeptBeliefsError, moves_of
+from bayesnet_track.runtime.lifetimes import KeptBeliefsError
 from bayesnet_track.runtime.recording import arviz_file
-from bayesnet_track.runtime.recording.arviz_file import ArvizError, beliefs_as_groups, write_arviz
+from bayesnet_track.runtime.recording.arviz_file import ArvizError, beliefs_as_dataset, write_arviz
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
 from bayesnet_track.sources.scene_source import SceneSource
+
+xarray = pytest.importorskip("xarray")
+pytest.importorskip("h5netcdf")
 
 FRAMES, DRAWS = 6, 2000
 
@@ -38,23 +41,16 @@ def is_mean(draws, mean, variance):
 
 
 @pytest.mark.parametrize("name", ["particle_run", "gaussian_run"])
-def test_draws_have_the_moments_of_the_belief_and_of_its_prediction(name, request):
+def test_draws_have_the_moments_of_the_belief(name, request):
     run = request.getfixturevalue(name)
-    groups = beliefs_as_groups(run, DRAWS, seed=0)
-    lifetime = list(read_beliefs(run.directory.beliefs))
-    for at, kept in enumerate(lifetime):
+    dataset = beliefs_as_dataset(run, DRAWS)
+    for kept in read_beliefs(run.directory.beliefs):
         belief = kept.posterior
         for column, field in enumerate(belief.fields):
-            values = groups.sampled["posterior"][field][:, 0, at]
+            values = dataset[field].sel(chain=0, target="1", frame=kept.frame).values
             variance = belief.covariance[column, column]
             assert is_mean(values, belief.mean[column], variance)
             np.testing.assert_allclose(values.var(), variance, rtol=6 * np.sqrt(4 / DRAWS), atol=1e-3)
-    assert np.isnan(groups.sampled["prior"]["x"][:, 0, 0]).all()
-    for at, move in enumerate(moves_of(run, lifetime), start=1):
-        before = lifetime[at - 1].posterior
-        ahead = move.motion.drift(before.mean[None], move.dt)[0]
-        values = groups.sampled["prior"]["x"][:, 0, at]
-        assert is_mean(values, ahead[0], values.var())
 
 
 def test_likelihoods_of_the_agents_are_what_the_particles_were_weighed_by(particle_run):
@@ -66,51 +62,36 @@ def test_likelihoods_of_the_agents_are_what_the_particles_were_weighed_by(partic
 
 
 def test_draws_of_a_particle_have_its_likelihood(particle_run):
-    groups = beliefs_as_groups(particle_run, 50, seed=0)
+    drawn = beliefs_as_dataset(particle_run, 50).sel(chain=0, target="1", frame=3)
     kept = list(read_beliefs(particle_run.directory.beliefs))[3]
+    assert kept.heard.log_likelihoods
     for agent, values in kept.heard.log_likelihoods.items():
         by_place = dict(zip(map(tuple, kept.posterior.states[:, :2].astype(np.float32)), values, strict=True))
-        x, y = (groups.sampled["posterior"][name][:, 0, 3] for name in "xy")
-        found = groups.sampled["log_likelihood"][agent][:, 0, 3]
-        np.testing.assert_allclose(found, [by_place[place] for place in zip(x, y, strict=True)], rtol=1e-6)
+        places = zip(drawn.x.values, drawn.y.values, strict=True)
+        found = drawn[f"log_likelihood_{agent}"].values
+        np.testing.assert_allclose(found, [by_place[place] for place in places], rtol=1e-6)
 
 
-def test_measurements_are_predicted_by_the_draws_and_their_error(gaussian_run):
-    groups = beliefs_as_groups(gaussian_run, DRAWS, seed=0)
-    for at, kept in enumerate(read_beliefs(gaussian_run.directory.beliefs)):
-        for agent, one in kept.heard.measured.items():
-            places = [kept.posterior.fields.index(name) for name in one.fields]
-            spread = kept.posterior.covariance[np.ix_(places, places)] + one.covariance
-            for n, field in enumerate(one.fields):
-                values = groups.sampled["posterior_predictive"][f"{agent}_{field}"][:, 0, at]
-                assert is_mean(values, kept.posterior.mean[places[n]], spread[n, n])
-                np.testing.assert_allclose(values.var(), spread[n, n], rtol=6 * np.sqrt(2 / DRAWS))
-                assert groups.observed[f"{agent}_{field}"][0, at] == one.mean[n]
-            x = np.stack([groups.sampled["posterior"][f][:, 0, at] for f in one.fields], axis=1) - one.mean
-            expected = -0.5 * np.einsum("ni,ij,nj->n", x, np.linalg.inv(one.covariance), x)
-            found = groups.sampled["log_likelihood"][agent][:, 0, at]
-            np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
+def test_measurements_are_those_of_the_run_and_absent_where_nothing_was_measured(gaussian_run):
+    dataset = beliefs_as_dataset(gaussian_run, 5).sel(target="1")
+    agents = 0
+    for kept in read_beliefs(gaussian_run.directory.beliefs):
+        for agent, measurement in kept.heard.measured.items():
+            for field, value in zip(measurement.fields, measurement.mean, strict=True):
+                found = dataset[f"measured_{agent}_{field}"].sel(frame=kept.frame)
+                assert found == np.float32(value)
+                agents += 1
+    assert agents == sum(int(v.notnull().sum()) for n, v in dataset.items() if n.startswith("measured"))
 
 
 def test_the_file_is_opened_by_xarray(gaussian_run, tmp_path):
-    xarray = pytest.importorskip("xarray")
-    pytest.importorskip("h5netcdf")
     write_arviz(gaussian_run, tmp_path / "run.nc", 20)
-    with xarray.open_datatree(tmp_path / "run.nc", engine="h5netcdf") as tree:
-        assert set(tree.children) == {
-            "posterior",
-            "prior",
-            "log_likelihood",
-            "posterior_predictive",
-            "sample_stats",
-            "observed_data",
-            "constant_data",
-        }
-        assert dict(tree["posterior"].sizes) == {"chain": 1, "draw": 20, "target": 1, "frame": FRAMES}
-        evidence = [line.log_evidence for line in gaussian_run.metrics]
-        np.testing.assert_array_equal(tree["sample_stats"]["log_evidence"].values[0], evidence)
-        assert tree["constant_data"]["kind"].values.tolist() == ["ball"]
-        assert tree.attrs["graph"] == "kalman_ball"
+    with xarray.open_dataset(tmp_path / "run.nc", group="posterior", engine="h5netcdf") as found:
+        assert found.x.dims == ("chain", "draw", "target", "frame")
+        assert found.x.shape == (1, 20, 1, FRAMES)
+        xarray.testing.assert_identical(found.load(), beliefs_as_dataset(gaussian_run, 20))
+        assert found.kind.values.tolist() == ["ball"] and found.attrs["graph"] == "kalman_ball"
+        assert found.time_s.values.tolist() == [line.time_s for line in gaussian_run.metrics]
 
 
 def test_the_file_is_opened_by_arviz(particle_run, tmp_path):
@@ -129,13 +110,13 @@ def test_a_run_without_beliefs_is_refused_with_the_cure(particle_run, tmp_path):
     shutil.copytree(particle_run.directory.path, tmp_path / "run")
     (tmp_path / "run/beliefs.jsonl").unlink()
     with pytest.raises(KeptBeliefsError, match="run it again with `--keep-beliefs`"):
-        beliefs_as_groups(open_run(tmp_path / "run"), 10, 0)
+        beliefs_as_dataset(open_run(tmp_path / "run"), 10)
 
 
 def test_too_many_numbers_are_refused(particle_run, monkeypatch):
-    monkeypatch.setattr(arviz_file, "MOST_NUMBERS", 1000)
+    monkeypatch.setattr(arviz_file, "MAX_NUMBERS", 1000)
     with pytest.raises(ArvizError, match="fewer --draws"):
-        beliefs_as_groups(particle_run, 500, 0)
+        beliefs_as_dataset(particle_run)
 
 
 def test_what_is_not_installed_is_named_with_the_cure(particle_run, tmp_path, monkeypatch):
@@ -170,14 +151,13 @@ def test_what_is_no_run_is_named(tmp_path, capsys):
 
 def test_what_cannot_be_written_whole_leaves_the_file_as_it_was(particle_run, tmp_path, monkeypatch):
     class Broken:
-        def to_netcdf(self, path, engine):
+        def to_netcdf(self, path, group, engine):
             path.write_bytes(b"half")
             raise OSError("the disk is full")
 
     path = tmp_path / "one.nc"
     path.write_bytes(b"old")
-    monkeypatch.setattr(arviz_file, "_xarray", lambda: None)
-    monkeypatch.setattr(arviz_file, "_tree", lambda *_: Broken())
+    monkeypatch.setattr(arviz_file, "beliefs_as_dataset", lambda *_: Broken())
     with pytest.raises(OSError, match="full"):
         write_arviz(particle_run, path)
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
