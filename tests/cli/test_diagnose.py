@@ -41,19 +41,19 @@ def test_a_run_in_which_nothing_is_wrong(lines):
 @pytest.mark.parametrize(
     ("changed", "frames", "remedy", "words"),
     [
-        ({"status": "lost"}, range(30, 40), "gone", "lost in 10 of 39 frames, first in frame 30"),
-        ({"status": "lost"}, range(10, 14), None, "lost in 4 of 39 frames, first in frame 10"),
+        ({"status": "lost"}, range(30, 40), "gone", "lost in 10 of 39 frames, decided in frame 29"),
+        ({"status": "lost"}, range(10, 14), None, "lost in 4 of 39 frames, decided in frame 9"),
         (
             {"status": "uncertain", "features": {"most": 0.5, "log_fit": -0.1}},
             range(9, 29),
             "alike",
-            "uncertain in 20 of 39 frames, first in frame 9, in 20 of them because of a look-alike",
+            "uncertain in 20 of 39 frames, decided in frame 8, in 20 of them because of a look-alike",
         ),
         (
             {"status": "uncertain", "features": {"most": 0.4, "log_fit": -4.0}},
             range(9, 29),
             None,
-            "uncertain in 20 of 39 frames, first in frame 9; the best box has 0.018 of the likelihood",
+            "uncertain in 20 of 39 frames, decided in frame 8; the best box has 0.018 of the likelihood",
         ),
         (
             {"status": "uncertain", "features": {"most": 1.0, "log_fit": -0.5, "texture": -3.0, "old": -1.0}},
@@ -65,7 +65,7 @@ def test_a_run_in_which_nothing_is_wrong(lines):
             {"status": "uncertain", "features": {"most": 1.0, "old": -1.0, "confidence.net": 1.4}},
             range(9, 29),
             None,
-            "frame 9; by the verifier old it has 0.37; net is sure of it to 80% (median)",
+            "frame 8; by the verifier old it has 0.37; net is sure of it to 80% (median)",
         ),
         ({"ess": 2.0}, range(40), "sharp", "the effective number of hypotheses is 2.0 (median; below 3)"),
         ({"log_evidence": -9.0}, range(20, 23), "bursts", "in 3 of 39 frames the evidence is far below"),
@@ -155,8 +155,8 @@ def test_what_many_targets_have_in_common_is_printed_once(lines, monkeypatch, ca
     assert main(["diagnose", "R"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[:3] == [
-        "target 1: lost in 2 of 39 frames, first in frame 5",
-        "  look  bayesnet-track log R --why 5",
+        "target 1: lost in 2 of 39 frames, decided in frame 4",
+        "  look  bayesnet-track log R --why 4",
         "  also  11 other targets: 2, 3, 4, 5, 6, 7, 8, 9, ...",
     ]
     assert len(said) == 4

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 ONE_BY_ONE = 3
 """Of more targets than this, findings that are alike are printed once."""
 SHOWN_TARGETS = 8
+UNTRIED = (
+    "no value was tried here, and one that helps one video makes another worse: `what-if` tracks with it and "
+    "compares. Compare a value with several seeds (run --seeds 5) before you keep it: one run may be chance"
+)
 
 
 def diagnose(options: argparse.Namespace) -> int:
@@ -40,7 +44,7 @@ def diagnose(options: argparse.Namespace) -> int:
         if len(alike) > 1:
             say("\n".join(_others(options.run, [one.target for one in alike[1:]])))
     if tried:
-        say("compare a value with several seeds (run --seeds 5) before you keep it: one run may be chance")
+        say(UNTRIED)
     elif not found:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "

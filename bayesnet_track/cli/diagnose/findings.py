@@ -88,10 +88,11 @@ def _doubt(lines: Lines) -> Iterator[Finding]:
         return
     # Only a look-alike in reach bounds the score by exactly one half.
     alike = sum(line.features.get("most") == 0.5 for line in doubtful)
-    what = f"uncertain in {len(doubtful)} of {len(lines)} frames, first in frame {doubtful[0].frame}"
+    decided = _decided(lines, doubtful[0])
+    what = f"uncertain in {len(doubtful)} of {len(lines)} frames, decided in frame {decided}"
     if 2 * alike >= len(doubtful):
         what += f", in {alike} of them because of a look-alike"
-        yield Finding(lines[0].target, what, "alike", frame=doubtful[0].frame)
+        yield Finding(lines[0].target, what, "alike", frame=decided)
         return
     fits = [line.features["log_fit"] for line in doubtful if "log_fit" in line.features]
     if fits:
@@ -105,7 +106,7 @@ def _doubt(lines: Lines) -> Iterator[Finding]:
     for name in (name for name in said if name.startswith(CONFIDENCE)):
         sure = 1.0 / (1.0 + exp(-said[name]))
         what += f"; {name.removeprefix(CONFIDENCE)} is sure of it to {sure:.0%} (median)"
-    yield Finding(lines[0].target, what, None, frame=doubtful[0].frame)
+    yield Finding(lines[0].target, what, None, frame=decided)
 
 
 def _unforeseen(lines: Lines) -> Iterator[Finding]:
@@ -167,9 +168,16 @@ def _lost(lines: Lines) -> Iterator[Finding]:
     lost = [line for line in lines if line.status == "lost"]
     if not lost:
         return
-    what = f"lost in {len(lost)} of {len(lines)} frames, first in frame {lost[0].frame}"
+    decided = _decided(lines, lost[0])
+    what = f"lost in {len(lost)} of {len(lines)} frames, decided in frame {decided}"
     is_gone = lines[-1].status == "lost"
-    yield Finding(lines[0].target, what, "gone" if is_gone else None, frame=lost[0].frame)
+    yield Finding(lines[0].target, what, "gone" if is_gone else None, frame=decided)
+
+
+def _decided(lines: Lines, first: FrameMetrics) -> int:
+    """The frame in which the status of a line was decided, as `log` has it: it applies from the next one."""
+    place = lines.index(first)
+    return lines[place - 1].frame if place else first.frame - 1
 
 
 def _learning(lines: Lines) -> Iterator[Finding]:
