@@ -113,6 +113,19 @@ def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+def test_ground_truth_of_several_targets_is_refused_before_anything_is_tracked(
+    data: Path, tmp_path: Path
+) -> None:
+    many = tmp_path / "many.txt"
+    many.write_text("1,1,9,9,20,20,1,1,1\n1,2,40,40,20,20,1,1,1\n")
+    video = Video(str(data / "one" / "img"), "one", None, str(data / "one" / "groundtruth.txt"), str(many))
+    with pytest.raises(
+        ValueError, match=r"boxes of 2 targets .*; nothing was tracked\. .*`score RUN --truth"
+    ):
+        do(Job("two_squares", video, 0, str(tmp_path / "run")), lambda *_: None)
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_run_that_another_process_writes_is_left_alone(data: Path, tmp_path: Path) -> None:
     truth = str(data / "one" / "groundtruth.txt")
     job = Job("two_squares", Video(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run"))

@@ -68,6 +68,17 @@ def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     assert not (data / "fitted.yaml.part").exists()
 
 
+def test_which_of_several_classes_is_fitted_is_said(data, capsys):
+    _, nodes = GRAPH.split("targets:\n")
+    second = nodes.replace("target", "person")
+    (data / "g.yaml").write_text(GRAPH + second)
+    assert main(["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--what", "score"]) == 0
+    said = capsys.readouterr()
+    assert "has the classes target, person: target, the first one, is fitted, and person not" in said.err
+    first, other = said.out.split("  person:\n")
+    assert "# fit: " in first and "# fit: " not in other
+
+
 def test_what_is_not_estimated_of_lost_is_kept(data, capsys):
     """`relocalize: sudden` needs `found_fit`; without it the graph that was written would be refused."""
     score = "score: {logistic: {bias: 1, log_fit: 1}}"

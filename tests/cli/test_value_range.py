@@ -108,6 +108,19 @@ def test_a_batch_has_the_range_too(folders, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["5", "9,1", "a,b", "1,2,3", "nan,1"])
+def test_a_session_of_annotations_remembers_its_range(folders, tmp_path, capsys):
+    boxes = tmp_path / "boxes.txt"
+    boxes.write_text(f"1,1,{','.join(map(str, BOX))},1\n")
+    command = ["annotate", str(folders[0]), "--out", str(tmp_path / "a"), "--no-view", "--import", str(boxes)]
+    assert main([*command, "--range", f"{LOW},{HIGH}"]) == 0
+    before = (tmp_path / "a/coco.json").read_bytes()
+    capsys.readouterr()
+    assert main(command) == 0 and (tmp_path / "a/coco.json").read_bytes() == before
+    assert "levels" not in capsys.readouterr().err
+    assert main([*command, "--range", f"{LOW},{HIGH + 9}"]) != 0
+    assert f"it was ({float(LOW)}, {float(HIGH)}) (without --range it is kept)" in capsys.readouterr().err
+
+
 def test_what_is_no_range_is_refused(folders, tmp_path, text, capsys):
     with pytest.raises(SystemExit) as caught:
         run(folders[0], tmp_path / "a", "--range", text)

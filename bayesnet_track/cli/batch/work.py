@@ -44,6 +44,7 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
 
     Raises:
         BatchError: the run that is there already was asked for otherwise.
+        ValueError: the ground truth is not that of one target; nothing is tracked then.
     """
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.checkpoints.resume import resume
@@ -55,6 +56,7 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
     from bayesnet_track.sources.frames import OnResize
     from bayesnet_track.sources.sources import open_source
 
+    _check_truth(job)
     summary = Summary()
     settle_broken(RunDirectory(Path(job.out)))
     try:
@@ -85,6 +87,23 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
             for _ in results:
                 progress(summary.frames, expected)
     return row_of(job)
+
+
+def _check_truth(job: Job) -> None:
+    """Read the ground truth before anything is tracked; raises OSError, ValueError."""
+    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.sources.entrances.notices import heard
+
+    if job.video.truth is None:
+        return
+    try:
+        with heard(lambda _: None):  # it is read again, and said, when it is scored with
+            read_truth(job.video.truth, job.truth_format)
+    except ValueError as error:
+        raise ValueError(
+            f"{error}; nothing was tracked. A batch scores with the ground truth of one target: "
+            "leave --truth out, and `score RUN --truth FILE` scores the run of several"
+        ) from error
 
 
 def row_of(job: Job) -> Row:

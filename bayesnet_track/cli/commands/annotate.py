@@ -73,7 +73,8 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
         kept = read_answers(folder / NAME).header
     graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
     _warn_of_score(graph)
-    with open_source(options.video, value_range=options.value_range) as source:
+    value_range = options.value_range or (kept.value_range if kept else None)
+    with open_source(options.video, value_range=value_range) as source:
         store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
     run_silently(lambda: sys.stderr.write("\n"))
     is_whole = source.end_reason == "end_of_source"
@@ -121,6 +122,7 @@ def make_header(
         chosen("patience", PATIENCE),
         version("bayesnet-track"),
         chosen("max_side", None),
+        chosen("value_range", None),
     )
 
 

@@ -26,6 +26,7 @@ from bayesnet_track.cli.options.sources import add_range_option
 from bayesnet_track.cli.options.truths import add_truth_format
 from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.text.wording import plural
+from bayesnet_track.sources.entrances.notices import notice
 
 if TYPE_CHECKING:
     from bayesnet_track.evaluate.calibration_data import CalibrationData
@@ -46,6 +47,12 @@ def fit(options: argparse.Namespace) -> int:
     promises = options.guarantee is not None or options.alarm is not None
     what = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
     graph, text = load_graph(options.graph), graph_text(options.graph)
+    if len(graph.targets) > 1:
+        first, *others = graph.targets
+        notice(
+            f"{options.graph} has the classes {', '.join(graph.targets)}: {first}, the first one, is fitted, "
+            f"and {', '.join(others)} not; to fit another class, put it first in `targets`"
+        )
     features = used_features(graph)
     if options.features is not None:
         features = _choose("--features", options.features, (*SIGNS, *further_features(graph)))

@@ -14,6 +14,7 @@ from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, read_
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.names import describe_mended, mend_names
 from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE
+from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 
 FORMAT = "bayesnet_track answers"
 VERSION = 1
@@ -35,6 +36,7 @@ class Header:
         graph_name: its name.
         version: of this package.
         max_side: longest side of the frames that are tracked in, px; None for the video's own size.
+        value_range: the values that become black and white; None for all that the type of the values holds.
     """
 
     video: Video
@@ -45,6 +47,7 @@ class Header:
     patience: int
     version: str
     max_side: int | None = None
+    value_range: ValueRange | None = None
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,9 @@ class AnswersFile:
 def write_answers(path: Path, header: Header, answers: Iterable[Answer] = ()) -> None:
     """Write a file anew, whole or not at all; raises OutputError."""
     line = {"format": FORMAT, "format_version": VERSION, **asdict(header)}
-    if header.max_side is None:
-        del line["max_side"]
+    for name in ("max_side", "value_range"):
+        if line[name] is None:
+            del line[name]
     text = "".join(f"{one}\n" for one in [json.dumps(line, allow_nan=False), *map(_line, answers)])
     write_atomically(path, text.encode())
 
@@ -146,8 +150,9 @@ def _read_header(path: Path, line: bytes) -> Header:
         if given.get("format_version") != VERSION:
             raise AnswerError(f"format version {given.get('format_version')!r}; this program reads {VERSION}")
         del given["format"], given["format_version"]
+        given["value_range"] = value_range_of(given.get("value_range"))
         header = Header(**{**given, "video": Video(**given["video"])})
-    except (AnswerError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise AnswersFileError(f"{path}, line 1: {error}") from error
     for name, (value, kinds, least) in {
         "video.frames": (header.video.frames, (int,), 1),
@@ -186,6 +191,11 @@ def first_difference(kept: Header, now: Header) -> str | None:
         was, found = getattr(kept.video, name), getattr(now.video, name)
         if was != found:
             where = "frames differ (SHA-256)" if name == "pixels" else f"{name}: {found}, it was {was}"
+            if name == "pixels" and kept.value_range != now.value_range:
+                ranges = [one.value_range or "none" for one in (now, kept)]
+                where += (
+                    f"; the range of values is {ranges[0]}, it was {ranges[1]} (without --range it is kept)"
+                )
             return f"another video: {where}"
     for name in ("graph_name", "graph", "seed", "max_side", "version"):
         was, found = getattr(kept, name), getattr(now, name)
