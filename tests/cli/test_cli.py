@@ -826,7 +826,7 @@ LONG = "x" * 300
         f"report {{demo}} --frames full --out {LONG}",
         f"compare {{demo}} {{demo}} --html {LONG}.html",
         f"export {{demo}} --format csv --out {LONG}",
-        f"init {LONG}.yaml --yes",
+        f"init {LONG}.yaml",
         f"graph two_squares --svg {LONG}.svg",
         f"detect motion --source {{images}} --out {LONG}",
         f"detect motion --source {{images}} --out {{out}} --save-video {LONG}.mkv",

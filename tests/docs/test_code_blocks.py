@@ -149,8 +149,6 @@ def words_of(command: str, page: str) -> list[str]:
     words = [
         INIT if word in ("…", "...") and words[n - 1] == "--init" else word for n, word in enumerate(words)
     ]
-    if words[0] == "init" and "--yes" not in words:  # six questions, which nobody is here to answer
-        words.append("--yes")
     if words[0] in ("run", "demo"):
         words += ["--quiet"] * ("--quiet" not in words)
         words += ["--end", "125" if page == "README.md" else "55"]
