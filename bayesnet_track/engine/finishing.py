@@ -36,7 +36,7 @@ from bayesnet_track.engine.summaries import Summary, find_covariances, find_summ
 from bayesnet_track.graph.spec import Distractors, InferenceNode
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
-from bayesnet_track.inference.measure_rows import Looks, is_flat, is_plain, measure_rows
+from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
 from bayesnet_track.journal.events.event import Event
@@ -103,25 +103,20 @@ def estimate_target(work: FrameWork, filtered: Filtered) -> Floats:
 def measure_all(
     work: FrameWork, filtered: Mapping[str, Filtered], boxes: Mapping[str, Floats]
 ) -> dict[str, Measures]:
-    """Target -> UD, KL, ... of its belief, its estimate in `boxes` (4,); as arrays where that can be done."""
+    """Target -> UD, KL, ... of its belief, its estimate in `boxes` (4,); those of flat nets by groups."""
     alike: dict[Hashable, list[str]] = {}
     found: dict[str, Measures] = {}
     areas = {target: float(boxes[target][2] * boxes[target][3]) for target in filtered}
     for target, one in filtered.items():
         plate = work.plate_of(target).plate
-        if is_flat(plate) and is_plain(one.plan, one.step):
-            alike.setdefault((plate.name, one.plan.active, len(one.step.prior)), []).append(target)
+        if is_flat(plate) and not one.step.evidence.latent:
+            alike.setdefault((plate.name, StepArrays.key(one.plan, one.step)), []).append(target)
         else:
             found[target] = measure(plate, one.plan, one.step, areas[target])
     for targets in alike.values():
-        first, plate = filtered[targets[0]], work.plate_of(targets[0]).plate
-        if len(targets) == 1:  # arrays of one row take longer
-            found[targets[0]] = measure(plate, first.plan, first.step, areas[targets[0]])
-            continue
-        steps = [filtered[target].step for target in targets]
-        rows = measure_rows(
-            plate, first.plan, Looks.of(first.plan, steps), [areas[target] for target in targets]
-        )
+        plan, plate = filtered[targets[0]].plan, work.plate_of(targets[0]).plate
+        steps = StepArrays.of(plate, plan, [filtered[target].step for target in targets])
+        rows = measure_rows(plate, plan, steps, [areas[target] for target in targets])
         found.update((target, rows.of(row)) for row, target in enumerate(targets))
     return found
 

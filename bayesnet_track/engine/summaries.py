@@ -91,7 +91,7 @@ def _find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
 
 
 def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]]:
-    """Targets of a plate whose particles make an array, several at least; then the others."""
+    """Targets of a plate whose particles make an array; then the others."""
     alike: dict[Hashable, list[str]] = {}
     alone: list[str] = []
     for target, one in filtered.items():
@@ -100,8 +100,7 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
             alike.setdefault((one.plan.root, own.fields, own.states.shape), []).append(target)
         else:
             alone.append(target)
-    alone += [targets[0] for targets in alike.values() if len(targets) == 1]  # one row would take longer
-    return [targets for targets in alike.values() if len(targets) > 1], alone
+    return list(alike.values()), alone
 
 
 def summarise_one(work: FrameWork, target: str, step: Step[Posterior], covariance: Floats) -> Summary:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,21 +12,18 @@ from bayesnet_track.adapt.measures import Measures, PartMeasure
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure_rows import is_alone, is_flat
+from bayesnet_track.inference.measure_rows import is_alone, silent_of
 from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import weighted_mass_in_disc
 from bayesnet_track.numerics.log_weights import divergences, select, tilt, uncertainty_deviation
-from bayesnet_track.numerics.records import Found
 from bayesnet_track.observation.cue import Hypotheses
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
     """Measure one step of `target`; every index is taken on the step's own hypotheses and prior weights."""
-    if is_flat(target) and not step.evidence.latent:
-        return _measure_flat(target, plan, step, area_px2)
     evidence, prior, root = step.evidence, step.prior.log, step.support.weights
     hypotheses = Hypotheses(step.support.boxes)
     nodes = list(evidence.messages)
@@ -53,7 +50,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
 
     parts = part_beliefs(plan, evidence, step.support.weights)
     uds = _node_uds(target, step, beliefs, parts)
-    silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
+    silent = silent_of(evidence)
     at_parts = measure_parts(target, evidence, parts, uds)
     seeing = _that_see(target, agents, silent, at_parts)
     return Measures(
@@ -75,30 +72,6 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     )
 
 
-def _measure_flat(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
-    """`measure` of a net whose only belief is the root's; what rules seldom ask for is found when they do."""
-    evidence, prior, root = step.evidence, step.prior.log, step.support.weights.log
-    agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
-    if is_alone(plan):
-        without_each = prior[None]
-    else:
-        without_each = tilt(prior, _rows(_left(target, plan, step, agents), len(prior)))
-    contributions = divergences(root, without_each).tolist() if agents else ()
-    silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
-    asked: Found[tuple[float, float, float]] = Found(agents, partial(_ask_flat, target, plan, step, agents))
-    kl, strength, agent_ud = (Found(agents, partial(_part_of, asked, which)) for which in range(3))
-    return Measures(
-        ud_px2={target.root: step.posterior.uncertainty(step.map_state, columns_of(target, target.root))},
-        agent_ud_px2=agent_ud,
-        kl=kl,
-        contribution=dict(zip(agents, contributions, strict=True)),
-        strength=strength,
-        fit=fit_of([evidence.messages[agent] for agent in agents if agent not in silent]),
-        area_px2=area_px2,
-        silent=silent,
-    )
-
-
 def _left(target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequence[str]) -> list[Floats]:
     """(N,) of each agent: the message that its governor, or the root, would have had without it."""
     evidence, prior = step.evidence, step.prior.log
@@ -110,23 +83,6 @@ def _left(target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequ
         without(plan, evidence, agent, hypotheses, prior).get(target.governor[agent] or target.root, nothing)
         for agent in agents
     ]
-
-
-def _ask_flat(
-    target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequence[str]
-) -> dict[str, tuple[float, float, float]]:
-    """Agent of a flat net -> KL, strength and own UD."""
-    messages, prior, root = step.evidence.messages, step.prior.log, step.support.weights.log
-    boxes = step.support.boxes
-    logs = tilt(prior, _rows((messages[agent] for agent in agents), len(prior)))
-    kl = divergences(root, root[None] if is_alone(plan) else logs).tolist()
-    strength = divergences(logs, prior).tolist()
-    uds = [_agent_ud(target, boxes, messages[agent], log) for agent, log in zip(agents, logs, strict=True)]
-    return dict(zip(agents, zip(kl, strength, uds, strict=True), strict=True))
-
-
-def _part_of(asked: Mapping[str, tuple[float, float, float]], which: int) -> dict[str, float]:
-    return {agent: values[which] for agent, values in asked.items()}
 
 
 def fit_of(messages: Sequence[Floats]) -> float:

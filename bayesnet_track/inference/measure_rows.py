@@ -1,4 +1,4 @@
-"""Measure the steps of many targets with one plan: the same numbers as `measure.measure`, as arrays.
+"""Measure the steps of targets of a flat net with one plan: what `measure.measure` measures of any net.
 
 Sums run along the hypotheses of one target at a time, in the order in which they run for it alone: no bit
 depends on who else is measured.
@@ -6,7 +6,7 @@ depends on who else is measured.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from typing import Any
@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.belief.contract import BOX_FIELDS, Step
-from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import divergences, select, tilt
+from bayesnet_track.numerics.records import Found
 
 Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequence[float]]]
 
@@ -46,25 +46,14 @@ def is_alone(plan: Plan) -> bool:
     return len(plan.observations) == 1 and not plan.factors
 
 
-def is_plain(plan: Plan, step: Step[Any]) -> bool:
-    """Whether a step of a flat net is of particles that all of its agents, one at least, scored."""
-    evidence = step.evidence
-    return (
-        isinstance(step.posterior, ParticleSet)
-        and step.support is step.posterior
-        and not (plan.draws or plan.factors or evidence.latent or evidence.measured or evidence.factors)
-        and len(plan.observations) > 0
-        and evidence.messages.keys() == plan.active
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class RowMeasures:
-    """What is measured of T targets; what no rule of a plain net asks for is found with the first `of`.
+    """What is measured of T targets; what rules seldom ask for is found when they do, for all at once.
 
     Attributes:
         target: the flat net.
         agents: those who said something, A of them.
+        silent: those of them that measure and did not see the targets.
         uds: of each target, UD of its belief, px^2.
         fits: of each, as in `Measures`.
         areas: of each estimate, px^2.
@@ -74,6 +63,7 @@ class RowMeasures:
 
     target: CheckedTarget
     agents: Sequence[str]
+    silent: tuple[str, ...]
     uds: Sequence[float]
     fits: Sequence[float]
     areas: Sequence[float]
@@ -89,7 +79,7 @@ class RowMeasures:
 
     def of(self, row: int) -> Measures:
         """What is measured of one."""
-        kl, strength, uds = (dict(zip(self.agents, part[row], strict=True)) for part in self._rest)
+        kl, strength, uds = (Found(self.agents, partial(self._rest_of, row, part)) for part in range(3))
         return Measures(
             ud_px2={self.target.root: self.uds[row]},
             agent_ud_px2=uds,
@@ -98,96 +88,113 @@ class RowMeasures:
             strength=strength,
             fit=self.fits[row],
             area_px2=self.areas[row],
+            silent=self.silent,
         )
+
+    def _rest_of(self, row: int, part: int) -> dict[str, float]:
+        return dict(zip(self.agents, self._rest[part][row], strict=True))
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
-    """Plain steps of T targets with N hypotheses each, by the same A agents.
+class StepArrays:
+    """Steps of T targets of a flat net, at N hypotheses each, in which the same A agents said something.
 
     Attributes:
-        messages: (A, T, N) log-likelihoods by agent, in the order of the plan's observations.
+        agents: these, in the order of the plan's observations.
+        silent: agents that measure and did not see the targets.
+        messages: agent, and factor -> (T, N) log-likelihoods.
         prior: (T, N) log-weights before the evidence.
         log: (T, N) those after it.
-        weights: (T, N).
-        states: (T, N, D).
-        best: (T, D) the MAP states.
+        boxes: (T, N, 4) hypotheses of centre boxes, px.
+        uds: of each target, UD of its belief about the estimate, px^2.
     """
 
-    messages: Floats
+    agents: Sequence[str]
+    silent: tuple[str, ...]
+    messages: Mapping[str, Floats]
     prior: Floats
     log: Floats
-    weights: Floats
-    states: Floats
-    best: Floats
+    boxes: Floats
+    uds: Sequence[float]
+
+    @staticmethod
+    def key(plan: Plan, step: Step[Any]) -> Hashable:
+        """Equal for steps by one plan that can be measured together."""
+        said = step.evidence
+        return plan.active, (*said.messages,), (*said.factors,), silent_of(said), len(step.prior)
 
     @classmethod
-    def of(cls, plan: Plan, steps: Sequence[Step[Any]]) -> Looks:
-        """Those of steps with the same number of hypotheses each."""
+    def of(cls, target: CheckedTarget, plan: Plan, steps: Sequence[Step[Any]]) -> StepArrays:
+        """Those of steps with the same key."""
+        said, columns = steps[0].evidence, [BOX_FIELDS.index(name) for name in _ud_fields(target)]
+        messages = {name: np.array([one.evidence.messages[name] for one in steps]) for name in said.messages}
+        factors = {name: np.array([one.evidence.factors[name] for one in steps]) for name in said.factors}
         return cls(
-            np.array([[step.evidence.messages[one.agent] for step in steps] for one in plan.observations]),
+            [one.agent for one in plan.observations if one.agent in messages],
+            silent_of(said),
+            messages | factors,
             np.array([step.prior.log for step in steps]),
             np.array([step.support.weights.log for step in steps]),
-            np.array([step.support.weights.weights for step in steps]),
-            np.array([step.support.states for step in steps]),
-            np.array([step.map_state for step in steps]),
+            np.array([step.support.boxes for step in steps]),
+            [step.posterior.uncertainty(step.map_state, columns) for step in steps],
         )
 
 
-def measure_rows(target: CheckedTarget, plan: Plan, looks: Looks, areas_px2: Sequence[float]) -> RowMeasures:
-    """What is measured of plain steps of a flat net."""
-    agents, columns, messages = [one.agent for one in plan.observations], _columns(target), looks.messages
-    boxes = np.ascontiguousarray(looks.states[:, :, columns])
-    without = (
-        looks.prior[None] if is_alone(plan) else tilt(looks.prior, _without_each(plan, agents, messages))
-    )
-    nats = divergences(np.array([looks.log] * len(agents)), without).T
-    fits = np.exp(
-        np.minimum(sum((own / len(agents) for own in messages), np.zeros_like(looks.prior)).max(axis=1), 0.0)
-    )
-    return RowMeasures(
-        target,
-        agents,
-        _uds(boxes, looks.weights, looks.best[:, columns]),
-        fits.tolist(),
-        areas_px2,
-        nats,
-        partial(_find_rest, messages, looks.prior, looks.log, boxes),
-    )
+def silent_of(evidence: Evidence) -> tuple[str, ...]:
+    """The agents that measure and did not see the target."""
+    return tuple(agent for agent, own in evidence.measured.items() if own is None)
 
 
-def _find_rest(messages: Floats, prior: Floats, root: Floats, boxes: Floats) -> Rest:
-    """KL and strength of each agent (A, T, N), and UD of what it says by itself."""
-    count = len(messages)
-    logs = tilt(prior, messages)
-    alone = root[None] if count == 1 else logs
+def measure_rows(
+    target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2: Sequence[float]
+) -> RowMeasures:
+    """What is measured of the steps of a flat net; every index is taken on the step's own hypotheses."""
+    agents, said = steps.agents, steps.messages
+    without = steps.prior[None] if is_alone(plan) else tilt(steps.prior, _without_each(plan, steps))
+    nats = divergences(np.broadcast_to(steps.log, (len(agents), *steps.log.shape)), without).T
+    seeing = [said[agent] for agent in agents if agent not in steps.silent]
+    total = sum((own / len(seeing) for own in seeing), np.zeros_like(steps.prior)).max(axis=1)
+    fits = np.exp(np.minimum(total, 0.0)).tolist() if seeing else [0.0] * len(areas_px2)
+    heard = np.array([said[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
+    rest = partial(_find_rest, target, plan, heard, steps)
+    return RowMeasures(target, agents, steps.silent, steps.uds, fits, areas_px2, nats, rest)
+
+
+def _find_rest(target: CheckedTarget, plan: Plan, messages: Floats, steps: StepArrays) -> Rest:
+    """KL and strength of each agent's (A, T, N) messages, and UD of what it says by itself."""
+    count, prior, root = len(messages), steps.prior, steps.log
+    if not count:
+        return ([[]] * len(prior),) * 3
+    logs, boxes = tilt(prior, messages), steps.boxes[:, :, _columns(target)]
+    alone = root[None] if is_alone(plan) else logs
     nats = divergences(np.concatenate([[root] * count, logs]), np.concatenate([alone, [prior] * count]))
     best, rows = messages.argmax(axis=2), np.arange(len(prior))
-    uds = [_uds(boxes, np.exp(own), boxes[rows, at]) for own, at in zip(logs, best, strict=True)]
+    uds = [uncertainties(boxes, np.exp(own), boxes[rows, at]) for own, at in zip(logs, best, strict=True)]
     return nats[:count].T.tolist(), nats[count:].T.tolist(), list(zip(*uds, strict=True))
 
 
+def _ud_fields(target: CheckedTarget) -> Sequence[str]:
+    return tuple(target.inference(target.root).ud_fields)
+
+
 def _columns(target: CheckedTarget) -> slice | list[int]:
-    return select([BOX_FIELDS.index(name) for name in target.inference(target.root).ud_fields])
+    return select([BOX_FIELDS.index(name) for name in _ud_fields(target)])
 
 
-def _without_each(plan: Plan, agents: Sequence[str], messages: Floats) -> Floats:
-    """(A, T, N) the root's message had each agent been switched off; zeros without the only one."""
-    if len(agents) == 1:
-        return np.zeros_like(messages)
-    said = dict(zip(agents, messages, strict=True))
-    return np.array(
-        [
-            join_plain(plan, {name: own for name, own in said.items() if name != agent}, messages.shape[1:])[
-                plan.root
-            ]
-            for agent in agents
-        ]
-    )
+def _without_each(plan: Plan, steps: StepArrays) -> Floats:
+    """(A, T, N) the root's message had each agent been switched off; zeros where nothing is left."""
+    shape = steps.prior.shape
+    seen = {name: own for name, own in steps.messages.items() if name not in steps.silent}
+    left = [
+        join_plain(plan, {name: own for name, own in seen.items() if name != agent}, shape)
+        for agent in steps.agents
+    ]
+    nothing = np.zeros(shape)
+    return np.array([one.get(plan.root, nothing) for one in left]).reshape(len(left), *shape)
 
 
-def _uds(boxes: Floats, weights: Floats, centres: Floats) -> list[float]:
-    """UD of each target (`numerics.log_weights.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
-    away = (boxes - centres[:, None]).reshape(-1, boxes.shape[2])
+def uncertainties(states: Floats, weights: Floats, centres: Floats) -> list[float]:
+    """UD of each target (`numerics.divergence.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
+    away = (states - centres[:, None]).reshape(-1, states.shape[2])
     squares = np.einsum("nk,nk->n", away, away).reshape(weights.shape)
     return [float(np.dot(*pair)) for pair in zip(weights, squares, strict=True)]

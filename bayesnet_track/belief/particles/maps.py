@@ -32,8 +32,7 @@ def find_maps(steps: Iterable[Step[Any]]) -> None:
             key = (inner, find.inputs.dt, find.states.shape, find.inputs.prior.states.shape)
             alike.setdefault(key, []).append((step, find))
     for group in alike.values():
-        if len(group) > 1:
-            _find(group)
+        _find(group)
 
 
 def _find(group: list[tuple[Step[Any], FindMap]]) -> None:

@@ -19,10 +19,11 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure_rows import Looks
+from bayesnet_track.inference.measure import columns_of
+from bayesnet_track.inference.measure_rows import StepArrays, uncertainties
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.log_weights import LogWeights, effective
+from bayesnet_track.numerics.log_weights import LogWeights, effective, select
 from bayesnet_track.observation.cue import Hypotheses
 
 
@@ -110,17 +111,13 @@ class FilteredRows(Mapping[str, Filtered]):
         return [joins[target].hidden if target in joins else 0.0 for target in self.ids]
 
     @property
-    def looks(self) -> Looks:
+    def arrays(self) -> StepArrays:
         """What measures are made of."""
-        log = self.clouds.log
-        return Looks(
-            np.array([self.messages[one.agent] for one in self.plan.observations]),
-            np.tile(self.prior.log, (len(log), 1)),
-            log,
-            self.clouds.weights,
-            self.clouds.states,
-            self.best,
-        )
+        log, columns = self.clouds.log, columns_of(self.before.compiled.plate, self.plan.root)
+        chosen, prior = select(columns), np.tile(self.prior.log, (len(log), 1))
+        uds = uncertainties(self.clouds.states[:, :, chosen], self.clouds.weights, self.best[:, chosen])
+        agents = [one.agent for one in self.plan.observations]
+        return StepArrays(agents, (), self.messages, prior, log, self.boxes, uds)
 
     @cached_property
     def ess(self) -> list[float]:

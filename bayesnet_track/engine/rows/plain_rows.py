@@ -170,7 +170,7 @@ def finish_rows(work: FrameWork, group: FilteredRows, described: Described) -> F
         return None
     held = len(group.before.nets)
     rows = [row for row in range(len(group)) if row < held or _fits(work, group, row)]
-    if len(rows) < 2:  # arrays of one row take longer
+    if not rows:
         return None
     return _finish(work, group if len(rows) == len(group) else group.take(rows), described)
 
@@ -209,7 +209,7 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
     states = estimate_rows(work, group)
     boxes = inside_frame_all(states[:, :4], work.frame)
     areas = (boxes[:, 2] * boxes[:, 3]).tolist()
-    measures, hidden = measure_rows(plate, plan, group.looks, areas), group.hidden
+    measures, hidden = measure_rows(plate, plan, group.arrays, areas), group.hidden
     seen = Seen(
         np.array(measures.uds), np.array(areas), np.array(measures.fits), np.array(hidden), measures.nats
     )
