@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.net.net import Decision
@@ -61,14 +61,20 @@ def readmit(now: Situation) -> list[Decision]:
     return decisions
 
 
-def give_up_on_missing(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
-    """Put out agents that gave no answer for some frames in a row; what is remembered of them."""
-    if not now.missed and not memory.missed:
-        return memory
-    missed = {agent: memory.missed.get(agent, 0) + 1 for agent in now.missed}
+def give_up_on_missing(
+    now: Situation, memory: RuleMemory, decisions: list[Decision]
+) -> Mapping[str, int] | None:
+    """Put out agents that gave no answer for some frames in a row; how many there were of the others.
+
+    None where all gave one, in the last frame, too.
+    """
+    if not now.missed and not memory.missed.any():
+        return None
+    columns = memory.layout.agents
+    missed = {agent: int(memory.missed[0, columns[agent]]) + 1 for agent in now.missed}
     for agent, count in list(missed.items()):
         if count >= MISSED_FRAMES:
             reason = f"gave no answer in {count} frames in a row, the last time: {now.missed[agent]}"
             decisions.append(quarantine(now.net, now.frame, now.target, agent, reason))
             del missed[agent]
-    return replace(memory, missed=missed)
+    return missed

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from bayesnet_track.graph.spec import Information
+from bayesnet_track.graph.spec import Adapt, Information
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,12 @@ class Worth:
             return math.inf
         total = sum(self.frames.values())
         return mean + exploration * math.sqrt(math.log1p(total) / self.frames[agent])
+
+
+def goes_by_worth(rules: Adapt) -> bool:
+    """Whether rules choose agents by what they contributed."""
+    on = rules.activate is not None and rules.activate.which == "information_per_ms"
+    return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
 
 
 def expected_per_ms(

@@ -1,127 +1,256 @@
-"""What the rules remember between frames: streaks, baselines, helpfulness. All immutable."""
+"""Columns of what the rules remember of T targets of a plate: streaks, baselines, helpfulness.
+
+A target by itself is a group of one. All arrays are left as they are: a frame makes new ones.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from statistics import median
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
 
 from bayesnet_track.adapt.information import Worth
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import Lost
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import changed
 
-QUIET_WINDOW = 50
-QUIET_MINIMUM = 10
+BASELINE_WINDOW = 50
+BASELINE_MINIMUM = 10
+
+USUAL = Lost()
+"""When a target counts as lost where its graph says nothing of it."""
+
+Streak = tuple[str, str]
+"""A condition whose consecutive frames count: its kind, and the node or agent that it is of."""
+
+LOST, UNFIT, FOUND, SEEN, UNSURE = STATUS_STREAKS = tuple(
+    (kind, "") for kind in ("lost", "unfit", "found", "seen", "unsure")
+)
+"""Frames in a row that look lost; the fits of these, minus infinity where UD is too high; that look found; by
+a score those that do not look lost, and those that look uncertain or lost."""
 
 
-@dataclass(frozen=True)
-class Streak:
-    """Consecutive frames on which a condition held.
-
-    Attributes:
-        count: how many.
-        values: the values of the last of them, as many as the rule asks for: the one closest to the level is
-            where a rule that fires now would not have fired.
-    """
-
-    count: int = 0
-    values: tuple[float, ...] = ()
-
-    def then(self, holds: bool, value: float, frames: int) -> Streak:
-        """The streak after a frame more, for a rule that asks for `frames` of them."""
-        return Streak(self.count + 1, (*self.values, value)[-frames:]) if holds else NO_STREAK
-
-
-NO_STREAK = Streak()
-
-
-@dataclass(frozen=True)
-class Quiet:
-    """The measured baseline of a node's UD.
-
-    It is the median of the last 50 values seen with the smallest set of active agents below the node that has
-    at least 10 of them: the level of the agents that stay on. Fewer agents are less sure, so sets larger than
-    the present one are not asked: until 10 values are seen with so few agents, the level is unknown. Values
-    above the node's activation level, of a lost target, or without an active agent are no quiet ones.
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The columns that the rules of a plate need.
 
     Attributes:
-        values: set of active agents -> its last values of UD, px^2.
+        agents: its A agents, and the column of each.
+        streaks: its S streaks, and the column of each.
+        frames: (S,) how many frames in a row each rule asks for.
+        nodes: the nodes below the root, and it, that have `adapt` rules.
+        checked: the agents with a self-check.
     """
 
-    values: Mapping[frozenset[str], tuple[float, ...]] = field(default_factory=dict)
+    agents: Mapping[str, int]
+    streaks: Mapping[Streak, int]
+    frames: Ints
+    nodes: tuple[str, ...]
+    checked: tuple[str, ...]
 
-    def seen(self, active: frozenset[str], ud_px2: float) -> Quiet:
-        """With one more value."""
-        return Quiet({**self.values, active: (*self.values.get(active, ()), ud_px2)[-QUIET_WINDOW:]})
 
-    def level_px2(self, active: frozenset[str]) -> float | None:
-        """The baseline with `active` switched on, or None while it is unknown."""
-        if len(self.values) == 1:  # the usual case, told apart from the others because it is asked often
-            ((agents, seen),) = self.values.items()
-            applies = len(seen) >= QUIET_MINIMUM and (len(agents) <= len(active) or not active)
-            return self._only_median if applies else None
-        known = [
-            (len(agents), sorted(agents))
-            for agents, seen in self.values.items()
-            if len(seen) >= QUIET_MINIMUM and (len(agents) <= len(active) or not active)
+@lru_cache(maxsize=64)
+def layout_of(plate: CheckedTarget) -> Layout:
+    """The columns that the rules of a plate need."""
+    frames = dict.fromkeys(STATUS_STREAKS, (plate.inference(plate.root).lost or USUAL).frames)
+    nodes = tuple(node for node in plate.children if plate.inference(node).adapt is not None)
+    for node in nodes:
+        rules = plate.inference(node).adapt
+        for kind in ("activate", "deactivate"):
+            rule = getattr(rules, kind)
+            if rule is not None:
+                frames[kind, node] = rule.frames
+    checks = {agent: plate.agent(agent).self_check for agent in plate.agents}
+    checked = {agent: check.frames for agent, check in checks.items() if check is not None}
+    frames |= {("self_check", agent): count for agent, count in checked.items()}
+    return Layout(
+        {agent: column for column, agent in enumerate(plate.agents)},
+        {streak: column for column, streak in enumerate(frames)},
+        np.array(list(frames.values()), dtype=np.int64),
+        nodes,
+        tuple(checked),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """The last values of UD of a node, seen with one set of active agents.
+
+    Attributes:
+        values: (T, W) px^2, filled from the right.
+        counts: (T,) how many there are.
+        medians: (T,) px^2; NaN while there are fewer than 10.
+    """
+
+    values: Floats
+    counts: Ints
+    medians: Floats
+
+    @classmethod
+    def empty(cls, count: int) -> Baseline:
+        """Of targets of which nothing was seen."""
+        return cls(
+            np.zeros((count, BASELINE_WINDOW)), np.zeros(count, dtype=np.int64), np.full(count, np.nan)
+        )
+
+    def append(self, ud_px2: Floats, adds: Bools) -> Baseline:
+        """With one more value (T,) where it `adds` (T,)."""
+        from bayesnet_track.numerics.kernels.row_kernels import append_medians
+
+        return Baseline(*append_medians(self.values, self.counts, ud_px2, adds, BASELINE_MINIMUM))
+
+    @classmethod
+    def join(cls, groups: Sequence[Baseline]) -> Baseline:
+        """The baselines of several groups of targets, one after the other."""
+        return cls(
+            np.concatenate([group.values for group in groups]),
+            np.concatenate([group.counts for group in groups]),
+            np.concatenate([group.medians for group in groups]),
+        )
+
+    def take(self, rows: Ints) -> Baseline:
+        """The baselines of some targets."""
+        return Baseline(self.values[rows], self.counts[rows], self.medians[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class RuleMemory:
+    """What the rules remember of T targets of a plate.
+
+    The baseline of a node's UD is the median of the last 50 values seen with the smallest set of active
+    agents below the node that has at least 10 of them: the level of the agents that stay on. Fewer agents are
+    less sure, so sets larger than the present one are not asked: until 10 values are seen with so few agents,
+    the level is unknown. Values above the node's activation level, of a lost target, or without an active
+    agent do not count.
+
+    Attributes:
+        layout: which columns there are.
+        counts: (T, S) consecutive frames on which conditions held.
+        values: (T, S, F) the values of the last of them, filled from the right: the one closest to the level
+            is where a rule that fires now would not have fired.
+        baselines: node and set of active agents below it -> the last values of UD.
+        nats: (T, A) sums of the agents' contributions while active.
+        frames: (T, A) frames that count in them.
+        missed: (T, A) frames in a row in which agents gave no answer.
+        worth: of each target: governor whose rules go by it -> what its agents contributed, the past fading.
+    """
+
+    layout: Layout
+    counts: Ints
+    values: Floats
+    baselines: Mapping[tuple[str, frozenset[str]], Baseline]
+    nats: Floats
+    frames: Ints
+    missed: Ints
+    worth: tuple[Mapping[str, Worth], ...]
+
+    def __len__(self) -> int:
+        """T."""
+        return len(self.counts)
+
+    @classmethod
+    def empty(cls, plate: CheckedTarget, count: int = 1) -> RuleMemory:
+        """Of targets that start."""
+        layout = layout_of(plate)
+        streaks, agents = (count, len(layout.streaks)), (count, len(layout.agents))
+        return cls(
+            layout,
+            np.zeros(streaks, dtype=np.int64),
+            np.zeros((*streaks, int(layout.frames.max()))),
+            {},
+            np.zeros(agents),
+            np.zeros(agents, dtype=np.int64),
+            np.zeros(agents, dtype=np.int64),
+            ({},) * count,
+        )
+
+    @classmethod
+    def join(cls, groups: Sequence[RuleMemory]) -> RuleMemory:
+        """The memory of several groups of targets of a plate, one after the other."""
+        if len(groups) == 1:
+            return groups[0]
+        keys = dict.fromkeys(key for group in groups for key in group.baselines)
+        baselines = {
+            key: Baseline.join([group.baselines.get(key) or Baseline.empty(len(group)) for group in groups])
+            for key in keys
+        }
+        return cls(
+            groups[0].layout,
+            np.concatenate([group.counts for group in groups]),
+            np.concatenate([group.values for group in groups]),
+            baselines,
+            np.concatenate([group.nats for group in groups]),
+            np.concatenate([group.frames for group in groups]),
+            np.concatenate([group.missed for group in groups]),
+            tuple(rates for group in groups for rates in group.worth),
+        )
+
+    def take(self, rows: Sequence[int] | Ints | Bools) -> RuleMemory:
+        """The memory of some targets."""
+        picked = np.arange(len(self))[np.asarray(rows)] if len(rows) else np.empty(0, dtype=np.int64)
+        return RuleMemory(
+            self.layout,
+            self.counts[picked],
+            self.values[picked],
+            {key: baseline.take(picked) for key, baseline in self.baselines.items()},
+            self.nats[picked],
+            self.frames[picked],
+            self.missed[picked],
+            tuple(self.worth[row] for row in picked.tolist()),
+        )
+
+    def levels_px2(self, node: str, active: frozenset[str]) -> Floats:
+        """(T,) the baselines of a node's UD with `active` switched on below it; NaN while unknown.
+
+        With nobody active, that of the smallest set known.
+        """
+        sets = [
+            agents
+            for name, agents in self.baselines
+            if name == node and (len(agents) <= len(active) or not active)
         ]
-        return median(self.values[frozenset(min(known)[1])]) if known else None
+        if len(sets) == 1:
+            return self.baselines[node, sets[0]].medians
+        levels = np.full(len(self), np.nan)
+        for agents in sorted(sets, key=lambda agents: (len(agents), sorted(agents)), reverse=True):
+            medians = self.baselines[node, agents].medians
+            levels = np.where(np.isnan(medians), levels, medians)
+        return levels
 
-    @cached_property
-    def _only_median(self) -> float:
-        """The median of the only set's values: several rules of a frame ask for it."""
-        (seen,) = self.values.values()
-        return median(seen)
+    def level_px2(self, node: str, active: frozenset[str]) -> float | None:
+        """The first target's baseline of a node's UD (`levels_px2`); None while unknown."""
+        level = float(self.levels_px2(node, active)[0])
+        return None if level != level else level
 
+    def count(self, streak: Streak) -> int:
+        """The first target's frames in a row."""
+        return int(self.counts[0, self.layout.streaks[streak]])
 
-NO_QUIET = Quiet()
-
-
-@dataclass(frozen=True)
-class Memory:
-    """The memory of one target's rules.
-
-    Attributes:
-        activate: governor -> streak above its activation level.
-        deactivate: governor -> streak below its deactivation level.
-        self_check: agent -> streak above its own level.
-        lost: streak of frames that look lost.
-        unfit: the fits of the same frames; minus infinity where UD is too high.
-        found: streak of frames that look found.
-        seen: streak of frames that do not look lost, where the score says so.
-        unsure: streak of frames that look uncertain or lost, where the score says so.
-        quiet: governor (and root) -> baseline.
-        helpful: agent -> (sum of contributions while active, frames).
-        missed: agent -> frames in a row in which it gave no answer.
-        worth: governor whose rules go by it -> what its agents contributed, the past fading.
-    """
-
-    activate: Mapping[str, Streak] = field(default_factory=dict)
-    deactivate: Mapping[str, Streak] = field(default_factory=dict)
-    self_check: Mapping[str, Streak] = field(default_factory=dict)
-    lost: Streak = NO_STREAK
-    found: Streak = NO_STREAK
-    seen: Streak = NO_STREAK
-    unsure: Streak = NO_STREAK
-    quiet: Mapping[str, Quiet] = field(default_factory=dict)
-    helpful: Mapping[str, tuple[float, int]] = field(default_factory=dict)
-    worth: Mapping[str, Worth] = field(default_factory=dict)
-    missed: Mapping[str, int] = field(default_factory=dict)
-    unfit: Streak = NO_STREAK
-
-    def with_contributions(self, contribution: Mapping[str, float]) -> Memory:
-        """With this frame's contributions of the active agents counted."""
-        return changed(self, helpful=self.counting(contribution))
-
-    def counting(self, contribution: Mapping[str, float]) -> dict[str, tuple[float, int]]:
-        """`helpful` with them counted."""
-        counted = dict(self.helpful)
-        for agent, nats in contribution.items():
-            total, frames = counted.get(agent, (0.0, 0))
-            counted[agent] = (total + nats, frames + 1)
-        return counted
+    def streak_values(self, streak: Streak) -> tuple[float, ...]:
+        """The first target's values of the last of these frames, as many as the rule asks for."""
+        column = self.layout.streaks[streak]
+        size = min(int(self.counts[0, column]), int(self.layout.frames[column]))
+        return tuple(self.values[0, column, self.values.shape[2] - size :].tolist())
 
     def helpfulness(self, agent: str) -> float | None:
-        """Mean contribution in nats over the frames on which the agent was active; None when it never was."""
-        total, frames = self.helpful.get(agent, (0.0, 0))
-        return total / frames if frames else None
+        """The first target's mean contribution of an active agent, nats; None when it never was active."""
+        column = self.layout.agents[agent]
+        frames = int(self.frames[0, column])
+        return float(self.nats[0, column]) / frames if frames else None
+
+    def replaced(self, row: int, ended: Collection[Streak], missed: Mapping[str, int] | None) -> RuleMemory:
+        """With streaks of one target at 0, and in how many frames in a row its agents gave no answer."""
+        counts, frames = self.counts.copy(), self.missed.copy()
+        counts[row, [self.layout.streaks[streak] for streak in ended]] = 0
+        if missed is not None:
+            frames[row] = [missed.get(agent, 0) for agent in self.layout.agents]
+        return changed(self, counts=counts, missed=frames)
+
+    def without(self, kinds: Collection[str]) -> RuleMemory:
+        """With the streaks of these kinds at 0."""
+        counts = self.counts.copy()
+        counts[:, [column for (kind, _), column in self.layout.streaks.items() if kind in kinds]] = 0
+        return changed(self, counts=counts)

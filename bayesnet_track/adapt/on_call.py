@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.situation import Situation, read_ud
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.adapt import OnCall
@@ -21,7 +21,7 @@ def is_due(net: TargetNet, frame: int) -> bool:
     return net.turn is None or frame >= net.turn.due or net.status == "lost"
 
 
-def schedule(now: Situation, memory: Memory) -> tuple[Scheduled, ...]:
+def schedule(now: Situation, memory: RuleMemory) -> tuple[Scheduled, ...]:
     """When the agents on call run next; nothing where that is as it was."""
     rule, call, turn = on_call_rule(now.plate), now.call, now.net.turn
     if rule is None or call is None or not call.ran:

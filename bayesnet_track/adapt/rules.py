@@ -1,4 +1,7 @@
-"""The rules that reconfigure a net: pure functions of measures and memory to decisions.
+"""The rules that reconfigure nets: pure functions of measures and memory to decisions.
+
+All that is remembered is updated for many targets at once (`rule_columns.remember`). One of them is looked at
+by itself only where a condition has held for as many frames as its rule says.
 
 Order within a frame: agents that failed are tried again when their time is over; agents check themselves;
 then each inference node with `adapt` rules activates, or else deactivates one agent; then the target's
@@ -9,23 +12,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+
+import numpy as np
 
 from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
-from bayesnet_track.adapt.memory import Memory, Quiet, Streak
+from bayesnet_track.adapt.memory import RuleMemory, Streak
 from bayesnet_track.adapt.on_call import schedule
+from bayesnet_track.adapt.rule_columns import RuleColumns, remember
 from bayesnet_track.adapt.situation import (
     Situation,
-    active_below,
     count_left_out,
     quiet_level,
     read_ud,
     read_ud_beside_more,
 )
 from bayesnet_track.adapt.status import judge_status
-from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Adapt, Condition, Level
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
@@ -34,62 +37,42 @@ from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.records import changed
 
 
-def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:
-    """The decisions of one frame for one target, and what the rules remember of it."""
-    memory = _note_worth(now, memory.with_contributions(now.measures.contribution))
-    memory = _note_quiet(now, memory)
-    decisions = readmit(now)
-    memory = give_up_on_missing(now, memory, decisions)
-    memory = _check_selves(now, memory, decisions)
-    for node in now.plate.children:
+def decide(now: RuleColumns, memory: RuleMemory) -> tuple[dict[int, tuple[Decision, ...]], RuleMemory]:
+    """Row of a target -> the decisions of a frame, where there are some; what the rules remember of all T."""
+    memory, is_due = remember(now, memory)
+    found: dict[int, tuple[Decision, ...]] = {}
+    for row in np.flatnonzero(is_due).tolist():
+        made, missed, ended = decide_row(now.see(row), memory if len(memory) == 1 else memory.take([row]))
+        if ended or missed is not None:
+            memory = memory.replaced(row, ended, missed)
+        if made:
+            found[row] = made
+    return found, memory
+
+
+def decide_row(
+    now: Situation, memory: RuleMemory
+) -> tuple[tuple[Decision, ...], Mapping[str, int] | None, list[Streak]]:
+    """The decisions of one frame for one target, of which `memory` is, this frame counted.
+
+    Also how often its agents gave no answer, None where nothing is to be counted, and the streaks that end
+    with the decisions.
+    """
+    decisions, ended = readmit(now), list[Streak]()
+    missed = give_up_on_missing(now, memory, decisions)
+    _check_selves(now, memory, decisions, ended)
+    for node in memory.layout.nodes:
         rules = now.plate.inference(node).adapt
         if rules is not None:
-            memory = _govern(now, memory, node, rules, decisions)
+            _govern(now, memory, node, rules, (decisions, ended))
     decisions += schedule(now, memory)
     _wake(now, decisions)
-    memory = judge_status(now, memory, decisions)
-    return tuple(decisions), memory
-
-
-def _note_worth(now: Situation, memory: Memory) -> Memory:
-    """Count what agents contributed in this frame, for the rules that go by it."""
-    worth = dict(memory.worth)
-    for node in now.plate.children:
-        rules = now.plate.inference(node).adapt
-        if rules is not None and _goes_by_worth(rules):
-            governed = {
-                agent: nats
-                for agent, nats in now.measures.contribution.items()
-                if now.plate.governor[agent] == node
-            }
-            worth[node] = worth.get(node, Worth()).after(governed, rules.information.memory_frames)
-    return changed(memory, worth=worth) if worth else memory
-
-
-def _goes_by_worth(rules: Adapt) -> bool:
-    on = rules.activate is not None and rules.activate.which == "information_per_ms"
-    return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
-
-
-def _note_quiet(now: Situation, memory: Memory) -> Memory:
-    """Count this frame's UD toward the baseline, where it is a quiet one."""
-    if now.net.status != "tracking":
-        return memory
-    quiet = dict(memory.quiet)
-    for node, ud in now.measures.ud_px2.items():
-        active = active_below(now.plate, now.net, node)
-        rules = now.plate.inference(node).adapt
-        loud = False
-        if rules is not None and rules.activate is not None:
-            found = _find(now, memory, node, rules.activate.above, rules.activate.unless)
-            loud = found is not None and found.above
-        if active and not loud:
-            quiet[node] = quiet.get(node, Quiet()).seen(active, ud)
-    return changed(memory, quiet=quiet)
+    judge_status(now, memory, decisions)
+    return tuple(decisions), missed, ended
 
 
 def _find(
-    now: Situation, memory: Memory, node: str, level: Level | None, test: Condition | None
+    now: Situation, memory: RuleMemory, node: str, level: Level | None, test: Condition | None
 ) -> Reading | Tested | None:
     """What a rule's condition finds in the node's belief; None while it cannot be told."""
     if level is not None:
@@ -103,90 +86,71 @@ def _find(
 # ------------------------------------------------------------------------------------ self-checks
 
 
-def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
+def _check_selves(now: Situation, memory: RuleMemory, decisions: list[Decision], ended: list[Streak]) -> None:
     """Agents watch their own UD: act locally on each frame above, stop at the one that makes `frames`.
 
-    The last active agent does not stop itself. A streak ends when its agent gives no evidence, and while the
-    target is lost: nobody can be sure of what cannot be seen, and the agents are needed when it comes back.
+    The last active agent does not stop itself.
     """
-    if now.net.status == "lost" or not _checks_itself(now.plate):
-        return changed(memory, self_check={}) if memory.self_check else memory
-    streaks: dict[str, Streak] = {}
     active = set(now.net.active)
     quiet = quiet_level(now.plate, now.net.active, memory, now.plate.root)
-    for agent, ud in now.measures.agent_ud_px2.items():
-        check = now.plate.agent(agent).self_check
-        reading = None if check is None else read_level(check.above, ud, now.measures.area_px2, quiet)
-        if check is None or reading is None or agent not in active or agent in now.net.by_hand:
+    for agent in now.measures.agent_ud_px2 if memory.layout.checked else ():
+        check, streak = now.plate.agent(agent).self_check, ("self_check", agent)
+        count = 0 if check is None else memory.count(streak)
+        if check is None or not count:
             continue
-        before = memory.self_check.get(agent, Streak())
-        streak = before.then(reading.value > reading.level, reading.value, check.frames)
-        if streak.count >= check.frames and len(active) > 1:
+        ud = now.measures.agent_ud_px2[agent]
+        reading = read_level(check.above, ud, now.measures.area_px2, quiet)
+        assert reading is not None
+        if count >= check.frames and len(active) > 1:
             rest = check.rest * 2 ** min(now.net.rest_count.get(agent, 0), 20)
-            cause = reading.cause(check.frames, min(streak.values))
+            cause = reading.cause(check.frames, min(memory.streak_values(streak)))
             decisions.append(SelfStopped(now.frame, now.target, agent, cause, now.frame + 1 + rest))
             active.discard(agent)
-            streak = Streak()
-        elif agent in now.adaptable and 0 < streak.count < check.frames:
+            ended.append(streak)
+        elif agent in now.adaptable and count < check.frames:
             cause = reading.cause(1, reading.value)
-            decisions.append(LocallyAdapted(now.frame, now.target, agent, streak.count, cause))
-        streaks[agent] = streak
-    return changed(memory, self_check=streaks)
-
-
-@lru_cache(maxsize=64)
-def _checks_itself(plate: CheckedTarget) -> bool:
-    """Whether an agent of the plate has a self-check."""
-    return any(plate.agent(agent).self_check is not None for agent in plate.agents)
+            decisions.append(LocallyAdapted(now.frame, now.target, agent, count, cause))
 
 
 # ------------------------------------------------------------------------------------ inference nodes
 
 
-def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: list[Decision]) -> Memory:
+def _govern(
+    now: Situation,
+    memory: RuleMemory,
+    node: str,
+    rules: Adapt,
+    done: tuple[list[Decision], list[Streak]],
+) -> None:
     """Activate above, deactivate below; one kind of decision per node and frame."""
-    if rules.activate is None and rules.deactivate is None:
-        return memory
-    up = down = Streak()
-    fired = False
-    if rules.activate is not None:
-        found = _find(now, memory, node, rules.activate.above, rules.activate.unless)
-        if found is None and now.net.status == "lost" and rules.activate.above is not None:
-            found = read_ud_beside_more(now, memory, node, rules.activate.above)
-        frames = rules.activate.frames
-        if found is not None:
-            up = memory.activate.get(node, up).then(found.above, found.value, frames)
-        if found is not None and up.count >= frames:
-            chosen = _choose_to_activate(now, memory, node, rules)
-            cause = found.cause_above(frames, up.values)
-            decisions += [
-                Activated(now.frame, now.target, one.agent, node, cause, one.helpfulness, one.expected)
-                for one in chosen
-            ]
-            fired = bool(chosen)
-    if rules.deactivate is not None:
-        found = _find(now, memory, node, rules.deactivate.below, rules.deactivate.when)
-        frames = rules.deactivate.frames
-        if found is not None:
-            down = memory.deactivate.get(node, down).then(found.below, found.value, frames)
-        if found is not None and down.count >= frames and not fired:
-            index = _drop_index(now, memory, node, rules.deactivate.drop, decisions)
-            left = len(index) + _count_held_on(now, node) + _count_left_out_on(now, node, decisions)
-            agent = _choose_drop(now, memory, node, rules, index) if index and left > rules.keep else None
-            if agent is not None:
-                cause = found.cause_below(frames, down.values)
-                rule = rules.deactivate
-                decisions.append(
-                    Deactivated(
-                        now.frame, now.target, agent, node, cause, rule.drop, index, rule.sample_every or 0
-                    )
-                )
-                fired = True
+    decisions, ended = done
+    on, off, fired = rules.activate, rules.deactivate, False
+    up, down = ("activate", node), ("deactivate", node)
+    if on is not None and memory.count(up) >= on.frames:
+        found = _find(now, memory, node, on.above, on.unless)
+        if found is None and now.net.status == "lost" and on.above is not None:
+            found = read_ud_beside_more(now, memory, node, on.above)
+        assert found is not None
+        chosen = _choose_to_activate(now, memory, node, rules)
+        cause = found.cause_above(on.frames, memory.streak_values(up))
+        decisions += [
+            Activated(now.frame, now.target, one.agent, node, cause, one.helpfulness, one.expected)
+            for one in chosen
+        ]
+        fired = bool(chosen)
+    if off is not None and memory.count(down) >= off.frames and not fired:
+        index = _drop_index(now, memory, node, off.drop, decisions)
+        left = len(index) + _count_held_on(now, node) + _count_left_out_on(now, node, decisions)
+        agent = _choose_drop(now, memory, node, rules, index) if index and left > rules.keep else None
+        if agent is not None:
+            found = _find(now, memory, node, off.below, off.when)
+            assert found is not None
+            cause = found.cause_below(off.frames, memory.streak_values(down))
+            every = off.sample_every or 0
+            decisions.append(Deactivated(now.frame, now.target, agent, node, cause, off.drop, index, every))
+            fired = True
     if fired:
-        up, down = Streak(), Streak()
-    return changed(
-        memory, activate={**memory.activate, node: up}, deactivate={**memory.deactivate, node: down}
-    )
+        ended += [streak for streak in (up, down) if streak in memory.layout.streaks]
 
 
 def _eligible(now: Situation) -> list[str]:
@@ -211,7 +175,7 @@ class _Chosen:
     expected: Mapping[str, float] = field(default_factory=dict)
 
 
-def _choose_to_activate(now: Situation, memory: Memory, node: str, rules: Adapt) -> list[_Chosen]:
+def _choose_to_activate(now: Situation, memory: RuleMemory, node: str, rules: Adapt) -> list[_Chosen]:
     """All, or the one that a rule thinks best; one never tried comes first.
 
     By expected information all are switched on while the target is lost: what it is worth was learnt while it
@@ -222,7 +186,7 @@ def _choose_to_activate(now: Situation, memory: Memory, node: str, rules: Adapt)
     ]
     which = "all" if rules.activate is None else rules.activate.which
     if which == "information_per_ms" and agents and now.net.status != "lost":
-        worth = memory.worth.get(node, Worth())
+        worth = memory.worth[0].get(node, Worth())
         expected = expected_per_ms(worth, agents, now.costs_ms, rules.information)
         best = max(agents, key=lambda agent: expected[agent])
         return [_Chosen(best, worth.mean(best), expected)]
@@ -234,7 +198,7 @@ def _choose_to_activate(now: Situation, memory: Memory, node: str, rules: Adapt)
 
 
 def _drop_index(
-    now: Situation, memory: Memory, node: str, drop: str, decisions: list[Decision]
+    now: Situation, memory: RuleMemory, node: str, drop: str, decisions: list[Decision]
 ) -> dict[str, float]:
     """Governed agent -> the index by which one is dropped.
 
@@ -256,7 +220,7 @@ def _drop_index(
     if drop == "most_expensive":
         return {agent: now.costs_ms[agent] for agent in agents}
     if drop == "min_information_per_ms":
-        return remembered_per_ms(memory.worth.get(node, Worth()), agents, now.costs_ms)
+        return remembered_per_ms(memory.worth[0].get(node, Worth()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
 
 
@@ -272,7 +236,7 @@ def _count_left_out_on(now: Situation, node: str, decisions: list[Decision]) -> 
 
 
 def _choose_drop(
-    now: Situation, memory: Memory, node: str, rules: Adapt, index: Mapping[str, float]
+    now: Situation, memory: RuleMemory, node: str, rules: Adapt, index: Mapping[str, float]
 ) -> str | None:
     """The agent to switch off by its index; None where none can be spared."""
     if rules.deactivate is None or rules.deactivate.drop != "most_expensive_redundant":

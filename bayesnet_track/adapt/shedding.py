@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.on_call import on_call_rule
 from bayesnet_track.adapt.situation import count_left_out
 from bayesnet_track.graph.checked import CheckedTarget
@@ -79,7 +79,7 @@ class Running:
 
     plate: CheckedTarget
     net: TargetNet
-    memory: Memory
+    memory: RuleMemory
     costs_ms: Mapping[str, float]
     particles: int | None = None
     least: int = 0

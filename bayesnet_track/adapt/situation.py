@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.adapt.measures import Call, Measures
-from bayesnet_track.adapt.memory import NO_QUIET, Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Level
 from bayesnet_track.journal.net.causes import HiddenCause
@@ -53,30 +53,25 @@ class Situation:
     stride: int = 1
 
 
-def quiet_level(plate: CheckedTarget, active: frozenset[str], memory: Memory, node: str) -> float | None:
+def quiet_level(plate: CheckedTarget, active: frozenset[str], memory: RuleMemory, node: str) -> float | None:
     """The measured baseline of a node's UD in px^2 with the agents that are `active`; None while unknown."""
-    return memory.quiet.get(node, NO_QUIET).level_px2(plate.below[node] & active)
+    return memory.level_px2(node, plate.below[node] & active)
 
 
-def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
+def read_ud(now: Situation, memory: RuleMemory, node: str, level: Level) -> Reading | None:
     """The UD of an inference node in the level's unit."""
     quiet = quiet_level(now.plate, now.net.active, memory, node) if level.kind == "ud_baseline" else None
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 
-def read_ud_beside_more(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
+def read_ud_beside_more(now: Situation, memory: RuleMemory, node: str, level: Level) -> Reading | None:
     """As `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
 
     It is the lower one, so that help is called early; for a target that is lost, of which no baseline is
     measured.
     """
-    quiet = memory.quiet.get(node, NO_QUIET).level_px2(frozenset())
+    quiet = memory.level_px2(node, frozenset())
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
-
-
-def active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
-    """The active agents below an inference node."""
-    return plate.below[node] & net.active
 
 
 def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) -> int:

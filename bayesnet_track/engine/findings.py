@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.contract import Step
 from bayesnet_track.belief.particles.particle_set import ParticleSet
@@ -64,18 +64,13 @@ class Decided:
         chosen: decisions, in order.
         memory: what they remember.
         quiet_px2: baseline of the root's UD; None while unknown.
-        see: () -> what they saw.
+        now: what they saw.
     """
 
     chosen: tuple[Decision, ...]
-    memory: Memory
+    memory: RuleMemory
     quiet_px2: float | None
-    see: Callable[[], Situation]
-
-    @property
-    def now(self) -> Situation:
-        """What they saw."""
-        return self.see()
+    now: Situation
 
 
 @dataclass(frozen=True, eq=False)

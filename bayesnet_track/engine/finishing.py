@@ -12,8 +12,10 @@ from functools import partial
 import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.adapt.situation import Situation, quiet_level
+from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.particles.maps import find_maps
 from bayesnet_track.engine.filtering import Filtered
@@ -83,7 +85,7 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> Results
         target: measure_target(work, one, states[target], boxes[target], measures[target])
         for target, one in left.items()
     }
-    decided = {target: decide_target(work, one, measured[target]) for target, one in left.items()}
+    decided = decide_all(work, left, measured)
     started = work.charge("measure", started)
     learnt = learn_all(work, left, measured, decided)
     work.charge("learn", started)
@@ -219,15 +221,30 @@ def _follow(
     return scored, tuple(notice for notice in notices if notice is not None)
 
 
-def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
-    """What the rules choose."""
-    plate = work.plate_of(filtered.target).plate
-    see = partial(_see, work, filtered, measured)
-    chosen, memory = decide(see(), filtered.before.memory)
-    return Decided(chosen, memory, quiet_level(plate, measured.net.active, memory, plate.root), see)
+def decide_all(
+    work: FrameWork, filtered: Mapping[str, Filtered], measured: Mapping[str, Measured]
+) -> dict[str, Decided]:
+    """Target -> what the rules choose: for those together that the rules see alike."""
+    alike: dict[Hashable, list[str]] = {}
+    seen = {target: _see(work, one, measured[target]) for target, one in filtered.items()}
+    for target, now in seen.items():
+        alike.setdefault(RuleColumns.key(now), []).append(target)
+    found: dict[str, Decided] = {}
+    for targets in alike.values():
+        known = RuleMemory.join([filtered[target].before.memory for target in targets])
+        columns = RuleColumns.of([seen[target] for target in targets], known.layout.checked)
+        chosen, memory = decide(columns, known)
+        root = columns.plate.root
+        levels = memory.levels_px2(root, columns.plate.below[root] & columns.active).tolist()
+        for row, (target, level) in enumerate(zip(targets, levels, strict=True)):
+            own = memory if len(targets) == 1 else memory.take([row])
+            baseline = None if level != level else level
+            found[target] = Decided(chosen.get(row, ()), own, baseline, seen[target])
+    return {target: found[target] for target in filtered}
 
 
 def _see(work: FrameWork, filtered: Filtered, measured: Measured) -> Situation:
+    """What the rules of a target see."""
     compiled = work.plate_of(filtered.target)
     return Situation(
         work.frame.index,
@@ -297,7 +314,7 @@ def _line(
     summaries: Mapping[str, Summary],
 ) -> FrameMetrics:
     measured, decided, learnt = done
-    line = frame_metrics(work, filtered, measured, decided, learnt, summaries[filtered.target])
+    line = frame_metrics(work, filtered, measured, decided.quiet_px2, learnt, summaries[filtered.target])
     return with_modes(line, filtered.modes, measured.score is not None)
 
 

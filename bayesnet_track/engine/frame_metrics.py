@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.findings import Decided, Learnt, Measured
+from bayesnet_track.engine.findings import Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.scoring.assurance import e_value, said_status
 from bayesnet_track.engine.scoring.score import blur_regions
@@ -102,7 +102,7 @@ def frame_metrics(
     work: FrameWork,
     filtered: Filtered,
     measured: Measured,
-    decided: Decided,
+    baseline_px2: float | None,
     learnt: Learnt,
     summary: Summary,
 ) -> FrameMetrics:
@@ -133,7 +133,7 @@ def frame_metrics(
         sd=_floats(np.sqrt(variances)),
         ud_px2=measures.ud_px2[plate.root],
         ud_nodes=measures.ud_px2,
-        quiet_px2=decided.quiet_px2,
+        quiet_px2=baseline_px2,
         status=said_status(work.net.targets[target].status, measured.scored, root.guarantee),
         score=score,
         log_evidence=stepped.log_evidence,

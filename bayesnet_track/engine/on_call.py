@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.adapt.measures import Call
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.on_call import is_due, on_call_rule
 from bayesnet_track.adapt.situation import quiet_level
 from bayesnet_track.belief.contract import Posterior, Step
@@ -87,7 +87,7 @@ def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hyp
 
 
 def _read(
-    plate: CheckedTarget, memory: Memory, plan: Plan, step: Step[Posterior], state: Floats
+    plate: CheckedTarget, memory: RuleMemory, plan: Plan, step: Step[Posterior], state: Floats
 ) -> Reading | None:
     """UD of a step by the agents of a plan, without those on call; its estimate is `state` (D,)."""
     rule = on_call_rule(plate)

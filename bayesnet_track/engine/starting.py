@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from bayesnet_track.adapt.backoff import next_try, quarantine
-from bayesnet_track.adapt.memory import Memory, Streak
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.borders import confined
@@ -84,7 +84,7 @@ def start(
     born = TargetState(
         belief=_start_belief(work, compiled, birth, box),
         references=references,
-        memory=Memory(),
+        memory=RuleMemory.empty(compiled.plate),
         plan=compile_plan(compiled.plate, working, compiled.cues),
         time=frame.time,
         watched=watch(references, compiled.looks, compiled.guard),
@@ -139,15 +139,7 @@ def restart(work: FrameWork, target: str, template: str, box: Floats, before: Ta
         before,
         belief=_start_belief(work, compiled, work.births[target], box),
         references={**before.references, **learnt},
-        memory=replace(
-            before.memory,
-            activate={},
-            deactivate={},
-            lost=Streak(),
-            found=Streak(),
-            seen=Streak(),
-            unsure=Streak(),
-        ),
+        memory=before.memory.without(("activate", "deactivate", "lost", "found", "seen", "unsure")),
         scored=replace(without_motion(before.scored), smooth={}),
         time=work.frame.time,
     )

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.moving.predicting import MotionContext
@@ -29,7 +29,7 @@ class TargetState:
     Attributes:
         belief: the posterior of the last frame.
         references: agent -> what it remembers.
-        memory: what the rules remember.
+        memory: what the rules remember, of this one target.
         plan: the compiled net.
         time: time of the last frame, frame intervals.
         watched: the slow references that guard the others against drift.
@@ -42,7 +42,7 @@ class TargetState:
 
     belief: Posterior
     references: Mapping[str, Reference]
-    memory: Memory
+    memory: RuleMemory
     plan: Plan
     time: float
     watched: Watched = field(default_factory=Watched)

@@ -120,18 +120,23 @@ class StepArrays:
     @staticmethod
     def key(plan: Plan, step: Step[Any]) -> Hashable:
         """Equal for steps by one plan that can be measured together."""
-        said = step.evidence
-        return plan.active, (*said.messages,), (*said.factors,), silent_of(said), len(step.prior)
+        evidence = step.evidence
+        names = (*evidence.messages,), (*evidence.factors,), silent_of(evidence)
+        return plan.active, names, len(step.prior)
 
     @classmethod
     def of(cls, target: CheckedTarget, plan: Plan, steps: Sequence[Step[Any]]) -> StepArrays:
         """Those of steps with the same key."""
-        said, columns = steps[0].evidence, [BOX_FIELDS.index(name) for name in _ud_fields(target)]
-        messages = {name: np.array([one.evidence.messages[name] for one in steps]) for name in said.messages}
-        factors = {name: np.array([one.evidence.factors[name] for one in steps]) for name in said.factors}
+        evidence, columns = steps[0].evidence, [BOX_FIELDS.index(name) for name in _ud_fields(target)]
+        messages = {
+            name: np.array([step.evidence.messages[name] for step in steps]) for name in evidence.messages
+        }
+        factors = {
+            name: np.array([step.evidence.factors[name] for step in steps]) for name in evidence.factors
+        }
         return cls(
             [one.agent for one in plan.observations if one.agent in messages],
-            silent_of(said),
+            silent_of(evidence),
             messages | factors,
             np.array([step.prior.log for step in steps]),
             np.array([step.support.weights.log for step in steps]),
@@ -149,13 +154,13 @@ def measure_rows(
     target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2: Sequence[float]
 ) -> RowMeasures:
     """What is measured of the steps of a flat net; every index is taken on the step's own hypotheses."""
-    agents, said = steps.agents, steps.messages
+    agents, messages = steps.agents, steps.messages
     without = steps.prior[None] if is_alone(plan) else tilt(steps.prior, _without_each(plan, steps))
     nats = divergences(np.broadcast_to(steps.log, (len(agents), *steps.log.shape)), without).T
-    seeing = [said[agent] for agent in agents if agent not in steps.silent]
+    seeing = [messages[agent] for agent in agents if agent not in steps.silent]
     total = sum((own / len(seeing) for own in seeing), np.zeros_like(steps.prior)).max(axis=1)
     fits = np.exp(np.minimum(total, 0.0)).tolist() if seeing else [0.0] * len(areas_px2)
-    heard = np.array([said[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
+    heard = np.array([messages[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
     rest = partial(_find_rest, target, plan, heard, steps)
     return RowMeasures(target, agents, steps.silent, steps.uds, fits, areas_px2, nats, rest)
 
@@ -184,9 +189,9 @@ def _columns(target: CheckedTarget) -> slice | list[int]:
 def _without_each(plan: Plan, steps: StepArrays) -> Floats:
     """(A, T, N) the root's message had each agent been switched off; zeros where nothing is left."""
     shape = steps.prior.shape
-    seen = {name: own for name, own in steps.messages.items() if name not in steps.silent}
+    seeing = {name: own for name, own in steps.messages.items() if name not in steps.silent}
     left = [
-        join_plain(plan, {name: own for name, own in seen.items() if name != agent}, shape)
+        join_plain(plan, {name: own for name, own in seeing.items() if name != agent}, shape)
         for agent in steps.agents
     ]
     nothing = np.zeros(shape)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory
-from bayesnet_track.adapt.rules import Situation, decide
+from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.adapt.rule_columns import RuleColumns
+from bayesnet_track.adapt.rules import decide
+from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
 
@@ -26,6 +28,18 @@ class Drive:
         return [d.frame for d in self.of(kind) if node is None or d.node == node]
 
 
+def _decide_one(situation, memory):
+    now = RuleColumns.of([situation], memory.layout.checked)
+    made, memory = decide(now, memory)
+    return made.get(0, ()), memory
+
+
+@pytest.fixture(scope="session")
+def decide_one():
+    """The decisions of one frame for one target, and what the rules remember of it."""
+    return _decide_one
+
+
 def _at(contribution, agent, k):
     given = (contribution or {}).get(agent, 0.0)
     return given(k) if callable(given) else given
@@ -41,7 +55,7 @@ def drive(fakes):
     ):  # fmt: skip
         plate, _ = fakes.plate(nodes)
         live = Net({"1": net or TargetNet("plate", frozenset(plate.agents if active is None else active))})
-        memory = memory or Memory()
+        memory = memory or RuleMemory.empty(plate)
         decisions, nets = [], []
         for k, given in enumerate(uds):
             now = live.targets["1"]
@@ -68,7 +82,7 @@ def drive(fakes):
                 costs or dict.fromkeys(plate.agents, 1.0),
                 frozenset(adaptable),
             )
-            made, memory = decide(situation, memory)
+            made, memory = _decide_one(situation, memory)
             nets.append(now)
             for decision in made:
                 live = apply(live, decision)

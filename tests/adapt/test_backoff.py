@@ -4,7 +4,7 @@ import pytest
 
 from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.net.target_net import Fault, TargetNet
@@ -80,15 +80,20 @@ def test_the_order_is_that_of_the_plate(now):
 
 
 def test_three_frames_in_a_row_without_an_answer(now):
-    memory, decisions = Memory(), []
+    decisions, memory = [], RuleMemory.empty(now(1).plate)
+
+    def count(missed):
+        return memory if missed is None else memory.replaced(0, (), missed)
+
     live = TargetNet("plate", frozenset("abc"))
     for frame in range(1, MISSED_FRAMES):
-        memory = give_up_on_missing(now(frame, live, {"a": "late"}), memory, decisions)
-        assert memory.missed == {"a": frame} and decisions == []
-    memory = give_up_on_missing(now(3, live, {"a": "gone", "b": "late"}), memory, decisions)
-    assert memory.missed == {"b": 1}
+        memory = count(give_up_on_missing(now(frame, live, {"a": "late"}), memory, decisions))
+        assert memory.missed.tolist() == [[frame, 0, 0]] and decisions == []
+    memory = count(give_up_on_missing(now(3, live, {"a": "gone", "b": "late"}), memory, decisions))
+    assert memory.missed.tolist() == [[0, 1, 0]]
     (one,) = decisions
     assert (one.frame, one.target, one.node, one.until) == (3, "7", "a", 13)
     assert one.reason == "gave no answer in 3 frames in a row, the last time: gone"
-    memory = give_up_on_missing(now(4, live), memory, decisions)
-    assert memory.missed == {} and len(decisions) == 1
+    memory = count(give_up_on_missing(now(4, live), memory, decisions))
+    assert not memory.missed.any() and len(decisions) == 1
+    assert give_up_on_missing(now(5, live), memory, decisions) is None

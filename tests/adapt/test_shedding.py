@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.shedding import CALM, Load, Running, balance
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
 from bayesnet_track.journal.net.net import Net, apply
@@ -22,7 +23,9 @@ def running(fakes):
     plate, _ = fakes.plate(
         {"root": {"fuse": "product", "adapt": ADAPT}, "a": "root", "b": "root", "c": "root"}
     )
-    memory = Memory(helpful={"a": (4.0, 10), "b": (0.5, 10), "c": (5.0, 10)})
+    memory = replace(
+        RuleMemory.empty(plate), nats=np.array([[4.0, 0.5, 5.0]]), frames=np.full((1, 3), 10, dtype=np.int64)
+    )
     net = TargetNet("plate", frozenset("abc"))
     return Running(plate, net, memory, {"a": 4.0, "b": 1.0, "c": 1.0}, 800, 200, 800)
 

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory
-from bayesnet_track.adapt.rules import decide
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.causes import HiddenCause, ScoreCause
@@ -21,18 +20,19 @@ LEVELS = {"score_below": 0.25, "uncertain_below": 0.6, "frames": 2}
 
 
 @pytest.fixture(scope="module")
-def statuses(fakes):
+def statuses(fakes, decide_one):
     """Scores -> (the status that each frame leaves behind, the decisions)."""
 
     def run(scores, lost=LEVELS, adapt=None):
         root = {"lost": lost, "score": {"logistic": {"bias": 0}}} | ({"adapt": adapt} if adapt else {})
         plate, _ = fakes.plate({"root": root, "a": {"parent": "root", "agent": "a"}})
-        live, memory, after, decisions = Net({"1": TargetNet("plate", frozenset("a"))}), Memory(), [], []
+        live, memory = Net({"1": TargetNet("plate", frozenset("a"))}), RuleMemory.empty(plate)
+        after, decisions = [], []
         for k, score in enumerate(scores):
             # UD and fit are those of a target that is lost: the score alone counts.
             measures = Measures({"root": 1e9}, {}, {"a": 0.0}, {"a": 0.0}, {}, 0.0, 400.0)
             now = Situation(k, "1", plate, live.targets["1"], measures, {"a": 1.0}, frozenset(), score=score)
-            made, memory = decide(now, memory)
+            made, memory = decide_one(now, memory)
             for one in made:
                 live = apply(live, one)
             decisions += [one for one in made if isinstance(one, StatusChanged)]
@@ -109,8 +109,8 @@ def test_a_turning_level_would_have_prevented_it(statuses, scores, frames):
 def test_quiet_levels_are_not_measured_while_uncertain(statuses):
     _, _, sure = statuses([0.9] * 6)
     _, _, unsure = statuses([0.5] * 6)
-    values = [memory.quiet["root"].values[frozenset("a")] for memory in (sure, unsure)]
-    assert [len(one) for one in values] == [6, 2]
+    counts = [memory.baselines["root", frozenset("a")].counts.tolist() for memory in (sure, unsure)]
+    assert counts == [[6], [2]]
 
 
 def test_without_levels_of_the_score_ud_and_fit_decide(statuses):
@@ -118,10 +118,11 @@ def test_without_levels_of_the_score_ud_and_fit_decide(statuses):
     assert after[-1] == "lost" and not isinstance(decisions[0].cause, ScoreCause)
 
 
-def test_a_target_that_is_probably_hidden_is_lost_at_once_and_found_when_it_is_seen(fakes):
+def test_a_target_that_is_probably_hidden_is_lost_at_once_and_found_when_it_is_seen(fakes, decide_one):
     """Nothing fits all the while: where modes say whether it can be seen, that is for them to weigh."""
     plate, _ = fakes.plate({"root": {"lost": {"frames": 2}}, "a": {"parent": "root", "agent": "a"}})
-    live, memory, after, causes = Net({"1": TargetNet("plate", frozenset("a"))}), Memory(), [], []
+    live, memory = Net({"1": TargetNet("plate", frozenset("a"))}), RuleMemory.empty(plate)
+    after, causes = [], []
     for k, hidden in enumerate([0.1, 0.45, 0.7, 0.9, 0.4, 0.6, 0.3, 0.2]):
         measures = Measures({"root": 10.0}, {}, {"a": 0.0}, {"a": 0.0}, {}, 0.0, 400.0)
         now = Situation(
@@ -134,7 +135,7 @@ def test_a_target_that_is_probably_hidden_is_lost_at_once_and_found_when_it_is_s
             frozenset(),
             hiding=HiddenCause(0.5, hidden),
         )
-        made, memory = decide(now, memory)
+        made, memory = decide_one(now, memory)
         for one in made:
             live = apply(live, one)
         causes += [one.hidden for one in made if isinstance(one, StatusChanged)]

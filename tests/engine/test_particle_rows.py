@@ -67,8 +67,12 @@ def known(state):
         agent: {name: values.tobytes() for name, values in one.items()}
         for agent, one in state.references.items()
     }
+    memory = state.memory
+    known = [(key, one.values, one.counts, one.medians) for key, one in memory.baselines.items()]
     arrays = (belief.states, belief.weights.log, belief.weights.weights)
-    return state.memory, references, [array.tobytes() for array in arrays], state.time, state.plan.active
+    arrays += (memory.counts, memory.nats, memory.frames, *(array for _, *own in known for array in own))
+    keys = [key for key, *_ in known]
+    return keys, references, [array.tobytes() for array in arrays], state.time, state.plan.active
 
 
 def test_finished_together_and_one_by_one_are_the_same_bytes(monkeypatch):

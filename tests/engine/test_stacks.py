@@ -2,13 +2,9 @@
 
 import numpy as np
 
-from bayesnet_track.engine.rows.stacks import right_aligned, stack
+from bayesnet_track.engine.rows.stacks import stack
 
 
 def test_arrays_are_stacked_also_when_there_are_none():
     assert stack([np.ones((2, 2)), np.zeros((2, 2))], 2, 2)[:, 0, 0].tolist() == [1.0, 0.0]
     assert stack([], 2, 2).shape == (0, 2, 2)
-
-
-def test_the_last_value_of_each_row_stands_at_the_right_end():
-    assert right_aligned([(1.0, 2.0), (), (3.0,)], 3).tolist() == [[0, 1, 2], [0, 0, 0], [0, 0, 3]]

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
+from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Death
@@ -107,7 +108,7 @@ class TrackTable:
                 continue
             lost = self.net.targets[target].status == "lost"
             record = self.history.records.get(target)
-            if record is None or not (lost or state.memory.lost.count):
+            if record is None or not (lost or state.memory.count(LOST)):
                 since = frame.index if record is None else record.since
                 unseen = 0 if record is None else record.unseen_frames
                 record = TrackRecord(since, state.belief.mean, state.belief.covariance, frame.time, 0, unseen)

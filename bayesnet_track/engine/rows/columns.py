@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackRecord
-from bayesnet_track.adapt.memory import QUIET_WINDOW, Memory, Quiet, Streak
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
-from bayesnet_track.engine.rows.stacks import right_aligned, stack
+from bayesnet_track.engine.rows.stacks import stack
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION
 
 NEVER_ASKED, GIVEN_NONE, GIVEN = 0, 1, 2
@@ -36,15 +35,7 @@ class Columns:
         own: (T, 5) the detection that it was given: centre box and score.
         observed: (T, H) what is remembered of its detections (`adapt.observed`).
         given: (T,) whether there was one: `NEVER_ASKED`, `GIVEN_NONE` or `GIVEN`.
-        nats: (T,) sum of the agent's contributions.
-        nat_frames: (T,) frames that count in it.
-        quiet: (T, W) last values of UD, filled from the right.
-        quiet_count: (T,) how many there are.
-        lost_count: (T,) frames in a row that look lost.
-        lost_values: (T, F) values of the last of them, from the right; so of the next ones.
-        unfit_values: (T, F) the fits of the same frames.
-        found_count: (T,) frames in a row that look found.
-        found_values: (T, F) values of the last of them.
+        memory: what the rules remember.
         is_lost: (T,) whether the status is lost.
         since: (T,) frame of birth; -1 where nothing is counted of a target yet.
         known_mean: (T, D) the belief when it was last well seen.
@@ -61,15 +52,7 @@ class Columns:
     own: Floats
     observed: Floats
     given: Ints
-    nats: Floats
-    nat_frames: Ints
-    quiet: Floats
-    quiet_count: Ints
-    lost_count: Ints
-    lost_values: Floats
-    unfit_values: Floats
-    found_count: Ints
-    found_values: Floats
+    memory: RuleMemory
     is_lost: Bools
     since: Ints
     known_mean: Floats
@@ -79,7 +62,7 @@ class Columns:
     unseen_frames: Ints
     existence: Floats
 
-    def changed(self, **columns: NDArray[Any]) -> Self:
+    def changed(self, **columns: NDArray[Any] | RuleMemory) -> Self:
         """With some columns in place of its own; `dataclasses.replace` takes ten times as long."""
         after = object.__new__(type(self))
         after.__dict__.update(self.__dict__)
@@ -88,16 +71,16 @@ class Columns:
 
     def take(self, rows: NDArray[Any]) -> Self:
         """Some rows."""
-        return type(self)(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+        arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
+        return type(self)(**arrays, memory=self.memory.take(rows))
 
     def extend(self, others: Self) -> Self:
         """These rows, then others."""
-        return type(self)(
-            **{
-                one.name: np.concatenate([getattr(self, one.name), getattr(others, one.name)])
-                for one in fields(self)
-            }
-        )
+        arrays = {name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _ARRAYS}
+        return type(self)(**arrays, memory=RuleMemory.join([self.memory, others.memory]))
+
+
+_ARRAYS = tuple(one.name for one in fields(Columns) if one.name != "memory")
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,33 +129,9 @@ class Rows:
         belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
         existence = None if rule.crowd is None else float(now.existence[row])
         references = {rule.agent: reference}
-        return TargetState(belief, references, self.memory(row), rule.plan, self.time, existence=existence)
-
-    def memory(self, row: int) -> Memory:
-        """What the rules remember of one target."""
-        frames = int(self.columns.nat_frames[row])
-        helpful = {self.rule.agent: (float(self.columns.nats[row]), frames)} if frames else {}
-        return changed(self.streaks(row), quiet=self.quiet(row), helpful=helpful)
-
-    def streaks(self, row: int) -> Memory:
-        """What the rules remember of one target's last frames, and nothing else."""
-        now, rule = self.columns, self.rule
-        lost, found = int(now.lost_count[row]), int(now.found_count[row])
-        is_lost, is_found = streak(lost, now.lost_values[row]), streak(found, now.found_values[row])
-        by_ud = rule.lost.existence_below is None
-        return Memory(
-            lost=is_lost,
-            found=is_found,
-            seen=Streak() if by_ud else is_found,
-            unsure=Streak() if by_ud else is_lost,
-            unfit=streak(lost, now.unfit_values[row]) if by_ud else Streak(),
+        return TargetState(
+            belief, references, now.memory.take([row]), rule.plan, self.time, existence=existence
         )
-
-    def quiet(self, row: int) -> Mapping[str, Quiet]:
-        """The baselines of UD of one target."""
-        count = int(self.columns.quiet_count[row])
-        values = tuple(self.columns.quiet[row, QUIET_WINDOW - count :].tolist())
-        return {self.rule.root: Quiet({self.rule.active: values})} if count else {}
 
     def record(self, row: int) -> TrackRecord:
         """What is counted of one target."""
@@ -185,11 +144,6 @@ class Rows:
             int(now.lost_frames[row]),
             int(now.unseen_frames[row]),
         )
-
-
-def streak(count: int, values: Floats) -> Streak:
-    """The streak of so many frames, of which `values` (F,) holds the last ones on its right."""
-    return Streak(count, tuple(values[max(len(values) - count, 0) :].tolist())) if count else Streak()
 
 
 class RowStates(Mapping[str, TargetState]):
@@ -246,11 +200,8 @@ def make_rows(
 ) -> Rows:
     """The table of targets that fit (`fitting.states_fit`)."""
     several = list(states.values())
-    width, frames = len(rule.motion.fields), rule.lost.frames
+    width = len(rule.motion.fields)
     own = [state.references.get(rule.agent, {}).get(OWN_DETECTION) for state in several]
-    memories = [state.memory for state in several]
-    quiet = [one.quiet[rule.root].values[rule.active] if one.quiet else () for one in memories]
-    helpful = [one.helpful.get(rule.agent, (0.0, 0)) for one in memories]
     unknown = TrackRecord(-1, np.zeros(width), np.zeros((width, width)), time)
     known = [records.get(target, unknown) for target in states]
     given = [NEVER_ASKED if one is None else GIVEN if len(one) else GIVEN_NONE for one in own]
@@ -261,15 +212,7 @@ def make_rows(
         own=stack([one[0, :5] if one is not None and len(one) else np.zeros(5) for one in own], 5),
         observed=stack([observed_of(rule, state) for state in several], observed_width(rule)),
         given=np.array(given, dtype=np.int64),
-        nats=np.array([nats for nats, _ in helpful], dtype=np.float64),
-        nat_frames=np.array([count for _, count in helpful], dtype=np.int64),
-        quiet=right_aligned(quiet, QUIET_WINDOW),
-        quiet_count=np.array([len(one) for one in quiet], dtype=np.int64),
-        lost_count=np.array([one.lost.count for one in memories], dtype=np.int64),
-        lost_values=right_aligned([one.lost.values for one in memories], frames),
-        unfit_values=right_aligned([one.unfit.values for one in memories], frames),
-        found_count=np.array([one.found.count for one in memories], dtype=np.int64),
-        found_values=right_aligned([one.found.values for one in memories], frames),
+        memory=RuleMemory.join([state.memory for state in several]),
         is_lost=np.array(lost, dtype=np.bool_),
         since=np.array([one.since for one in known], dtype=np.int64),
         known_mean=stack([one.mean for one in known], width),

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
 from bayesnet_track.belief.gaussian.predict import require_linear
@@ -156,26 +155,9 @@ def states_fit(rule: RowRule, states: Mapping[str, TargetState], time: float) ->
         and _is_plain(state.scored)
         and state.references.keys() <= {rule.agent}
         and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION, OBSERVED}
-        and _memory_fits(rule, state.memory)
         for state in states.values()
     )
 
 
 def _is_plain(scored: Scored) -> bool:
     return scored == Scored()
-
-
-def _memory_fits(rule: RowRule, memory: Memory) -> bool:
-    others = (memory.activate, memory.deactivate, memory.self_check, memory.worth, memory.missed)
-    quiet = memory.quiet.get(rule.root)
-    if rule.lost.existence_below is None:
-        is_one = memory.seen == memory.unsure == Streak() and memory.lost.count == memory.unfit.count
-    else:
-        is_one = memory.seen == memory.found and memory.unsure == memory.lost and memory.unfit == Streak()
-    return (
-        not any(others)
-        and is_one
-        and memory.quiet.keys() <= {rule.root}
-        and (quiet is None or quiet.values.keys() == {rule.active})
-        and memory.helpful.keys() <= {rule.agent}
-    )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.plain_rules import PlainMemories
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.belief.particles.clouds import Clouds
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.attachment import particles
@@ -50,7 +50,7 @@ class ParticleTable:
     time: float
     clouds: Clouds
     references: Mapping[str, Sequence[Reference]]
-    memories: PlainMemories | None = None
+    memories: RuleMemory | None = None
     nets: tuple[TargetNet, ...] = ()
     _made: dict[int, TargetState] = field(default_factory=dict)
 
@@ -82,7 +82,7 @@ class ParticleTable:
                 self.base[row],
                 belief=self.clouds.belief(row),
                 references={agent: of[row] for agent, of in self.references.items()},
-                memory=self.memories.memory(row),
+                memory=self.memories.take([row]),
                 time=self.time,
             )
         return self._made[row]
@@ -96,21 +96,17 @@ class ParticleTable:
             return references.take(rows)
         return [references[row] for row in rows.tolist()]
 
-    def columns(self) -> PlainMemories:
-        """What the rules remember, of targets that all have a place for it in the columns."""
-        if self.memories is not None and len(self.nets) == len(self.ids):
-            return self.memories
-        agents = [one.agent for one in self.plan.observations]
-        memories = [one.memory for one in self.base[len(self.nets) :]]
-        others = PlainMemories.of(self.compiled.plate, agents, memories)
-        return others if self.memories is None else self.memories.extended(others)
+    def columns(self) -> RuleMemory:
+        """What the rules remember of all."""
+        others = [one.memory for one in self.base[len(self.nets) :]]
+        return RuleMemory.join(others if self.memories is None else [self.memories, *others])
 
     def then(
         self,
         time: float,
         clouds: Clouds,
         references: Mapping[str, Sequence[Reference]],
-        memories: PlainMemories,
+        memories: RuleMemory,
         nets: Mapping[str, TargetNet],
     ) -> ParticleTable:
         """The same targets after a frame, all as columns."""

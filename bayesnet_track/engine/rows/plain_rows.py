@@ -13,11 +13,12 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from bayesnet_track.adapt.plain_rules import PlainMemories, Seen, has_plain_rules
+from bayesnet_track.adapt.memory import USUAL, RuleMemory
+from bayesnet_track.adapt.rule_columns import RuleColumns, remember
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.findings import Decided, Heard, Learnt, Measured, TargetResult, heard
+from bayesnet_track.engine.findings import Heard, Learnt, Measured, TargetResult, heard
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import plate_learns
@@ -26,6 +27,7 @@ from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.rows.row_learning import follow_rows
 from bayesnet_track.engine.state import inside_frame_all
 from bayesnet_track.engine.summaries import Summary
+from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.guard import judge_nothing
 from bayesnet_track.inference.learn import frames_between, learning_rate
 from bayesnet_track.inference.measure_rows import RowMeasures, is_flat, measure_rows
@@ -86,9 +88,10 @@ class FinishedRows(Mapping[str, TargetResult]):
         assert self.after.memories is not None
         net, watched = work.net.targets[one.target], one.before.watched
         measured = Measured(self.states[row], self.boxes[row], net, self.measures.of(row), one.before.scored)
-        decided = Decided((), after.memory, self.after.memories.median(row), _see_nothing)
+        active = self.group.plan.active
+        level = _levels(self.after.memories, self.after.compiled.plate, active)[row]
         learnt = Learnt(after.references, watched, judge_nothing(watched), (), 0.0, self.rates[row])
-        return frame_metrics(work, one, measured, decided, learnt, self.described.summaries[one.target])
+        return frame_metrics(work, one, measured, level, learnt, self.described.summaries[one.target])
 
     def heard(self, row: int) -> Heard:
         """What its agents said."""
@@ -157,8 +160,14 @@ class Results(Mapping[str, TargetResult]):
         }
 
 
-def _see_nothing() -> Situation:
-    raise AssertionError("nothing was decided")
+def _levels(memory: RuleMemory, plate: CheckedTarget, active: frozenset[str]) -> list[float | None]:
+    """The baseline of each target's UD, px^2; None while unknown."""
+    levels = memory.levels_px2(plate.root, plate.below[plate.root] & active).tolist()
+    return [None if level != level else level for level in levels]
+
+
+def _see_nothing(row: int) -> Situation:
+    raise AssertionError("what is to be decided is decided of each target by itself")
 
 
 def finish_rows(work: FrameWork, group: FilteredRows, described: Described) -> FinishedRows | None:
@@ -185,7 +194,6 @@ def _fits(work: FrameWork, group: FilteredRows, row: int) -> bool:
         and not (net.quarantined or net.sampled)
         and not state.flawed
         and table.references.keys() == table.compiled.cues.keys() == state.references.keys()
-        and PlainMemories.fits(state.memory, table.compiled.plate.root, group.plan.active)
     )
 
 
@@ -194,11 +202,23 @@ def plate_is_plain(compiled: CompiledPlate) -> bool:
     """Whether all that the targets of a plate do after they were weighed can be done of many at once."""
     return (
         is_flat(compiled.plate)
-        and has_plain_rules(compiled.plate)
+        and _has_plain_rules(compiled.plate)
         and plate_learns(compiled)
         and compiled.moving is None
         and compiled.modes is None
         and ANGLE not in compiled.motion.fields
+    )
+
+
+def _has_plain_rules(plate: CheckedTarget) -> bool:
+    """Whether all that a plate's rules decide, while its agents work, is its status by UD and fit."""
+    root = plate.inference(plate.root)
+    return (
+        root.score is None
+        and (root.lost or USUAL).existence_below is None
+        and len(plate.children) == 1
+        and root.adapt is None
+        and all(plate.agent(agent).self_check is None for agent in plate.agents)
     )
 
 
@@ -210,19 +230,27 @@ def _finish(work: FrameWork, group: FilteredRows, described: Described) -> Finis
     boxes = inside_frame_all(states[:, :4], work.frame)
     areas = (boxes[:, 2] * boxes[:, 3]).tolist()
     measures, hidden = measure_rows(plate, plan, group.arrays, areas), group.hidden
-    seen = Seen(
-        np.array(measures.uds), np.array(areas), np.array(measures.fits), np.array(hidden), measures.nats
+    seen = RuleColumns(
+        plate,
+        plan.active,
+        np.zeros(len(areas), dtype=np.int64),
+        {plate.root: np.array(measures.uds)},
+        np.array(areas),
+        np.array(measures.fits),
+        measures.agents,
+        measures.nats,
+        _see_nothing,
+        np.array(hidden),
     )
-    memories, stays = table.columns().then(plate, seen)
+    memories, is_due = remember(seen, table.columns())
+    levels, stays = _levels(memories, plate, plan.active), ~is_due
     started = work.charge("measure", started)
     rule = plate.inference(plate.root).learn
     rests = work.frame.ordinal % frames_between(rule, {}) > 0
     rates = [
-        learning_rate(rule, ud, area, memories.median(row)) * max(1.0 - 2.0 * share, 0.0)
-        if stay and not rests
-        else 0.0
-        for row, (ud, area, share, stay) in enumerate(
-            zip(measures.uds, areas, hidden, stays.tolist(), strict=True)
+        learning_rate(rule, ud, area, level) * max(1.0 - 2.0 * share, 0.0) if stay and not rests else 0.0
+        for ud, area, share, stay, level in zip(
+            measures.uds, areas, hidden, stays.tolist(), levels, strict=True
         )
     ]
     references, failed = follow_rows(work, table, boxes, rates)

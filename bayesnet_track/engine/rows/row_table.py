@@ -71,7 +71,7 @@ class RowTable:
 
         now = self.rows.columns
         counted = (now.since, now.lost_frames, now.unseen_frames)
-        since, lost, unseen, known = count_frames(counted, now.is_lost, now.lost_count, frame.index)
+        since, lost, unseen, known = count_frames(counted, now.is_lost, now.memory.counts[:, 0], frame.index)
         columns = now.changed(
             since=since,
             known_mean=np.where(known[:, None], now.mean, now.known_mean),

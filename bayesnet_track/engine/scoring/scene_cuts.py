@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bayesnet_track.adapt.memory import Streak
+from bayesnet_track.adapt.memory import STATUS_STREAKS
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.scoring.distractors import without_motion
@@ -70,10 +70,9 @@ def _without_place(engine: Engine, state: State, target: str, frame: int) -> Tar
     if rule is not None and rule.found_fit is not None and scored.missing is None:
         is_known = len(scored.fits) >= LEAST_FRAMES
         scored = replace(scored, low=0, again=(), missing=frame if is_known else None)
-    none = Streak()
     return replace(
         one,
-        memory=replace(one.memory, lost=none, unfit=none, unsure=none, seen=none, found=none),
+        memory=one.memory.without([kind for kind, _ in STATUS_STREAKS]),
         motion_context=None if context is None else replace(context, held=None),
         scored=without_motion(scored),
     )

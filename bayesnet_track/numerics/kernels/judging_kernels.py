@@ -11,43 +11,25 @@ from bayesnet_track.numerics.compiled import compiled
 
 
 @compiled
-def read_levels(
-    ud: Floats, fit: Floats, scale: Floats, level: float, fit_below: float
-) -> tuple[Floats, Floats, Floats, Bools, Bools]:
-    """UD in the unit `scale` (T,); that of rows that look lost; their fits; who looks lost, and who found.
+def extend_streaks(
+    counts: Ints, values: Floats, holds: Bools, new: Floats, keeps: Bools
+) -> tuple[Ints, Floats]:
+    """Streaks (T, S) with one frame more where it `holds`, else 0; their last values (T, S, F).
 
-    A scale that is not above 0, or NaN, is unknown: no UD is too high then.
+    Those that it `keeps` stay as they are.
     """
-    count = ud.shape[0]
-    values, lost_values, unfit_values = np.empty(count), np.empty(count), np.empty(count)
-    looks_lost, looks_found = np.empty(count, np.bool_), np.empty(count, np.bool_)
-    for t in range(count):
-        value = ud[t] / scale[t] if scale[t] > 0.0 else 0.0
-        is_wide, fits = scale[t] > 0.0 and value > level, fit[t] >= fit_below
-        values[t] = value
-        lost_values[t] = value if fits else np.inf
-        unfit_values[t] = -np.inf if is_wide else fit[t]
-        looks_lost[t], looks_found[t] = is_wide or not fits, fits and not is_wide
-    return values, lost_values, unfit_values, looks_lost, looks_found
-
-
-@compiled
-def append_streaks(
-    counts: Ints, values: Floats, others: Floats, holds: Bools, new: Floats, new_others: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Streaks (T,) with one frame more where it `holds`, else 0; their last values (T, F), from the right.
-
-    There are two values of each frame.
-    """
-    rows, size = values.shape
-    after, last, last_others = np.zeros(rows, np.int64), np.empty((rows, size)), np.empty((rows, size))
+    rows, streaks, size = values.shape
+    after, last = counts.copy(), values.copy()
     for t in range(rows):
-        if holds[t]:
-            after[t] = counts[t] + 1
-        for k in range(size - 1):
-            last[t, k], last_others[t, k] = values[t, k + 1], others[t, k + 1]
-        last[t, size - 1], last_others[t, size - 1] = new[t], new_others[t]
-    return after, last, last_others
+        for s in range(streaks):
+            if keeps[t, s]:
+                continue
+            after[t, s] = counts[t, s] + 1 if holds[t, s] else 0
+            if holds[t, s]:
+                for k in range(size - 1):
+                    last[t, s, k] = values[t, s, k + 1]
+                last[t, s, size - 1] = new[t, s]
+    return after, last
 
 
 @compiled

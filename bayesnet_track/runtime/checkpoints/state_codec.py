@@ -22,7 +22,7 @@ from bayesnet_track.adapt.existence import Population, Prospects
 from bayesnet_track.adapt.information import Worth
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, TrackHistory, TrackRecord
-from bayesnet_track.adapt.memory import Memory, Quiet, Streak
+from bayesnet_track.adapt.memory import Baseline, Layout, RuleMemory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.mixture import ModalPosterior
@@ -62,9 +62,9 @@ CLASSES: tuple[type, ...] = (
     ModalPosterior,
     GridBelief,
     Lattice,
-    Memory,
-    Streak,
-    Quiet,
+    RuleMemory,
+    Layout,
+    Baseline,
     Worth,
     Watched,
     MotionContext,

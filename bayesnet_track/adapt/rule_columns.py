@@ -1,0 +1,351 @@
+"""What the rules see and remember of T targets of a plate: one update of streaks and baselines for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bayesnet_track.adapt.conditions import Inside, apply_test
+from bayesnet_track.adapt.information import Worth, goes_by_worth
+from bayesnet_track.adapt.memory import (
+    FOUND,
+    LOST,
+    SEEN,
+    STATUS_STREAKS,
+    UNFIT,
+    UNSURE,
+    USUAL,
+    Baseline,
+    RuleMemory,
+)
+from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import Condition, Level, Lost
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
+from bayesnet_track.numerics.records import changed
+
+STATUSES = ("tracking", "uncertain", "lost")
+"""By their number in `RuleColumns.statuses`."""
+
+
+@dataclass(frozen=True, eq=False)
+class RuleColumns:
+    """Inputs of the rules in one frame: columns of T targets of a plate with the same active agents.
+
+    Attributes:
+        plate: the checked plate.
+        active: the agents that are active, without those that failed or gave no answer.
+        statuses: (T,) places in `STATUSES`.
+        uds: inference node -> (T,) UD, px^2.
+        areas: (T,) of the estimates, px^2.
+        fits: (T,) as in `Measures`.
+        agents: those whose contributions are known.
+        nats: (T, A) these.
+        see: row -> all that the rules of one target see.
+        hidden: (T,) expected shares that others hide; None where nobody does.
+        part_areas: part -> (T,) areas, px^2.
+        agent_uds: agent with a self-check -> (T,) its UD, px^2; NaN where it is not to check itself.
+        adaptable: agents that can act locally before they stop.
+        score: (T,) probabilities of being on target, or None.
+        existence: (T,) probabilities that they exist, or None.
+        is_hidden: (T,) whether they probably cannot be seen, by their modes; None where these do not say.
+        insides: (node, radius) -> what of each belief lies within, for the windows that rules ask about.
+        pending: (T,) whether something else than a streak asks for a decision; None where nothing does.
+    """
+
+    plate: CheckedTarget
+    active: frozenset[str]
+    statuses: Ints
+    uds: Mapping[str, Floats]
+    areas: Floats
+    fits: Floats
+    agents: Sequence[str]
+    nats: Floats
+    see: Callable[[int], Situation]
+    hidden: Floats | None = None
+    part_areas: Mapping[str, Floats] = field(default_factory=dict)
+    agent_uds: Mapping[str, Floats] = field(default_factory=dict)
+    adaptable: frozenset[str] = frozenset()
+    score: Floats | None = None
+    existence: Floats | None = None
+    is_hidden: Bools | None = None
+    insides: Mapping[tuple[str, float], Sequence[Inside]] = field(default_factory=dict)
+    pending: Bools | None = None
+
+    @staticmethod
+    def key(inputs: Situation) -> Hashable:
+        """Equal for targets that make columns together."""
+        known = inputs.score is None, inputs.existence is None, inputs.hiding is None
+        said, parts = (*inputs.measures.contribution,), (*inputs.measures.parts,)
+        return inputs.plate.name, inputs.net.active, said, parts, known
+
+    @classmethod
+    def of(cls, group: Sequence[Situation], checked: Sequence[str]) -> RuleColumns:
+        """The columns of targets with the same key; `checked` agents have a self-check."""
+        head, measures = group[0], [one.measures for one in group]
+        agents = [*head.measures.contribution]
+        hiding = None
+        if head.hiding is not None:
+            hiding = np.array([h is not None and h.hidden > h.level for h in (one.hiding for one in group)])
+        return cls(
+            head.plate,
+            head.net.active,
+            np.array([STATUSES.index(one.net.status) for one in group]),
+            {node: np.array([one.ud_px2[node] for one in measures]) for node in head.measures.ud_px2},
+            np.array([one.area_px2 for one in measures]),
+            np.array([one.fit for one in measures]),
+            agents,
+            np.array([[one.contribution[agent] for agent in agents] for one in measures]),
+            group.__getitem__,
+            np.array([one.hidden for one in group]),
+            {part: np.array([one.parts[part].area_px2 for one in measures]) for part in head.measures.parts},
+            {agent: np.array([_own_ud(one, agent) for one in group]) for agent in checked},
+            head.adaptable,
+            None if head.score is None else np.array([one.score for one in group]),
+            None if head.existence is None else np.array([one.existence for one in group]),
+            hiding,
+            {key: [one.inside[key] for one in measures] for key in head.measures.inside},
+            np.array([_asks(one) for one in group]),
+        )
+
+    def area_of(self, node: str) -> Floats:
+        """(T,) areas of the estimates that a node is about: of the part, or of the whole target, px^2."""
+        return self.part_areas.get(node, self.areas)
+
+
+def _own_ud(inputs: Situation, agent: str) -> float:
+    checks = agent in inputs.net.active and agent not in inputs.net.by_hand
+    return inputs.measures.agent_ud_px2.get(agent, np.nan) if checks else np.nan
+
+
+def _asks(inputs: Situation) -> bool:
+    return bool(inputs.net.quarantined or inputs.missed or (inputs.call is not None and inputs.call.ran))
+
+
+def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools]:
+    """The rules' memory with this frame, and (T,) of which targets something may have to be decided."""
+    from bayesnet_track.numerics.kernels.judging_kernels import extend_streaks
+
+    layout, count = memory.layout, len(memory)
+    memory = _with_contributions(inputs, memory)
+    memory = changed(memory, baselines=_with_uds(inputs, memory))
+    shape = memory.counts.shape
+    streaks = Streaks(np.zeros(shape, np.bool_), np.zeros(shape), np.zeros(shape, np.bool_))
+    _check_selves(inputs, memory, streaks)
+    for node in layout.nodes:
+        _govern(inputs, memory, node, streaks)
+    two_levels = _judge(inputs, memory, streaks)
+    counts, values = extend_streaks(
+        memory.counts, memory.values, streaks.holds, streaks.values, streaks.keeps
+    )
+    is_due = _due(inputs, counts, int(layout.frames[0]), two_levels)
+    status = len(STATUS_STREAKS)
+    if shape[1] > status:
+        is_due |= (counts[:, status:] >= layout.frames[status:]).any(axis=1)
+    for agent in inputs.adaptable.intersection(layout.checked):
+        is_due |= counts[:, layout.streaks["self_check", agent]] > 0
+    if inputs.pending is not None:
+        is_due |= inputs.pending
+    if memory.missed.any():
+        is_due |= memory.missed.any(axis=1)
+    if not inputs.active:
+        is_due = np.ones(count, np.bool_)
+    return changed(memory, counts=counts, values=values), is_due
+
+
+@dataclass(frozen=True, eq=False)
+class Streaks:
+    """S conditions of T targets in one frame, filled in place.
+
+    Attributes:
+        holds: (T, S) whether they hold.
+        values: (T, S) the frame's values.
+        keeps: (T, S) whether the frame says nothing: they stay as they are.
+    """
+
+    holds: Bools
+    values: Floats
+    keeps: Bools
+
+
+def _with_contributions(inputs: RuleColumns, memory: RuleMemory) -> RuleMemory:
+    """With what the active agents contributed."""
+    layout = memory.layout
+    if tuple(inputs.agents) == tuple(layout.agents):
+        nats, frames = memory.nats + inputs.nats, memory.frames + 1
+    else:
+        nats, frames = memory.nats.copy(), memory.frames.copy()
+        for place, agent in enumerate(inputs.agents):
+            nats[:, layout.agents[agent]] += inputs.nats[:, place]
+            frames[:, layout.agents[agent]] += 1
+    rates = memory.worth
+    for node in layout.nodes:
+        rules = inputs.plate.inference(node).adapt
+        if rules is not None and goes_by_worth(rules):
+            governed = [k for k, agent in enumerate(inputs.agents) if inputs.plate.governor[agent] == node]
+            contributions = [{inputs.agents[k]: row[k] for k in governed} for row in inputs.nats.tolist()]
+            frames_kept = rules.information.memory_frames
+            rates = tuple(
+                {**rate, node: rate.get(node, Worth()).after(contribution, frames_kept)}
+                for rate, contribution in zip(rates, contributions, strict=True)
+            )
+    return changed(memory, nats=nats, frames=frames, worth=rates)
+
+
+def _with_uds(inputs: RuleColumns, memory: RuleMemory) -> Mapping[tuple[str, frozenset[str]], Baseline]:
+    """The baselines with this frame's UD, where it is a quiet one."""
+    baselines, is_tracked = dict(memory.baselines), inputs.statuses == 0
+    for node, ud in inputs.uds.items():
+        agents, adds = inputs.plate.below[node] & inputs.active, is_tracked
+        if not agents:
+            continue
+        rules = inputs.plate.inference(node).adapt
+        if rules is not None and rules.activate is not None:
+            level, test = rules.activate.above, rules.activate.unless
+            adds = adds & ~_read(inputs, memory, node, level, test).is_above
+        baseline = baselines.get((node, agents)) or Baseline.empty(len(memory))
+        baselines[node, agents] = baseline.append(ud, adds)
+    return baselines
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """A rule's condition applied to T beliefs: (T,) values, and which lie above and below the level."""
+
+    values: Floats
+    is_above: Bools
+    is_below: Bools
+
+
+def _read(
+    inputs: RuleColumns, memory: RuleMemory, node: str, level: Level | None, test: Condition | None,
+    beside_more: bool = False,
+) -> _Reading:  # fmt: skip
+    """A condition's reading; neither above nor below while it cannot be told.
+
+    Beside more agents than are on, the baseline of these counts where that of so few is unknown.
+    """
+    if level is not None:
+        scale = _scale(inputs, memory, node, level)
+        if beside_more and level.kind == "ud_baseline":
+            is_asked = ~(scale > 0.0) & (inputs.statuses == STATUSES.index("lost"))
+            scale = np.where(is_asked, memory.levels_px2(node, frozenset()), scale)
+        values = _in_unit(inputs.uds[node], scale)
+        return _Reading(values, values > level.settings, values < level.settings)
+    insides = None
+    if test is not None and test.concentrated is not None:
+        insides = inputs.insides.get((node, test.concentrated.within_box))
+    if insides is None or test is None or test.concentrated is None:
+        nothing = np.zeros(len(inputs.areas), np.bool_)
+        return _Reading(np.zeros(len(inputs.areas)), nothing, nothing)
+    pairs = zip(insides, inputs.uds[node].tolist(), strict=True)
+    shares = np.array([apply_test(test.concentrated, inside, ud).value for inside, ud in pairs])
+    is_above = shares < test.concentrated.share
+    return _Reading(shares, is_above, ~is_above)
+
+
+def _scale(inputs: RuleColumns, memory: RuleMemory, node: str, level: Level) -> Floats:
+    """(T,) a level's unit, px^2; not above 0, or NaN, while it is unknown."""
+    if level.kind == "ud_px2":
+        return np.ones(len(inputs.areas))
+    if level.kind == "ud_box":
+        return inputs.area_of(node)
+    return memory.levels_px2(node, inputs.plate.below[node] & inputs.active)
+
+
+def _in_unit(ud_px2: Floats, scale: Floats) -> Floats:
+    is_known = scale > 0.0
+    return np.where(is_known, ud_px2 / np.where(is_known, scale, 1.0), np.nan)
+
+
+def _check_selves(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> None:
+    """Agents whose own UD is above their level.
+
+    A streak ends when its agent gives no evidence, and while the target is lost: nobody can be sure of what
+    cannot be seen, and the agents are needed when it comes back.
+    """
+    for agent, ud in inputs.agent_uds.items():
+        check = inputs.plate.agent(agent).self_check
+        assert check is not None
+        column = memory.layout.streaks["self_check", agent]
+        values = _in_unit(ud, _scale(inputs, memory, inputs.plate.root, check.above))
+        streaks.holds[:, column] = (values > check.above.settings) & (
+            inputs.statuses < STATUSES.index("lost")
+        )
+        streaks.values[:, column] = values
+
+
+def _govern(inputs: RuleColumns, memory: RuleMemory, node: str, streaks: Streaks) -> None:
+    """UD above the level that activates, and below the one that deactivates."""
+    rules = inputs.plate.inference(node).adapt
+    assert rules is not None
+    if rules.activate is not None:
+        column = memory.layout.streaks["activate", node]
+        reading = _read(inputs, memory, node, rules.activate.above, rules.activate.unless, beside_more=True)
+        streaks.holds[:, column], streaks.values[:, column] = reading.is_above, reading.values
+    if rules.deactivate is not None:
+        column = memory.layout.streaks["deactivate", node]
+        reading = _read(inputs, memory, node, rules.deactivate.below, rules.deactivate.when)
+        streaks.holds[:, column], streaks.values[:, column] = reading.is_below, reading.values
+
+
+def _judge(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> bool:
+    """Fill in the streaks of the status; whether it is judged by two levels.
+
+    By a probability where there is one, else by UD and fit. That nothing fits is no reason while half of the
+    target is known to be hidden, nor where its modes say whether it is; that UD is high is one.
+    """
+    rule = inputs.plate.inference(inputs.plate.root).lost or USUAL
+    score, low, columns = inputs.existence, rule.existence_below, memory.layout.streaks
+    if score is None or low is None:
+        score, low = inputs.score, rule.score_below
+    high = low if rule.uncertain_below is None else rule.uncertain_below
+    if score is None or low is None or high is None:
+        low = high = 0.0
+        _judge_fits(inputs, memory, rule, streaks)
+    else:
+        is_low, is_doubtful = score < low, score < high
+        judged = {LOST: is_low, UNSURE: is_doubtful, SEEN: ~is_low, FOUND: ~is_doubtful}
+        for streak, holds in judged.items():
+            streaks.holds[:, columns[streak]], streaks.values[:, columns[streak]] = holds, score
+        streaks.keeps[:, columns[UNFIT]] = True
+    if inputs.is_hidden is not None:
+        rows, size = np.flatnonzero(inputs.is_hidden), len(STATUS_STREAKS)
+        streaks.holds[rows, :size], streaks.keeps[rows, :size] = False, False
+        streaks.keeps[rows, columns[UNFIT]] = True
+    return low < high
+
+
+def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: Streaks) -> None:
+    """Fill in who looks lost by UD and fit.
+
+    On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
+    """
+    reading = _read(inputs, memory, inputs.plate.root, rule.above, None)
+    fits, is_wide, columns = inputs.fits >= rule.fit_below, reading.is_above, memory.layout.streaks
+    if inputs.hidden is not None:
+        fits |= inputs.hidden >= 0.5
+    if inputs.is_hidden is not None:
+        fits[:] = True
+    looks_found, values = fits & ~is_wide, np.nan_to_num(reading.values, copy=False)
+    for streak, holds, numbers in (
+        (LOST, ~looks_found, np.where(fits, values, np.inf)),
+        (UNFIT, ~looks_found, np.where(is_wide, -np.inf, inputs.fits)),
+        (FOUND, looks_found, values),
+    ):
+        streaks.holds[:, columns[streak]], streaks.values[:, columns[streak]] = holds, numbers
+    streaks.keeps[:, [columns[SEEN], columns[UNSURE]]] = True
+
+
+def _due(inputs: RuleColumns, counts: Ints, frames: int, two_levels: bool) -> Bools:
+    """(T,) whose status may change."""
+    lost, _, found, seen, unsure = (counts[:, : len(STATUS_STREAKS)] >= frames).T
+    is_lost = inputs.statuses == STATUSES.index("lost")
+    is_due = np.where(is_lost, found, lost)
+    if two_levels or (inputs.statuses == STATUSES.index("uncertain")).any():
+        is_due |= np.where(is_lost, seen, np.where(inputs.statuses == 0, unsure, found))
+    if inputs.is_hidden is not None:
+        is_due = np.where(inputs.is_hidden, ~is_lost, is_due)
+    return np.asarray(is_due)
