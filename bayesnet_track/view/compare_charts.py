@@ -14,8 +14,7 @@ from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.explain import explain
-from bayesnet_track.view.scales import decades, stretches, ticks
-from bayesnet_track.view.svg import element, text_of
+from bayesnet_track.view.svg import decades, element, stretches, text_of, ticks
 
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
 UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0

@@ -1,9 +1,13 @@
-"""The few SVG elements that the pictures are made of; every text and attribute is escaped."""
+"""Elements of SVG, their text and attributes escaped, and scales over frames."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence, Set
 from html import escape
+
+from bayesnet_track.journal.metrics import FrameMetrics
 
 _ILLEGAL = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 does not allow even when escaped."""
@@ -47,3 +51,44 @@ def document(width: float, height: float, title: str, description: str, body: li
 
 def _value(value: object) -> str:
     return f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else text_of(value)
+
+
+def ticks(first: int, last: int, most: int = 10) -> list[int]:
+    """Round frame numbers, at most one more than `most`.
+
+    >>> ticks(0, 199)
+    [0, 20, 40, 60, 80, 100, 120, 140, 160, 180]
+    """
+    step = next(
+        size * 10**power
+        for power in range(19)
+        for size in (1, 2, 5)
+        if (last - first) / (size * 10**power) <= most
+    )
+    return list(range(-(-first // step) * step, last + 1, step))
+
+
+def decades(low: float, high: float, most: int = 8) -> list[float]:
+    """1, 2, 5 times powers of ten inside a scale; powers of ten alone when there would be too many.
+
+    >>> decades(30.0, 1200.0)
+    [50.0, 100.0, 200.0, 500.0, 1000.0]
+    """
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for steps in ((1, 2, 5), (1,)):
+        found = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
+        if len(found) <= most:
+            return found
+    return found[:: math.ceil(len(found) / most)]
+
+
+def stretches(lines: Sequence[FrameMetrics], wanted: Set[int]) -> list[tuple[int, int]]:
+    """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
+    found: list[tuple[int, int]] = []
+    previous = False
+    for line in lines:
+        if line.frame in wanted:
+            first = found.pop()[0] if previous else line.frame
+            found.append((first, line.frame))
+        previous = line.frame in wanted
+    return found

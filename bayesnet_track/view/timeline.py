@@ -16,8 +16,7 @@ from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.journal.text.explain import explain
-from bayesnet_track.view.scales import decades, stretches, ticks
-from bayesnet_track.view.svg import document, element, text_of
+from bayesnet_track.view.svg import decades, document, element, stretches, text_of, ticks
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
 PLOT_HEIGHT, BAR, BAR_GAP, FOOT = 230.0, 15.0, 8.0, 46.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.view.scales import decades, stretches, ticks
+from bayesnet_track.view.svg import decades, stretches, ticks
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6), st.integers(2, 12))
