@@ -13,8 +13,8 @@ from bayesnet_track.journal.compare import compare
 from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.view.compare_charts import WIDEST, draw_pictures, telling_frames
 from bayesnet_track.view.compare_page import compare_page
-from bayesnet_track.view.compare_pictures import WIDEST, draw_pictures, telling_frames
 
 BOX = (40.0, 30.0, 20.0, 10.0)
 
