@@ -17,9 +17,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.reidentification import Returned
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.view.page_columns import short_floats
-from bayesnet_track.view.page_events import event_rows
-from bayesnet_track.view.page_net import plates
+from bayesnet_track.view.page_tables import event_rows, plates, short_floats
 
 VERSION = 1
 STATUSES = ("tracking", "uncertain", "lost", "seen", "hidden", "unwatched")

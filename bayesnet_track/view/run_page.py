@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.view.page_columns import pack
 from bayesnet_track.view.page_data import Columns
 from bayesnet_track.view.page_pictures import Pictures
+from bayesnet_track.view.page_tables import pack
 
 FRAMES_FOLDER = "frames"
 GENERATOR = '<meta name="generator" content="bayesnet_track">'

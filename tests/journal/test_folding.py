@@ -10,7 +10,7 @@ from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.text.folding import CallsFolded, fold, narrate_all
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.story import describe_life
-from bayesnet_track.view.page_events import event_rows
+from bayesnet_track.view.page_tables import event_rows
 
 UD = Cause("ud_px2", 60.0, 81.2, 1, 81.2, 81.2, 1.0)
 

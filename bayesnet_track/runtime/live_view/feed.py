@@ -20,7 +20,7 @@ from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.view.page_data import run_data
-from bayesnet_track.view.page_events import event_row
+from bayesnet_track.view.page_tables import event_row
 
 WINDOW_S = 2.0
 

@@ -1,0 +1,276 @@
+"""Tables of the run page: columns of numbers as bytes, events in words, the graph with places of its nodes."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+import struct
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level, Lost
+from bayesnet_track.graph.text.write import as_plain
+from bayesnet_track.journal.codec import event_name
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.by_hand import Released, Toggled
+from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.events.reidentification import Reacquired, Returned
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
+from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.text.folding import CallsFolded, fold
+from bayesnet_track.journal.text.naming import kinds_of, name_targets
+from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.view.graph_layout import MARGIN, lay_out
+
+KEPT_BITS = 14
+ALIGNMENT = 8
+TYPES = ("<f4", "<f8", "<i4", "<i2", "|u1")
+
+
+def pack(header: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Header and columns, compressed with gzip; the same input gives the same bytes.
+
+    Layout before compression: length of the header (uint32), the header as JSON, blanks up to a multiple of
+    8 bytes, then the columns, each from a multiple of 8 bytes on. The header gets a key `columns`: name ->
+    [type, values per row, number of values, offset behind the header]. All little-endian.
+
+    Args:
+        header: what JSON can hold.
+        columns: arrays (n,) or (n, k) of float32, float64, int32, int16 or uint8.
+
+    Raises:
+        ValueError: an array is of another type or shape.
+    """
+    index: dict[str, list[Any]] = {}
+    blocks: list[bytes] = []
+    offset = 0
+    for name, column in columns.items():
+        kind = column.dtype.newbyteorder("<").str
+        if kind not in TYPES or column.ndim not in (1, 2):
+            raise ValueError(f"column {name!r} is {column.dtype} {column.shape}; one of {', '.join(TYPES)}")
+        data = np.ascontiguousarray(column, dtype=kind).tobytes()
+        width = column.shape[1] if column.ndim == 2 else 1
+        index[name] = [kind[1:], width, column.size, offset]
+        blocks.append(data + bytes(-len(data) % ALIGNMENT))
+        offset += len(blocks[-1])
+    text = json.dumps({**header, "columns": index}, allow_nan=False, separators=(",", ":")).encode()
+    head = struct.pack("<I", len(text)) + text
+    head += b" " * (-len(head) % ALIGNMENT)
+    return gzip.compress(head + b"".join(blocks), compresslevel=6, mtime=0)
+
+
+def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and columns of `pack`."""
+    raw = gzip.decompress(data)
+    (length,) = struct.unpack("<I", raw[:4])
+    header = json.loads(raw[4 : 4 + length])
+    start = 4 + length + (-(4 + length) % ALIGNMENT)
+    columns = {}
+    for name, (kind, width, count, offset) in header.pop("columns").items():
+        flat = np.frombuffer(raw, dtype=f"<{kind}", count=count, offset=start + offset)
+        columns[name] = flat.reshape(-1, width) if width > 1 else flat
+    return header, columns
+
+
+def short_floats(values: Any) -> NDArray[np.float32]:
+    """As float32 with 14 bits of mantissa, rounded: relative error below 2^-15, and half as long when packed.
+
+    >>> float(short_floats([1234.56])[0])
+    1234.5625
+    """
+    with np.errstate(over="ignore"):
+        exact = np.asarray(values, dtype=np.float32)
+    drop = 23 - KEPT_BITS
+    with np.errstate(over="ignore"):
+        bits = (exact.view(np.uint32) + np.uint32(1 << (drop - 1))) & np.uint32(
+            0xFFFFFFFF << drop & 0xFFFFFFFF
+        )
+    rounded = bits.view(np.float32)
+    return np.where(np.isfinite(exact) & np.isfinite(rounded), rounded, exact)
+
+
+LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
+ARROW = " → "
+_PREVENTED = re.compile(r"; (?=would (?:not )?have |not at )")
+_FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
+
+
+def event_rows(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """`event_row` of every event that happened in a frame, in order."""
+    every = list(events)
+    kinds = kinds_of(every)
+    return [
+        _calls_row(one, kinds) if isinstance(one, CallsFolded) else event_row(one, kinds)
+        for one in fold(every)
+        if not isinstance(one, RunStarted | RunEnded)
+    ]
+
+
+def _calls_row(calls: CallsFolded, kinds: Mapping[str, str]) -> dict[str, Any]:
+    """Runs of agents on call as one row."""
+    told = name_targets(calls.describe(), kinds)
+    return {
+        "frame": calls.frame,
+        "kind": "scheduled",
+        "sort": "note",
+        "what": told,
+        "why": "",
+        "unless": "",
+        "target": calls.target,
+    }
+
+
+def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+    """One event of a frame as plain data; `kinds` names targets by their type.
+
+    Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
+    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `on`:
+    whether a switch turned the agent on; `status`: the new one; `what` happened, `why`, and what would have
+    prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
+    """
+    sentence = name_targets(_FRAME.sub("", explain(event)), kinds)
+    described, *prevented = _PREVENTED.split(sentence, maxsplit=1)
+    why, arrow, what = described.partition(ARROW)
+    row: dict[str, Any] = {
+        "frame": getattr(event, "frame", 0),
+        "kind": event_name(type(event)),
+        "sort": _sort(event),
+        "what": what if arrow else described,
+        "why": why if arrow else "",
+        "unless": prevented[0] if prevented else "",
+    }
+    if isinstance(event, TargetStarted):
+        # Nothing caused it: the piece before the arrow is what happened.
+        row |= {"what": f"{why} → {what}", "why": ""}
+    if isinstance(event, Toggled):
+        on = "on" if event.on else "off"
+        row |= {
+            "what": f"{event.node} {on} by hand",
+            "why": "switched by hand; no rule switches it until it is released",
+        }
+    if isinstance(event, Released):
+        row |= {"what": f"{event.node} given back to the rules", "why": ""}
+    row |= {key: getattr(event, key) for key in ("target", "other", "node") if hasattr(event, key)}
+    if isinstance(event, Switch):
+        row["on"] = turns_on(event)
+    if isinstance(event, StatusChanged):
+        row["status"] = event.status
+    if isinstance(event, SceneCut):
+        row["status"] = "lost"
+    return row
+
+
+def _sort(event: Event) -> str:
+    if isinstance(event, Switch):
+        return "switch"
+    if isinstance(event, (*LIVES, Released)):
+        return "life"
+    if isinstance(event, StatusChanged | SceneCut):
+        return "status"
+    return "note"
+
+
+def plates(graph: CheckedGraph, costs_ms: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Plate -> its root, agents, rules and picture, as plain data."""
+    return {name: _plate(target, costs_ms) for name, target in graph.targets.items()}
+
+
+def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, Any]:
+    agents, root = [], target.inference(target.root)
+    for name in target.agents:
+        cue = target.agent(name).agent.cue
+        agents.append({"name": name, "cue": cue, "cost_ms": costs_ms.get(cue)})
+    return {
+        "root": target.root,
+        "agents": agents,
+        "rules": _rules(target),
+        "net": _net(target),
+        "hidden_modes": [name for name, mode in (root.modes or {}).items() if mode.hidden is not None],
+        "settings": {name: settings_text(target, name) for name in target.spec.nodes},
+    }
+
+
+def settings_text(target: CheckedTarget, name: str) -> str:
+    """What holds of a node, as YAML: what the graph says of it, and all parameters of a cue."""
+    plain = {key: value for key, value in as_plain(target.spec.nodes[name]).items() if key != "parent"}
+    parameters = target.parameters.get(name)
+    if parameters is not None:
+        plain["agent"] = {target.agent(name).agent.cue: parameters.model_dump(mode="json")}
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=60).strip()
+
+
+def _net(target: CheckedTarget) -> dict[str, Any]:
+    """Places in the units of `graph_layout`, without its margins and legend."""
+    layout = lay_out(target, frozenset(target.agents))
+    left = min(node.x - node.w / 2 for node in layout.nodes) - 4.0
+    right = max(node.x + node.w / 2 for node in layout.nodes) + 4.0
+    top = MARGIN - 4.0
+    nodes = [
+        {
+            "name": node.name,
+            "note": node.note,
+            "agent": node.is_agent,
+            "x": node.x - left,
+            "y": node.y - top,
+            "w": node.w,
+            "h": node.h,
+            "parent": target.parent[node.name],
+        }
+        for node in layout.nodes
+    ]
+    edges = [
+        {
+            "child": child,
+            "from": [edge.start[0] - left, edge.start[1] - top],
+            "to": [edge.end[0] - left, edge.end[1] - top],
+        }
+        for child, edge in zip((n for n in target.order if target.parent[n]), layout.edges, strict=True)
+    ]
+    forks = [{"text": f.text, "x": f.x - left, "y": f.y - top, "w": f.w, "h": f.h} for f in layout.forks]
+    height = max(node.y + node.h / 2 for node in layout.nodes) - top + 4.0
+    return {"width": right - left, "height": height, "nodes": nodes, "edges": edges, "forks": forks}
+
+
+def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
+    """Every level of UD or of the score in the plate: node, rule, unit, level, frames."""
+    found: list[dict[str, Any]] = []
+
+    def add(node: str, rule: str, level: Level | None, frames: int = 1) -> None:
+        if level is not None:
+            found.append(
+                {"node": node, "rule": rule, "unit": level.kind, "level": level.settings, "frames": frames}
+            )
+
+    for name, node in target.spec.nodes.items():
+        if isinstance(node, AgentNode):
+            if node.self_check is not None:
+                add(name, "self_check", node.self_check.above, node.self_check.frames)
+        elif isinstance(node, InferenceNode):
+            adapt = node.adapt
+            if adapt is not None and adapt.activate is not None:
+                add(name, "activate", adapt.activate.above, adapt.activate.frames)
+            if adapt is not None and adapt.deactivate is not None:
+                add(name, "deactivate", adapt.deactivate.below, adapt.deactivate.frames)
+            if adapt is not None and adapt.on_call is not None:
+                add(name, "on_call", adapt.on_call.above)
+            if node.learn is not None:
+                add(name, "learn", node.learn.below)
+            lost = (node.lost or Lost()) if name == target.root else None
+            if lost is not None and lost.score_below is None and lost.existence_below is None:
+                add(name, "lost", lost.above, lost.frames)
+            for rule in ("score_below", "uncertain_below"):
+                level = None if lost is None else getattr(lost, rule)
+                if level is not None:
+                    found.append({"node": name, "rule": rule, "unit": "score", "level": level, "frames": 1})
+    return found
