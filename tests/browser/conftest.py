@@ -23,8 +23,7 @@ from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.view.page_data import run_data
-from bayesnet_track.view.page_pictures import Pictures
-from bayesnet_track.view.run_page import one_file, room_for_pictures
+from bayesnet_track.view.run_page import Pictures, one_file, room_for_pictures
 
 FLAGS = (
     "--headless",

@@ -10,7 +10,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.recording.pictures import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.view import page_pictures, run_page
+from bayesnet_track.view import run_page
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_report_refuses_folders_of_others_and_what_is_no_run(tracked, tmp_path):
 
 def test_a_report_that_was_killed_can_be_made_again(tracked, tmp_path, monkeypatch):
     run, _ = tracked
-    pictures = page_pictures.whole
+    pictures = run_page.whole
 
     def killed(images):
         for picture in pictures(images):
@@ -100,9 +100,9 @@ def test_a_report_that_was_killed_can_be_made_again(tracked, tmp_path, monkeypat
 
     again = ["report", str(run), "--frames", "full"]
     for out in ([], ["--out", str(tmp_path / "page")]):
-        monkeypatch.setattr(page_pictures, "whole", killed)
+        monkeypatch.setattr(run_page, "whole", killed)
         assert main([*again, *out]) == 130
-        monkeypatch.setattr(page_pictures, "whole", pictures)
+        monkeypatch.setattr(run_page, "whole", pictures)
         assert main([*again, *out]) == 0
     page = tmp_path / "page" / "index.html"
     before = page.read_bytes()

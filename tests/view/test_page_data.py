@@ -23,9 +23,8 @@ from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
-from bayesnet_track.view.page_pictures import Pictures, gather, whole
 from bayesnet_track.view.page_tables import event_row, event_rows, pack, plates, short_floats, unpack
-from bayesnet_track.view.run_page import one_file, with_folder
+from bayesnet_track.view.run_page import Pictures, gather, one_file, whole, with_folder
 
 STARTED = RunStarted(1, "g", "0" * 64, 0, "video.mp4", 64, 48, True, 3, 0.04)
 

@@ -117,8 +117,7 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
 
 
 def _write_folder(out: Path, data: Data, found: Found) -> None:
-    from bayesnet_track.view.page_pictures import whole
-    from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, with_folder
+    from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, whole, with_folder
 
     frames = []
     if not out.exists():  # what is killed before the page is there leaves a folder that is known for its own

@@ -52,8 +52,7 @@ def page_in_one(
         expected: how many there may be.
         largest: bytes of the page, unless what was measured alone takes more.
     """
-    from bayesnet_track.view.page_pictures import Pictures, gather
-    from bayesnet_track.view.run_page import one_file, room_for_pictures
+    from bayesnet_track.view.run_page import Pictures, gather, one_file, room_for_pictures
 
     pictures = Pictures((), ())
     if found is not None:
