@@ -1,4 +1,4 @@
-"""Draw what is believed of a target onto a frame."""
+"""Drawings on a frame: estimates of targets, detections, and trajectories."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.numerics.arrays import Image
+from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.observation.detector import Detections
 
 Colour = tuple[int, int, int]
 
@@ -158,3 +159,51 @@ def _short(value: float) -> str:
     if not np.isfinite(value):
         return "?"
     return f"{value:.3g}" if value < 1000 else f"{value:.0f}" if value < 1e6 else f"{value:.0e}"
+
+
+def draw_detections(image: Image, detections: Detections) -> Image:
+    """A copy of the picture with the boxes, their scores and labels."""
+    import cv2
+
+    picture = np.ascontiguousarray(image).copy()
+    for box, score, label in zip(
+        corner_from_centre(detections.boxes), detections.scores, detections.labels, strict=True
+    ):
+        x, y, w, h = (round(float(value)) for value in np.clip(box, -8192, 8192))
+        shade = round(90 + 165 * float(score))
+        cv2.rectangle(picture, (x, y), (x + w - 1, y + h - 1), (0, shade, shade), 2)
+        text = f"{score:.2f} {label}".strip()
+        cv2.putText(picture, text, (x, max(y - 4, 10)), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, shade, shade), 1)
+    return np.asarray(picture, dtype=np.uint8)
+
+
+PATH, LAST, FIRST = (255, 215, 120), (60, 200, 250), (110, 230, 90)
+MOST_PATHS, MOST_BOXES = 200, 12
+
+
+def draw_trajectories(image: Image, boxes: Floats) -> Image:
+    """A copy of the BGR frame with the centres' paths, some last boxes, and the first box on top.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        boxes: (T, N, 4) centre boxes of N trajectories.
+    """
+    import cv2
+
+    drawn = np.ascontiguousarray(image).copy()
+    centres = np.rint(np.clip(boxes[:, :MOST_PATHS, :2], -REACH, REACH)).astype(np.int32)
+    veil = drawn.copy()
+    paths = [np.ascontiguousarray(path) for path in centres.swapaxes(0, 1)]
+    cv2.polylines(veil, paths, False, PATH, 1, cv2.LINE_AA)
+    drawn = cv2.addWeighted(veil, 0.55, drawn, 0.45, 0.0)
+    for box in boxes[-1, :MOST_BOXES]:
+        _rectangle(drawn, box, LAST, 1)
+    _rectangle(drawn, boxes[0, 0], FIRST, 2)
+    return np.asarray(drawn, dtype=np.uint8)
+
+
+def _rectangle(image: Image, box: Floats, colour: tuple[int, int, int], width: int) -> None:
+    import cv2
+
+    x, y, w, h = (round(float(np.clip(value, -REACH, REACH))) for value in corner_from_centre(box))
+    cv2.rectangle(image, (x, y), (x + w - 1, y + h - 1), colour, width)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.view.trajectories import FIRST, LAST, draw_trajectories
+from bayesnet_track.view.overlay import FIRST, LAST, draw_trajectories
 
 
 def test_first_box_last_box_and_path_are_drawn():

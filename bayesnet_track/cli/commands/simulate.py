@@ -55,7 +55,7 @@ def simulate(options: argparse.Namespace) -> int:
     if options.png is not None:
         import cv2
 
-        from bayesnet_track.view.trajectories import draw_trajectories
+        from bayesnet_track.view.overlay import draw_trajectories
 
         picture = cv2.imencode(".png", draw_trajectories(frame.image, drawn.boxes))[1].tobytes()
         with writing(Path(options.png)):
