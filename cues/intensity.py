@@ -5,13 +5,16 @@ Thesis 3.4, eq. 3.8, corrected (the mask weighs the squared differences, and the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.arrays import Ints
+from bayesnet_track.numerics.log_weights import SHARPER, relax, sharpen
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,
@@ -22,6 +25,8 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.geometry import box_integral
+from bayesnet_track.observation.reference_rows import column
+from bayesnet_track.observation.shared import for_reading, read_only
 from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
@@ -152,28 +157,57 @@ class IntensityCue:
         All 0 when the reference has seen nothing (it lay outside the frame). With `coarse`, from coarse to
         fine: only hypotheses that are good enough at the first look are compared on the whole grid.
         """
-        settings = self.parameters
-        if self._weights(reference["known"]).sum() <= 0.0:
-            return np.zeros(len(hypotheses))
-        boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
-        penalty = log_size_penalty(boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect)
-        sharpness = settings.sharpness * factor_of(reference)
-        if settings.coarse:
-            log = self._look(planes, boxes, reference["coarse"], reference["coarse_known"])
-            fine = sharpness * log + penalty >= np.log(settings.coarse_below)
-            log[fine] = self._look(planes, boxes[fine], reference["grid"], reference["known"])
-        else:
-            log = self._look(planes, boxes, reference["grid"], reference["known"])
-        return floored(sharpness * log + penalty, settings.floor)
+        return self.log_likelihood_of_each([planes], hypotheses, np.array([0, len(hypotheses)]), [reference])
 
-    def _look(self, planes: Planes, boxes: Floats, grid: Floats, known: Floats) -> Floats:
+    def log_likelihood_of_each(
+        self, planes: Sequence[Planes], hypotheses: Hypotheses, starts: Ints, references: Sequence[Reference]
+    ) -> Floats:
+        """`log_likelihood` of several targets at once."""
+        settings, counts = self.parameters, np.diff(starts)
+        boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
+        sizes = np.repeat(column(references, "size"), counts, axis=0).T
+        penalty = log_size_penalty(boxes, sizes, settings.sd_log_area, settings.sd_log_aspect)
+        sharpness = np.repeat(settings.sharpness * column(references, SHARPER, 1.0), counts)
+        *first, whole = [LOOKS[k] for k in range(len(self._cells))][::-1]
+        if first:
+            log = self._look(planes, boxes, starts, references, first[0])
+            fine = sharpness * log + penalty >= np.log(settings.coarse_below)
+            begins = np.concatenate([[0], np.cumsum(fine)])[starts]
+            log[fine] = self._look(planes, boxes[fine], begins, references, whole)
+        else:
+            log = self._look(planes, boxes, starts, references, whole)
+        log = floored(sharpness * log + penalty, settings.floor)
+        for t, reference in enumerate(references):
+            if self._weights(reference["known"]).sum() <= 0.0:
+                log[starts[t] : starts[t + 1]] = 0.0
+        return log
+
+    def _look(
+        self,
+        planes: Sequence[Planes],
+        boxes: Floats,
+        starts: Ints,
+        references: Sequence[Reference],
+        names: tuple[str, str],
+    ) -> Floats:
         """(N,) log-likelihood by the cells of one grid, before sharpness, size and floor."""
         from bayesnet_track.vision.kernels.patch_kernels import MOMENTS, patch_moments
 
-        weights = self._weights(known)
+        grids, shares = (column(references, name) for name in names)
         moments = np.zeros((len(boxes), MOMENTS))
-        if len(boxes) and not planes.region.is_empty:
-            patch_moments(*box_integral(planes, self.gray, boxes), grid, weights / weights.sum(), moments)
+        sampled, on = None, None
+        for t, (grid, known) in enumerate(zip(grids, shares, strict=True)):
+            part, weights = slice(starts[t], starts[t + 1]), self._weights(known)
+            total = weights.sum()
+            if starts[t] == starts[t + 1] or planes[t].region.is_empty or total <= 0.0:
+                continue
+            if planes[t] is not on:
+                on, sampled = planes[t], box_integral(planes[t], self.gray, boxes)
+            assert sampled is not None
+            integral, _, origin, frame = sampled
+            patch_moments(
+                integral, boxes[part], origin, frame, for_reading(grid), weights / total, moments[part]
+            )
         log = (
             self._correlation(moments) if self.parameters.form == "correlation" else self._difference(moments)
         )
@@ -220,11 +254,12 @@ def _central(moments: Floats) -> tuple[Floats, ...]:
     )
 
 
+@lru_cache(maxsize=16)
 def _mask(cells: int, sd: float) -> Floats:
     """(G, G) Gaussian weights of the cells, by their centres' distance from the middle in half sides."""
     offset = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
     line = np.exp(-0.5 * (offset / sd) ** 2)
-    return np.outer(line, line)
+    return read_only(np.outer(line, line))
 
 
 def _make(parameters: IntensityParameters) -> IntensityCue:

@@ -91,11 +91,13 @@ def _kind(values: Any) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
 
 
 def column(references: Sequence[Reference], name: str, missing: float | None = None) -> NDArray[Any]:
-    """(T, ...) what references hold under a name, `missing` where one does not; rows are not copied.
+    """(T, ...) what references hold under a name, `missing` where one does not; rows and a single one as views.
 
     >>> column([{"alpha": np.array(0.1)}, {}], "alpha", 1.0).tolist()
     [0.1, 1.0]
     """
     if isinstance(references, ReferenceRows) and (missing is None or name in references.columns):
         return references.columns[name]
+    if len(references) == 1 and name in references[0]:
+        return np.asarray(references[0][name])[None]
     return np.array([one[name] if missing is None else one.get(name, missing) for one in references])

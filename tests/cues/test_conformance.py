@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.cue import Cue, NoParameters, context_of
+from bayesnet_track.inference.asking import follow, score
+from bayesnet_track.observation.cue import Cue, Hypotheses, NoParameters, context_of
 from bayesnet_track.observation.cue_files import file_of
 from bayesnet_track.observation.planes import PlaneCache, Region, region_of_boxes
 
@@ -198,6 +199,27 @@ def test_order_and_company_of_hypotheses_do_not_matter(asked, scene):
     order = np.random.default_rng(5).permutation(len(boxes))
     assert np.array_equal(values[order], asked.score(pair, boxes[order], reference, region))
     assert np.array_equal(values[:7], asked.score(pair, boxes[:7], reference, region))
+
+
+def test_a_group_of_targets_gets_the_bits_of_each_alone(asked, scene):
+    """Also by the cue's own form for all, with planes that they share; one target is outside the frame."""
+    pair, whole = scene.pair(), Region(0, 0, scene.width, scene.height)
+    border, outside = np.array([20.0, 230.0, 61.3, 44.9]), np.array([-5000.0, 9.0, 20.0, 20.0])
+    targets = [scene.box(), scene.box((7.0, -4.0)), border, outside]
+    references = [asked.learn(pair, box) for box in targets]
+    clouds = [random_boxes(scene, size, seed) for seed, size in enumerate((40, 7, 60, 9))]
+    starts = np.cumsum([0, *map(len, clouds)])
+    shared, rates = [asked.planes(pair, whole)] * 4, np.array([0.05, 1.0, 0.3, 0.0])
+    values, faults = score(asked.cue, shared, Hypotheses(np.concatenate(clouds)), starts, references)
+    moved, others = follow(asked.cue, shared, np.array(targets), references, rates)
+    assert not faults and not others
+    for t, reference in enumerate(references):
+        alone = asked.score(pair, clouds[t], reference, whole)
+        assert values[starts[t] : starts[t + 1]].tobytes() == alone.tobytes()
+        (own,), _ = follow(asked.cue, shared[:1], targets[t][None], [reference], rates[t : t + 1])
+        assert moved[t].keys() == own.keys()
+        for name in own:
+            np.testing.assert_array_equal(moved[t][name], own[name], err_msg=name)
 
 
 def test_threads_of_opencv_change_no_bit(asked, scene):
