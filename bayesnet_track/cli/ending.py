@@ -70,8 +70,9 @@ def as_sentence(summary: Summary) -> str:
         parts[0] += f" ({', '.join(times)})"
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
-        whom = "" if summary.most_targets < 2 else f"at least one of up to {summary.most_targets} targets "
-        parts.append(f"{whom}lost in {_count(summary.lost_frames, 'frame')}")
+        lost = f"lost in {_count(summary.lost_frames, 'frame')}"
+        several = f"a target {lost} (at most {summary.most_targets} targets at a time)"
+        parts.append(lost if summary.most_targets < 2 else several)
     if not summary.complete:
         parts.append(ENDINGS[summary.reason])
     return ", ".join(parts)

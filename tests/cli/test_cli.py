@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import webbrowser
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from fractions import Fraction
@@ -1089,6 +1090,18 @@ def test_it_works_from_another_thread(images, tmp_path):
     thread.start()
     thread.join()
     assert codes == [0]
+
+
+def _no_browser(address):
+    raise webbrowser.Error("could not locate runnable browser")
+
+
+@pytest.mark.parametrize("fault", [lambda _: False, _no_browser])
+def test_a_page_that_no_browser_opens_is_said(demo_run, tmp_path, monkeypatch, capsys, fault):
+    monkeypatch.setattr("webbrowser.open", fault)
+    assert main(["report", str(demo_run), "--out", str(tmp_path / "page.html"), "--open"]) == 0
+    said = capsys.readouterr().err
+    assert "--open: no browser can be opened here" in said and (tmp_path / "page.html").as_uri() in said
 
 
 def test_truth_of_another_length_is_asked_about(demo_run, tmp_path, capsys):

@@ -82,4 +82,4 @@ def test_an_agent_that_failed_is_reported_at_the_end(capsys):
 def test_lost_frames_of_many_targets_are_those_of_any_of_them():
     assert as_sentence(Summary(12, 0, 9, True, most_targets=1)).endswith(", lost in 9 frames")
     many = as_sentence(Summary(12, 0, 9, True, most_targets=18))
-    assert many.endswith(", at least one of up to 18 targets lost in 9 frames")
+    assert many.endswith(", a target lost in 9 frames (at most 18 targets at a time)")

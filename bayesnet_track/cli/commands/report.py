@@ -57,9 +57,9 @@ def report(options: argparse.Namespace) -> int:
             f"`bayesnet-track diagnose {options.run}` names keys to try"
         )
     else:
-        import webbrowser
+        from bayesnet_track.cli.commands.viewing import open_page
 
-        webbrowser.open(out.absolute().as_uri())
+        open_page(out.absolute().as_uri())
     return OK
 
 

@@ -119,6 +119,17 @@ def announce(options: argparse.Namespace, address: str) -> None:
     complain(f"view: {address}")
     if options.open:
         import threading
-        import webbrowser
 
-        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+        threading.Thread(target=open_page, args=(address,), daemon=True).start()
+
+
+def open_page(address: str) -> None:
+    """Open an address in this machine's browser; says so where there is none."""
+    import webbrowser
+
+    try:
+        is_open = webbrowser.open(address)
+    except (webbrowser.Error, OSError):
+        is_open = False
+    if not is_open:
+        complain(f"--open: no browser can be opened here (no display?); open {address} in one yourself")
