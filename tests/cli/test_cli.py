@@ -547,7 +547,7 @@ MISTAKES = {
     ),
     "run general --source {images} --out {out} --init-from {wrong}/binary": (
         2,
-        "bayesnet-track run: --init-from {wrong}/binary: not a text file; expected a text file with one box "
+        "bayesnet-track run: --init-from {wrong}/binary: not a text file (a JPEG image); expected a text file with one box "
         "x,y,w,h per line",
     ),
     "run general --source {images} --out {out} --init-from {wrong}/none --seeds 2": (
@@ -567,12 +567,12 @@ MISTAKES = {
     ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/binary": (
         2,
-        "bayesnet-track run: --detections {wrong}/binary: not a text file; expected a text file with "
+        "bayesnet-track run: --detections {wrong}/binary: not a text file (a JPEG image); expected a text file with "
         "MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
     ),
     "batch general --list {wrong}/binary --out {out}": (
         2,
-        "bayesnet-track batch: {wrong}/binary: not a text file",
+        "bayesnet-track batch: {wrong}/binary: not a text file (a JPEG image)",
     ),
     "run general --source {images} --out {out} --init-from {images}/groundtruth.txt --start 9": (
         2,
