@@ -144,7 +144,7 @@ def measured(graph: CheckedGraph, found: dict[int, Detections], size: tuple[int,
                 started = time.process_time()
                 for event in outcome.events:
                     recorder.event(event)
-                recorder.frame(Result(frame, tuple(outcome.metrics), {}, (), {}, spent))
+                recorder.frame(Result(frame, outcome.metrics, {}, (), {}, spent))
                 files.append(time.process_time() - started)
                 steps.append(spent)
                 live = len(outcome.state.targets)

@@ -176,7 +176,7 @@ def test_a_cue_of_another_package_is_found_checked_and_run(install, tmp_path, ca
     run = tmp_path / "run"
     line = ["demo", "--graph", str(good), "--end", "5", "--quiet", "--out", str(run), *allow]
     assert main(line) == 0
-    assert [metrics.active for metrics in read_metrics(run / "frames.jsonl")] == [("glow",)] * 5
+    assert [metrics.active for metrics in read_metrics(run / "frames.npy.gz")] == [("glow",)] * 5
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def score_run(
 ) -> Score:
     """Scores of one target of a run; row i of the truth belongs to the frame with index i.
 
-    Reads ``frames.jsonl`` and, where there is one, ``timings.jsonl``. Frames beyond the end of the truth are
+    Reads what was measured and, where there is one, ``timings.jsonl``. Frames beyond the end of the truth are
     not scored, nor are those before the target's first line. After that, a frame of the run without a line of
     the target, which has ended, counts as lost with an IoU of 0. `target` may be left out when the run has
     only one. `form` is that of `read_truth`. A notice says where ground truth and run do not go together.
@@ -51,7 +51,7 @@ def score_run(
     truth = read_truth(truth_path, form)
     say_misplaced(folder, truth_path, truth[np.isfinite(truth).all(axis=1)])
     say_lengths(folder, truth_path, len(truth))
-    every = list(read_metrics(folder / "frames.jsonl"))
+    every = list(read_metrics(folder / "frames.npy.gz"))
     seconds = dict(read_seconds(folder / "timings.jsonl"))
     lines = {line.frame: line for line in _of_target(every, target, folder)}
     ran = {line.frame for line in every} | _timed(folder, seconds)

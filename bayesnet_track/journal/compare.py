@@ -36,7 +36,7 @@ class RunRecord(Protocol):
 
     @property
     def metrics(self) -> Sequence[FrameMetrics]:
-        """The lines of its frames.jsonl, by frame."""
+        """What was measured, by frame."""
 
     @property
     def seconds(self) -> Mapping[int, float]:

@@ -1,4 +1,4 @@
-"""What was measured in a frame: the lines of ``frames.jsonl``."""
+"""What was measured in a frame: what ``frames.npy.gz`` holds."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class JoinMetrics:
 
 @dataclass(frozen=True, repr=False)
 class FrameMetrics(Boxed):
-    """One line of ``frames.jsonl``: what was measured for one target in one frame.
+    """What was measured for one target in one frame.
 
     Attributes:
         frame: frame index.

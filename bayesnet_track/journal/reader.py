@@ -8,6 +8,7 @@ from pathlib import Path
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.frame_file import FrameFile
 from bayesnet_track.journal.line_checks import check_line
 from bayesnet_track.journal.metrics import FrameMetrics
 
@@ -26,18 +27,27 @@ def read_events(path: Path, notice: Notice | None = None) -> Iterator[Event]:
     """
     for where, event in _read(path, notice):
         if isinstance(event, FrameMetrics):
-            raise JournalError(f"{where}: frame_metrics belong into frames.jsonl")
+            raise JournalError(f"{where}: frame_metrics belong into no journal")
         if not isinstance(event, Event):
             raise JournalError(f"{where}: {event_name(type(event))} belongs into inputs.jsonl")
         yield event
 
 
 def read_metrics(path: Path, notice: Notice | None = None) -> Iterator[FrameMetrics]:
-    """The lines of ``frames.jsonl``, in order; torn lines and errors as in `read_events`."""
-    for where, event in _read(path, notice):
-        if not isinstance(event, FrameMetrics):
-            raise JournalError(f"{where}: only frame_metrics belong into this file")
-        yield event
+    """What ``frames.npy.gz`` holds, a line per target and frame, in order.
+
+    A torn last record is dropped, and `notice` told of it.
+
+    Raises:
+        JournalError: any other damage.
+        OSError: the file cannot be read.
+    """
+    for line in FrameFile(path, notice).lines():
+        try:
+            check_line(line)
+        except JournalError as error:
+            raise JournalError(f"{path}: frame {line.frame}: {error}") from error
+        yield line
 
 
 def read_inputs(path: Path, notice: Notice | None = None) -> Iterator[Input]:

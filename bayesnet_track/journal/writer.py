@@ -112,12 +112,17 @@ class LineFile:
         """Add a line (without its newline) to the next flush."""
         self._lines.append(line)
 
+    def _taken(self) -> bytes:
+        """What was added since the last flush."""
+        data = "".join([f"{line}\n" for line in self._lines]).encode("utf-8")
+        self._lines.clear()
+        return data
+
     def flush(self) -> None:
         """Hand every line added so far to the operating system."""
-        if not self._lines:
+        data = memoryview(self._taken())
+        if not data:
             return
-        data = memoryview("".join(f"{line}\n" for line in self._lines).encode("utf-8"))
-        self._lines.clear()
         self.check()
         done = 0
         try:
@@ -147,7 +152,7 @@ class LineFile:
 
 
 class JournalWriter(LineFile):
-    """A new file of events, one a line: ``journal.jsonl``, ``frames.jsonl`` and ``inputs.jsonl``."""
+    """A new file of events, one a line: ``journal.jsonl`` and ``inputs.jsonl``."""
 
     def write(self, event: Event | Input | FrameMetrics) -> None:
         """Add an event to the next flush.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.findings import Heard
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import Quarantined
@@ -75,7 +76,7 @@ class Result:
     """
 
     frame: Frame
-    targets: tuple[FrameMetrics, ...]
+    targets: Sequence[FrameMetrics]
     covariances: dict[str, Floats]
     decisions: tuple[Decision, ...]
     seconds: dict[str, float]
@@ -150,7 +151,11 @@ class Summary:
         """Count one more frame."""
         self.frames += 1
         self.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
-        self.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
+        targets = result.targets
+        statuses = (
+            targets.statuses() if isinstance(targets, RowMetrics) else (metrics.status for metrics in targets)
+        )
+        self.lost_frames += "lost" in statuses
         self.most_targets = max(self.most_targets, len(result.targets))
         for event in result.decisions:
             if isinstance(event, Quarantined):

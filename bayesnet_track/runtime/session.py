@@ -82,6 +82,7 @@ def track(
     overwrite: bool = False,
     video: bool | Literal["mkv", "mp4"] = False,
     keep_beliefs: bool = False,
+    all_hypotheses: bool = False,
     horizon: int = 0,
     executor: str | Executing = "serial",
     workers: int | None = None,
@@ -113,6 +114,8 @@ def track(
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
+        all_hypotheses: write some hypotheses of each target into `out` in every frame, not only in those of
+            at most eight targets.
         horizon: frames ahead for which forecasts of every target are written into `out`; 0 for none.
         executor: how agents are asked, which changes no result: serial, processes, or what
             `make_executor` made.
@@ -224,6 +227,7 @@ def track(
             stack.enter_context(lock_run(directory))
             settle(directory)
             directory.refuse(overwrite)  # before the lock was taken, another process could have written here
+            asked = {"beliefs": keep_beliefs, "hypotheses": all_hypotheses, "mp4": video == "mp4"}
             recipe = make_recipe(
                 checked,
                 opened,
@@ -233,7 +237,13 @@ def track(
                 has_video=bool(video),
                 own_motion=motion is not None,
                 inputs=again,
-                options=options_of(engine, budget_ms, keep_beliefs, video == "mp4", horizon, max_side),
+                options=options_of(
+                    engine,
+                    budget_ms,
+                    {name for name, is_asked in asked.items() if is_asked},
+                    horizon,
+                    max_side,
+                ),
             )
             check_steady()
             files = small_files(checked, recipe, getattr(opened, "truth_text", None))

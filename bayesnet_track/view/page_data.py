@@ -43,13 +43,13 @@ def run_data(
     """Header and columns of a run's page.
 
     Columns of target i are called `i/NAME` with a row per frame of that target; names are those of
-    `frames.jsonl`, with `agents/NODE/...`, `nodes/NODE/...` and `parts/NODE/...` for what is measured of
-    nodes, and `modes/MODE` for the probability of a mode. Columns `run/...` have a row per line of the
-    timings.
+    `export --format frames`, with `agents/NODE/...`, `nodes/NODE/...` and `parts/NODE/...` for what is
+    measured of nodes, and `modes/MODE` for the probability of a mode. Columns `run/...` have a row per line
+    of the timings.
 
     Args:
         events: the journal.
-        metrics: the lines of ``frames.jsonl``.
+        metrics: what was measured, a line per target and frame.
         timings: the lines of ``timings.jsonl``.
         graph: the run's graph; without it the page draws no net and no levels.
         truth: (n, 4) corner boxes of target 1, row i for frame i, NaN where it is absent.

@@ -44,7 +44,7 @@ def parts_of(kind: type) -> tuple[str, Mapping[str, str]]:
 
 
 def document_events() -> str:
-    """Markdown that describes every line of ``journal.jsonl`` and ``frames.jsonl``, field by field."""
+    """Markdown that describes every line of ``journal.jsonl`` and of what was measured, field by field."""
     kinds = get_args(Event)
     outside = [kind for kind in get_args(Input) if kind not in kinds]
     both = ", ".join(f"`{event_name(kind)}`" for kind in get_args(Input) if kind in kinds)
@@ -52,7 +52,8 @@ def document_events() -> str:
         _HEAD.format(version=JOURNAL_VERSION, digits=FLOAT_DIGITS),
         "## Lines of `journal.jsonl`",
         *(_section(kind, f"`{event_name(kind)}`") for kind in kinds),
-        "## Lines of `frames.jsonl`",
+        "## Measurements",
+        _COLUMNS,
         _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
         "## Lines of `inputs.jsonl`",
         f"External inputs; the file exists only if there were any. {both} are in the journal, too.",
@@ -100,11 +101,41 @@ _WORDS: Mapping[Any, str] = {
     type(None): "null",
 }
 
+_COLUMNS = """\
+A record per frame, each of them a gzip member with one NumPy array, so that `gzip` and `numpy.load` read
+the file without this package:
+
+```python
+import gzip
+
+import numpy as np
+
+with gzip.open("runs/one/frames.npy.gz") as file:
+    frame = np.load(file)  # the first frame with targets; again for the next one
+    print(frame["frame"], frame["target"], frame["box"])  # texts (T,), centre boxes (4, T)
+```
+
+- A column has a number per target; `box`, `map`, `sd` and regions have four rows of them. `frame` and
+  `time_s` are of the whole frame.
+- What is measured of nodes has a column each: `kl/NODE`, `parts/PART/box`. `active` and `silent` are names
+  separated by spaces, `join` is JSON.
+- Numbers are single precision (seven digits), double where that cannot hold them; `time_s` is double.
+- Where a target has no value, there is a NaN with the bits 0x7FE00000. A column without any value is left
+  out, and so is a region that is a Gaussian's: `map` ± 0.674 `sd` or ± 1.645 `sd`.
+- `cloud` (4, M) has some of the hypotheses of all targets in a row, `cloud_count` (T,) how many are of
+  each. They are written in frames of at most 8 targets, and in every frame with `run --all-hypotheses`.
+- A header says how long each record is and which frame it holds (extra field `BT`: bytes and targets, 32
+  bits each, frame, 64 bits), so that one frame is found without reading the others.
+- A killed run leaves whole records and perhaps a truncated last one, which readers drop.
+
+`export --format frames` writes one JSON object per target and frame, with these keys in this order:
+"""
+
 _HEAD = """\
 # The files of a run, field by field
 
-Version {version} of the format. `journal.jsonl` holds what happened, `frames.jsonl` what was measured in each
-frame: one JSON object per line, ASCII, each line ended by a plain newline.
+Version {version} of the format. `journal.jsonl` holds what happened: one JSON object per line, ASCII, each
+line ended by a plain newline. `frames.npy.gz` holds [what was measured](#measurements) in each frame.
 
 - The key `event` names the kind of the line; the other keys stand in the order given here.
 - Numbers are rounded to {digits} significant digits. JSON has no NaN and no infinity:

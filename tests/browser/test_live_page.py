@@ -17,7 +17,7 @@ from bayesnet_track.sources.scenes import make_scene
 pytestmark = pytest.mark.slow
 
 DESKTOP, PHONE = (1440, 960, 1), (375, 800, 2)
-FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
 
 
 @pytest.fixture(scope="module")

@@ -60,7 +60,7 @@ def test_page_and_live_view_on_a_desk_and_on_a_phone(browser, command, sequence,
     view.process.wait(10)
 
     assert main(["report", str(run), "--truth", str(truth)]) == 0
-    frames = len((run / "frames.jsonl").read_text().splitlines())
+    frames = len((run / "frames.npy.gz").read_text().splitlines())
     browser.open(run / "report.html", hash=f"#frame={frames // 2}")
     assert browser.frame == frames // 2 and fits(browser)
     browser.screenshot(f"{name}.png")

@@ -44,7 +44,7 @@ ROOT = Path(__file__).parents[2]
 RUN_FILES = {
     ".lock",
     "journal.jsonl",
-    "frames.jsonl",
+    "frames.npy.gz",
     "tracks.txt",
     "tracks.csv",
     "timings.jsonl",
@@ -261,7 +261,8 @@ def test_run_on_a_folder_of_images(cli, images, tmp_path):
         r"next: `bayesnet-track report .* --open` shows .*\n",
         progress,
     )
-    assert [len(lines_of(out / name)) for name in ("tracks.txt", "frames.jsonl", "timings.jsonl")] == [8] * 3
+    assert [len(lines_of(out / name)) for name in ("tracks.txt", "timings.jsonl")] == [8] * 2
+    assert len(list(read_metrics(out / "frames.npy.gz"))) == 8
     assert [float(v) for v in lines_of(out / "tracks.txt")[0].split(",")[:6]] == [1, 1, 20, 14, 16, 12]
     # It moves by two pixels a frame; a tracker that stands still would be 14 px off in the last.
     assert abs(float(column(out, "x")[-1]) - 34) < 5
@@ -287,7 +288,7 @@ def test_gray_images_are_tracked_by_what_is_not_colour(cli, images, tmp_path):
     out = tmp_path / "run"
     assert cli(f"run general --source {folder} --init {BOX} --quiet --out", out)[0] == 0
     assert next(read_events(out / "journal.jsonl")).has_color is False
-    for metrics in list(read_metrics(out / "frames.jsonl"))[1:]:
+    for metrics in list(read_metrics(out / "frames.npy.gz"))[1:]:
         assert metrics.status == "tracking" and max(metrics.strength.values()) > 0.1
     assert abs(float(column(out, "x")[-1]) - 34) < 5
 
@@ -990,9 +991,9 @@ def test_log_says_when_nothing_is_left(cli, demo_run):
 
 
 def test_a_torn_last_line_is_dropped_with_a_notice(cli, demo_run, tmp_path):
-    for name in ("journal.jsonl", "frames.jsonl", "timings.jsonl", "graph.yaml", "truth.txt"):
+    for name in ("journal.jsonl", "frames.npy.gz", "timings.jsonl", "graph.yaml", "truth.txt"):
         data = (demo_run / name).read_bytes()
-        (tmp_path / name).write_bytes(data[:-7] if name.endswith("jsonl") else data)
+        (tmp_path / name).write_bytes(data[:-7] if name.endswith(("jsonl", "gz")) else data)
     code, out, err = cli("log", tmp_path)
     assert code == 0 and "run ended" not in out
     assert re.fullmatch(r"\S+journal\.jsonl:\d+: the last line is torn \(\d+ bytes\) and was dropped\n", err)

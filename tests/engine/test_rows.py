@@ -23,9 +23,13 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.births import CandidateConfirmed
 from bayesnet_track.journal.events.by_hand import Released, Toggled
 from bayesnet_track.journal.events.load import LateFrame
+from bayesnet_track.journal.frame_columns import columns_of
+from bayesnet_track.journal.frame_file import record
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
+from bayesnet_track.runtime.recording.measured import FEW, measured
+from bayesnet_track.runtime.recording.tracks import Tracked
 from bayesnet_track.sources.detection_files import FileDetector
 from simulated.crowd_detector import DetectorSettings, detect_crowd
 from simulated.walkers import CrowdSettings, make_crowd
@@ -297,6 +301,22 @@ def test_what_was_measured_of_a_row_is_what_is_measured_of_one_target(graph, fou
                 np.testing.assert_allclose(found_here.covariance, exact.covariance)
                 said += isinstance(row.heard, RowHeard)
     assert said > 20
+
+
+def test_columns_of_rows_are_those_of_their_lines(graph, found):
+    """Byte for byte, though made without the lines, and without the hypotheses of a crowd."""
+    count = 0
+    for one in outcomes(graph, found):
+        if isinstance(one.metrics, RowMetrics) and len(one.metrics) > FEW:
+            columns, tracked = measured(one.metrics)
+            lines = tuple(one.metrics)
+            assert record(columns) == record(columns_of(lines, hypotheses=False))
+            other = Tracked.of(lines)
+            assert tracked.corners == other.corners and list(tracked.targets) == other.targets
+            for name in ("frame", "time_s", "statuses", "scores", "uds", "actives"):
+                assert getattr(tracked, name) == getattr(other, name)
+            count += not one.metrics.born
+    assert count > 10
 
 
 def test_where_no_agent_knows_looks_they_say_nothing_of_who_a_detection_is(graph, found):

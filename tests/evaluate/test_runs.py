@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from itertools import groupby
 
 import pytest
 
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.runs import RunEnded
+from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.sources.scene_source import format_truth
 
@@ -44,7 +46,9 @@ def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> Fr
 
 
 def write_metrics(folder, lines):
-    (folder / "frames.jsonl").write_text("".join(to_json(line) + "\n" for line in lines))
+    with FrameWriter(folder / "frames.npy.gz") as writer:
+        for _, of_frame in groupby(lines, key=lambda line: line.frame):
+            writer.write(list(of_frame))
 
 
 def write_timings(folder, frames, seconds):
@@ -124,8 +128,8 @@ def test_without_timings_there_is_no_rate(tmp_path, truth):
 
 def test_a_line_cut_off_at_the_end_is_left_out(tmp_path, truth):
     write_metrics(tmp_path, [metrics(0, (0.0, 10.0, 20.0, 20.0))])
-    with (tmp_path / "frames.jsonl").open("a") as file:
-        file.write('{"frame": 1, "tar')
+    with (tmp_path / "frames.npy.gz").open("ab") as file:
+        file.write(b"\x1f\x8b\x08")
     assert score_run(tmp_path, truth).frames == 1
 
 
@@ -141,9 +145,8 @@ def test_several_targets_must_be_told_apart(tmp_path, truth):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("frames.jsonl", '{"event": "frame_metrics", "frame": 0}\n', r"frames.jsonl:1: "),
-        ("frames.jsonl", "frame 0\n", r"frames.jsonl:1: "),
-        ("frames.jsonl", "", r"no target ''; there are none"),
+        ("frames.npy.gz", "a text that is longer than a header\n", r"frames.npy.gz: byte 0: no frame begins"),
+        ("frames.npy.gz", "", r"no target ''; there are none"),
         ("timings.jsonl", '{"frame": 0}\n', r"timings.jsonl:1: expected an object with frame and seconds"),
         ("timings.jsonl", '{"frame": 9, "seconds": 1}\n', r"timings.jsonl: no time for frame 0"),
     ],

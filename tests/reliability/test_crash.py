@@ -210,7 +210,7 @@ def test_a_full_disk_at_every_step(
             except (OutputError, RunDirectoryError) as error:
                 count += 1
                 assert "No space left" in str(error)
-        for name, read in (("journal.jsonl", read_events), ("frames.jsonl", read_metrics)):
+        for name, read in (("journal.jsonl", read_events), ("frames.npy.gz", read_metrics)):
             if (folder / name).exists():
                 assert list(read(folder / name, pytest.fail)) is not None
         try:

@@ -19,7 +19,7 @@ from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 
-FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
 SHORT = Net({"1": TargetNet("plate", frozenset("a"), shed=("b",))})
 
 

@@ -15,7 +15,7 @@ from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 8
-FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "graph.yaml")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "graph.yaml")
 
 
 def begun(folder: Path, frames: int | None = None, graph: object = "road", **options: object) -> Path:

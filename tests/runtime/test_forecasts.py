@@ -47,7 +47,7 @@ def test_the_file_has_what_the_tracker_predicts(run):
 
 def test_nothing_else_changes_and_the_run_is_verified(run, tmp_path):
     plain = tracked(tmp_path / "run")
-    assert (plain / "frames.jsonl").read_bytes() == (run / "frames.jsonl").read_bytes()
+    assert (plain / "frames.npy.gz").read_bytes() == (run / "frames.npy.gz").read_bytes()
     assert verify(run).status == "verified" and not (plain / "forecasts.jsonl").exists()
 
 

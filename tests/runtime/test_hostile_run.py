@@ -14,21 +14,30 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from bayesnet_track import track
 from bayesnet_track.cli.main import main
+from bayesnet_track.journal.frame_file import FrameFile, record
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.scene_source import SceneSource
 
-FINISHED = Path(__file__).with_name("earlier") / "0.1.0" / "finished"
 HUGE = b'{"frame": 1, "seconds": 1e999}'
 READERS = (["log"], ["log", "--why", "12"], ["report", "--frames", "none"], ["export", "--format", "coco"])
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run."""
+    run = tmp_path_factory.mktemp("whole") / "run"
+    assert main(["demo", "two_squares", "--end", "20", "--quiet", "--out", str(run)]) == 0
+    return run
+
+
 @pytest.fixture
-def finished(tmp_path: Path) -> Path:
-    return shutil.copytree(FINISHED, tmp_path / "finished")
+def finished(whole: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(whole, tmp_path / "finished")
 
 
 @pytest.fixture(scope="module")
@@ -69,14 +78,11 @@ def line_of(run: Path, name: str, number: int, change: Callable[[dict[str, objec
         ("journal.jsonl", 1, lambda line: line.update(target="2")),
         ("journal.jsonl", 1, lambda line: line.update(template="nobody")),
         ("journal.jsonl", 2, lambda line: line.update(frame=-1)),
-        ("frames.jsonl", 3, lambda line: line.update(cloud=[[1, 2]])),
-        ("frames.jsonl", 3, lambda line: line.update(box=[1.0])),
-        ("frames.jsonl", 3, lambda line: line.update(particles=10**30)),
-        ("frames.jsonl", 3, lambda line: line.update(region50=[])),
     ],
 )
 def test_an_edited_line_is_reported_with_its_place_and_no_traceback(
     finished: Path,
+    whole: Path,
     name: str,
     number: int,
     change: Callable[[dict[str, object]], object],
@@ -84,11 +90,47 @@ def test_an_edited_line_is_reported_with_its_place_and_no_traceback(
 ) -> None:
     line_of(finished, name, number, change)
     codes = set()
-    for command, *options in (*READERS, ["compare", str(FINISHED)]):
+    for command, *options in (*READERS, ["compare", str(whole)]):
         codes.add(main([command, str(finished), *options]))
         said = capsys.readouterr().err
         assert "Traceback" not in said
     assert codes <= {0, 4} and 4 in codes
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        {"cloud_count": np.array([7], "<i4")},
+        {"box": np.ones((1, 1), "<f4")},
+        {"particles": np.array([-1], "<i4")},
+        {"region50": np.ones((4, 0), "<f4")},
+        {"target": np.array([b"nobody"])},
+    ],
+    ids=["hypotheses", "box", "particles", "region", "target"],
+)
+def test_a_frame_of_something_else_is_reported_with_its_place_and_no_traceback(
+    finished: Path, whole: Path, column: dict[str, np.ndarray], capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = list(FrameFile(finished / "frames.npy.gz").columns())
+    columns[3] = {**columns[3], **column}
+    (finished / "frames.npy.gz").write_bytes(b"".join(map(record, columns)))
+    codes = set()
+    for command, *options in (*READERS, ["compare", str(whole)]):
+        codes.add(main([command, str(finished), *options]))
+        assert "Traceback" not in capsys.readouterr().err
+    assert codes <= {0, 4} and 4 in codes
+
+
+@pytest.mark.parametrize("at", [0, 5, 40, 300, -30, -3])
+def test_a_changed_byte_of_a_frame_is_reported(
+    finished: Path, at: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray((finished / "frames.npy.gz").read_bytes())
+    data[at] ^= 0xFF
+    (finished / "frames.npy.gz").write_bytes(data)
+    for command, *options in READERS:
+        assert main([command, str(finished), *options]) in (0, 4)
+        assert "Traceback" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -103,12 +145,12 @@ def test_an_edited_line_is_reported_with_its_place_and_no_traceback(
     ids=["not UTF-8", "deep", "no object", "huge", "endless"],
 )
 def test_edited_timings_crash_nothing(
-    finished: Path, line: bytes, capsys: pytest.CaptureFixture[str]
+    finished: Path, whole: Path, line: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = (finished / "timings.jsonl").read_bytes().split(b"\n")
     (finished / "timings.jsonl").write_bytes(b"\n".join([*lines[:3], line, *lines[3:]]))
-    truth = str(FINISHED / "truth.txt")
-    for command, *options in (*READERS, ["compare", str(FINISHED)], ["score", "--truth", truth]):
+    truth = str(whole / "truth.txt")
+    for command, *options in (*READERS, ["compare", str(whole)], ["score", "--truth", truth]):
         assert main([command, str(finished), *options]) in (0, 2, 4)
         assert "Traceback" not in capsys.readouterr().err
 
@@ -165,7 +207,7 @@ def test_a_source_that_became_another_protocol_is_refused(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a privilege there")
-@pytest.mark.parametrize("name", ["journal.jsonl", "frames.jsonl", "checkpoint"])
+@pytest.mark.parametrize("name", ["journal.jsonl", "frames.npy.gz", "checkpoint"])
 def test_resume_writes_through_no_link(unfinished: Path, name: str, tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.write_bytes((unfinished / name).read_bytes())
@@ -306,16 +348,16 @@ def edited(data: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.reliability
-@pytest.mark.parametrize("name", ["journal.jsonl", "frames.jsonl", "timings.jsonl"])
+@pytest.mark.parametrize("name", ["journal.jsonl", "timings.jsonl"])
 def test_60_edited_files_each_crash_no_command(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run, page = shutil.copytree(FINISHED, tmp_path / "run"), str(tmp_path / "page.html")
+    run, page = shutil.copytree(whole, tmp_path / "run"), str(tmp_path / "page.html")
     commands = [*READERS, ["log", "--json"], ["log", "--target", "1"], ["export", "--format", "jsonl"]]
-    commands += [["compare", str(FINISHED), "--html", page, "--overwrite"], ["score"]]
-    whole, refused = (run / name).read_bytes(), 0
+    commands += [["compare", str(whole), "--html", page, "--overwrite"], ["score"]]
+    data, refused = (run / name).read_bytes(), 0
     for number in range(60):
-        (run / name).write_bytes(edited(whole, random.Random(number)))
+        (run / name).write_bytes(edited(data, random.Random(number)))
         for command, *options in commands:
             code = main([command, str(run), *options])
             said = capsys.readouterr().err

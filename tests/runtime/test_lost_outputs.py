@@ -24,7 +24,7 @@ from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 
-OUTPUTS = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "timings.jsonl", "video.mkv")
+OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "timings.jsonl", "video.mkv")
 
 
 def renamed(path: Path) -> None:

@@ -60,7 +60,7 @@ def graph(tmp_path: Path) -> Path:
 
 
 def written(run: Path) -> list[bytes]:
-    return [(run / name).read_bytes() for name in ("journal.jsonl", "frames.jsonl", "tracks.txt")]
+    return [(run / name).read_bytes() for name in ("journal.jsonl", "frames.npy.gz", "tracks.txt")]
 
 
 def test_a_run_with_a_mask_goes_on_wherever_it_is_asked_from(

@@ -118,7 +118,7 @@ def test_a_report_that_was_killed_can_be_made_again(tracked, tmp_path, monkeypat
 
 def test_report_of_a_killed_run_shows_what_is_there(tracked):
     run, _ = tracked
-    with (run / "frames.jsonl").open("ab") as file:
+    with (run / "frames.npy.gz").open("ab") as file:
         file.write(b'{"event": "frame_met')
     journal = (run / "journal.jsonl").read_text().splitlines()
     (run / "journal.jsonl").write_text("\n".join(journal[:2]) + "\n")

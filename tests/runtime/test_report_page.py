@@ -29,7 +29,7 @@ def test_a_page_has_the_pictures_and_the_truth_that_a_report_has(run, tmp_path):
 
 def test_the_page_of_a_run_without_frames_says_so(run, tmp_path):
     shutil.copytree(run.directory.path, tmp_path / "run")
-    (tmp_path / "run/frames.jsonl").write_text("")
+    (tmp_path / "run/frames.npy.gz").write_text("")
     page = page_html(RunDirectory(tmp_path / "run"), run.events, (), None, 1)
     assert page.startswith("<!doctype html>") and page.endswith("</html>\n")
     with pytest.raises(ValueError, match="it does not begin with run_started"):

@@ -28,6 +28,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.reidentification import Recognition
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
+from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.observation.depth import RightEye
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.annotation.tracked import TrackerRuns
@@ -43,7 +44,7 @@ TWICE, FRAMES = 2, 12
 SCENE = make_scene("two_squares", 0)
 HEIGHT, WIDTH = SCENE.frames[0].shape[:2]
 LARGE = tuple(TWICE * value for value in SCENE.start_box)
-OUTPUTS = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "forecasts.jsonl", "run.json")
+OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "forecasts.jsonl", "run.json")
 OPTIONS = {"keep_beliefs": True, "horizon": 2}
 
 
@@ -143,7 +144,7 @@ def test_a_run_that_was_broken_off_goes_on_to_the_same_bytes(
 def test_what_if_tracks_in_the_same_size(large: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     assert main(["what-if", str(large), "--out", str(out), "--quiet"]) == 0
-    assert (out / "frames.jsonl").read_bytes() == (large / "frames.jsonl").read_bytes()
+    assert (out / "frames.npy.gz").read_bytes() == (large / "frames.npy.gz").read_bytes()
 
 
 def test_scores_compare_with_the_truth_of_the_source(videos: Path, small: Path, large: Path) -> None:
@@ -173,7 +174,7 @@ def test_the_command_says_which_pixels_are_meant(
     assert f"frames of {TWICE * WIDTH}x{TWICE * HEIGHT} px are tracked at {WIDTH}x{HEIGHT} px" in said
     video = cv2.VideoCapture(str(tmp_path / "run/video.mkv"))
     assert video.get(cv2.CAP_PROP_FRAME_WIDTH) == TWICE * WIDTH
-    lines = [(path / "frames.jsonl").read_text().splitlines()[:3] for path in (tmp_path / "run", large)]
+    lines = [list(read_metrics(path / "frames.npy.gz"))[:3] for path in (tmp_path / "run", large)]
     assert lines[0] == lines[1]
 
 

@@ -184,7 +184,7 @@ def test_a_budget_stays_and_what_was_late_is_not_measured_twice(tmp_path: Path) 
     late = [json.loads(line)["frame"] for line in after.splitlines()]
     assert late == list(range(late[0], 24)), "each once, from the first that is measured to the last"
     list(on(tmp_path / "again", inputs=run / "inputs.jsonl"))
-    for name in ("journal.jsonl", "frames.jsonl", "tracks.csv", "inputs.jsonl"):
+    for name in ("journal.jsonl", "frames.npy.gz", "tracks.csv", "inputs.jsonl"):
         assert (run / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
@@ -196,7 +196,7 @@ def test_the_video_is_whole(tmp_path: Path) -> None:
 
 
 def cut(run: Path) -> None:
-    (run / "frames.jsonl").write_bytes((run / "frames.jsonl").read_bytes()[:-9])
+    (run / "frames.npy.gz").write_bytes((run / "frames.npy.gz").read_bytes()[:-9])
 
 
 def edited(run: Path) -> None:
@@ -223,7 +223,7 @@ def damaged(run: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [
-        (cut, ResumeError, "frames.jsonl: cut off"),
+        (cut, ResumeError, "frames.npy.gz: cut off"),
         (edited, ResumeError, "journal.jsonl: changed"),
         (gone, ResumeError, "tracks.csv"),
         (other_seed, CheckpointError, "another recipe"),

@@ -28,7 +28,7 @@ from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.sources import open_source
 
-REPRODUCIBLE = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "graph.yaml")
+REPRODUCIBLE = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "graph.yaml")
 SQUARE = (0, 5, 10, 10)
 """Corner box of the bright square in the first picture of this folder's videos; it moves 2 px a frame."""
 
@@ -192,7 +192,7 @@ def test_a_source_that_says_so_may_turn_gray(general):
 def test_folding_the_journal_rebuilds_the_net_of_every_frame(recorded):
     out, results = recorded
     events = list(read_events(out / "journal.jsonl"))
-    metrics = list(read_metrics(out / "frames.jsonl"))
+    metrics = list(read_metrics(out / "frames.npy.gz"))
     assert len(metrics) == len(results) == 45
     decisions = [event for event in events if isinstance(event, Decision)]
     assert {TargetStarted, Activated, Deactivated} <= {type(event) for event in decisions}
@@ -237,7 +237,7 @@ def test_a_caller_may_stop_early(tmp_path):
             break
     assert (summary.frames, summary.complete, summary.reason) == (5, False, "interrupted")
     assert list(read_events(tmp_path / "run/journal.jsonl"))[-1] == RunEnded(5, 200, False, "interrupted")
-    assert len(list(read_metrics(tmp_path / "run/frames.jsonl"))) == 5
+    assert len(list(read_metrics(tmp_path / "run/frames.npy.gz"))) == 5
 
 
 def test_an_error_of_a_sink_ends_the_run_and_the_journal_says_so(general):

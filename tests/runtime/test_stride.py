@@ -22,7 +22,7 @@ from bayesnet_track.sources.scenes import make_scene
 
 STRIDE, FRAMES = 3, 20
 TRACKED = list(range(0, FRAMES, STRIDE))
-OUTPUTS = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "run.json", "video.mkv")
+OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "run.json", "video.mkv")
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_only_these_frames_are_tracked_with_the_numbers_of_the_source(whole: Path) -> None:
-    assert [line.frame for line in read_metrics(whole / "frames.jsonl")] == TRACKED
+    assert [line.frame for line in read_metrics(whole / "frames.npy.gz")] == TRACKED
     assert Recipe.read(whole).origin.stride == STRIDE
     kinds = [type(event).__name__ for event in read_events(whole / "journal.jsonl")]
     assert "FramesMissing" not in kinds
@@ -73,7 +73,7 @@ def test_a_run_that_was_broken_off_goes_on_to_the_same_bytes(
 def test_what_if_reads_the_same_frames(whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     assert main(["what-if", str(whole), "--seed", "1", "--out", str(out), "--quiet"]) == 0
-    assert [line.frame for line in read_metrics(out / "frames.jsonl")] == TRACKED
+    assert [line.frame for line in read_metrics(out / "frames.npy.gz")] == TRACKED
 
 
 def test_scores_are_those_of_the_tracked_frames(

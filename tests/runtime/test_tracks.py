@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.runtime.recording.tracks import CSV_COLUMNS, CsvWriter, MotWriter
+from bayesnet_track.runtime.recording.tracks import CSV_COLUMNS, CsvWriter, MotWriter, Tracked
 
 
 def metrics(frame, target="square", box=(30.0, 35.0, 41.0, 31.0), **more):
@@ -38,7 +38,7 @@ def metrics(frame, target="square", box=(30.0, 35.0, 41.0, 31.0), **more):
 def lines_of(writer_class, path, rows):
     with writer_class(path) as writer:
         for row in rows:
-            writer.write(row)
+            writer.write(Tracked.of([row]))
             writer.flush()
     data = path.read_bytes()
     assert b"\r" not in data
@@ -94,7 +94,7 @@ def test_minus_zero_is_written_as_zero(tmp_path, writer_class):
 def test_a_frame_is_in_the_file_once_it_is_flushed(tmp_path, writer_class):
     writer = writer_class(tmp_path / "t")
     before = (tmp_path / "t").read_bytes()
-    writer.write(metrics(0))
+    writer.write(Tracked.of([metrics(0)]))
     assert (tmp_path / "t").read_bytes() == before
     writer.flush()
     assert len((tmp_path / "t").read_bytes().splitlines()) == len(before.splitlines()) + 1
@@ -106,7 +106,7 @@ def test_lost_targets_may_be_left_out_of_mot_and_never_of_csv(tmp_path):
     rows = [metrics(0, "a", status="lost"), metrics(0, "b"), metrics(1, "a"), metrics(1, "b", status="lost")]
     with MotWriter(tmp_path / "tracks.txt", lost=False) as writer:
         for row in rows:
-            writer.write(row)
+            writer.write(Tracked.of([row]))
     kept = [line.split(",")[:2] for line in (tmp_path / "tracks.txt").read_text().splitlines()]
     assert kept == [["1", "2"], ["2", "1"]]
     assert len(lines_of(CsvWriter, tmp_path / "tracks.csv", rows)) == 5

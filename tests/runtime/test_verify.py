@@ -23,7 +23,7 @@ from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 4
 OUTPUTS = {
-    "frames.jsonl",
+    "frames.npy.gz",
     "graph.yaml",
     "journal.jsonl",
     "run.json",

@@ -59,7 +59,7 @@ def resizings(directory: Path) -> list[ParticlesResized]:
 
 
 def test_the_number_rises_during_the_flight(directory: Path) -> None:
-    sizes = {line.frame: line.particles for line in read_metrics(directory / "frames.jsonl")}
+    sizes = {line.frame: line.particles for line in read_metrics(directory / "frames.npy.gz")}
     assert {sizes[frame] for frame in range(FLIGHT[0])} == {300}
     assert sizes[FLIGHT[0]] > 2 * 300  # in the frame of the throw itself
     assert max(sizes[frame] for frame in FLIGHT) > 4 * 300
@@ -67,7 +67,7 @@ def test_the_number_rises_during_the_flight(directory: Path) -> None:
 
 
 def test_the_journal_says_why(directory: Path) -> None:
-    sizes = {line.frame: line.particles for line in read_metrics(directory / "frames.jsonl")}
+    sizes = {line.frame: line.particles for line in read_metrics(directory / "frames.npy.gz")}
     first = resizings(directory)[0]
     assert (first.frame, first.target, first.before) == (FLIGHT[0], "1", 300)
     assert first.early and first.particles == sizes[first.frame]
@@ -107,5 +107,5 @@ def test_folding_the_decisions_passes_over_it(directory: Path) -> None:
     decisions = [event for event in events if isinstance(event, get_args(Decision))]
     assert not any(isinstance(decision, ParticlesResized) for decision in decisions)
     assert replay(decisions).targets["1"].active == {"color"}
-    lines = list(read_metrics(directory / "frames.jsonl"))
+    lines = list(read_metrics(directory / "frames.npy.gz"))
     assert f"{resizings(directory)[0].particles}" in why(events, lines, FLIGHT[0])

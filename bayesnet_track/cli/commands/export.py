@@ -13,7 +13,7 @@ from bayesnet_track.cli.options.arguments import whole_number
 if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.run_reader import Run
 
-WITH_LOST = ("csv", "jsonl")
+WITH_LOST = ("csv", "jsonl", "frames")
 """Formats that say of a box that its target is lost."""
 
 
@@ -86,7 +86,7 @@ def _export_beliefs(options: argparse.Namespace) -> int:
 
 
 DRAWS = 500
-FORMATS = ("mot", "coco", "csv", "jsonl", "arviz")
+FORMATS = ("mot", "coco", "csv", "jsonl", "frames", "arviz")
 
 
 def add_export(commands: argparse._SubParsersAction[Any]) -> None:
@@ -103,7 +103,9 @@ def add_export(commands: argparse._SubParsersAction[Any]) -> None:
     )
     lost = export.add_mutually_exclusive_group()
     lost.add_argument(
-        "--lost", action="store_true", help="include the boxes of lost targets (default for csv, jsonl)"
+        "--lost",
+        action="store_true",
+        help="include the boxes of lost targets (default for csv, jsonl, frames)",
     )
     lost.add_argument("--no-lost", action="store_true", help="leave them out (default for mot, coco)")
     export.add_argument(

@@ -120,6 +120,7 @@ def track_source(
                 overwrite=options.overwrite,
                 video=video,
                 keep_beliefs=getattr(options, "keep_beliefs", False),
+                all_hypotheses=getattr(options, "all_hypotheses", False),
                 horizon=getattr(options, "horizon", 0),
                 executor=executor_of(options),
                 sinks=[
@@ -231,6 +232,11 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     add_video_option(run)
     run.add_argument(
         "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
+    )
+    run.add_argument(
+        "--all-hypotheses",
+        action="store_true",
+        help="write some hypotheses of each target in every frame, not only in those of at most 8 targets",
     )
     add_seeds_options(run)
     run.add_argument(

@@ -114,6 +114,7 @@ def _track_again(
                 detections=None if recipe.detections is None else recipe.detections.place,
                 inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
                 max_side=recipe.max_side,
+                all_hypotheses="hypotheses" in recipe.optional,
                 overwrite=options.overwrite,
                 sinks=[Narrator()] if options.verbose else [],
                 summary=summary,

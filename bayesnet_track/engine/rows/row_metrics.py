@@ -16,6 +16,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.encoder import Written, written
+from bayesnet_track.journal.frame_columns import ABSENT, texts
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import p_after
@@ -115,28 +116,82 @@ class RowMetrics(Sequence[FrameMetrics]):
         reach = NormalDist().inv_cdf((1.0 + share) / 2.0) * self._sds[:, :2]
         return np.stack([centre - reach, centre + reach], axis=2).reshape(-1, 4)
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of `journal.frame_columns`, without hypotheses and without targets that start."""
+        now, rule = self.rows.columns, self.rows.rule
+        log_evidence, nats, ess, size, agent_ud, ud, _, _ = self.measured.numbers.T
+        own = f"/{rule.agent}"
+        nothing = np.zeros(len(self.rows.ids))
+        p_values = [ABSENT if value is None else value for value in self._p_values()]
+        is_given = now.given == GIVEN
+        columns: dict[str, NDArray[Any]] = {
+            "frame": np.array(self._index, dtype="<i8"),
+            "time_s": np.array(self._time_s, dtype="<f8"),
+            "target": texts(self.rows.ids),
+            "box": np.ascontiguousarray(self.boxes.T),
+            "map": np.ascontiguousarray(now.mean[:, :4].T),
+            "sd": np.ascontiguousarray(self._sds.T),
+            "ud_px2": ud,
+            f"ud_nodes/{rule.root}": ud,
+            "quiet_px2": np.where(np.isnan(self.measured.quiet), ABSENT, self.measured.quiet),
+            "status": texts("lost" if lost else "tracking" for lost in self._was_lost.tolist()),
+            "score": self._scores,
+            "log_evidence": log_evidence,
+            "surprise": nats,
+            "ess": ess,
+            "learn_rate": nothing,
+            "particles": size.astype("<i4"),
+            "active": np.full(len(nothing), rule.agent.encode()),
+            "silent": np.where(is_given, b"", rule.agent.encode()),
+            "kl" + own: nothing,
+            "contribution" + own: nats,
+            "agent_ud_px2" + own: agent_ud,
+            "strength" + own: nats,
+            "p_values" + own: np.array(p_values),
+        }
+        if rule.crowd is not None:
+            columns["existence"] = now.existence
+        return columns
+
+    def without_clouds(self) -> tuple[FrameMetrics, ...]:
+        """The lines without their hypotheses, which take most of the time."""
+        return self._made or self._make([Written()] * len(self.rows.ids))
+
+    def statuses(self) -> Iterator[str]:
+        """Of each line, in their order."""
+        yield from ("lost" if lost else "tracking" for lost in self._was_lost.tolist())
+        yield from (line.status for line in self.born)
+
+    def targets(self) -> Iterator[str]:
+        """Of each line, in their order."""
+        yield from self.rows.ids
+        yield from (line.target for line in self.born)
+
     def _lines(self) -> tuple[FrameMetrics, ...]:
         if self._made is None:
-            now, count = self.rows.columns, len(self.rows.ids)
-            columns = zip(
-                self.rows.ids,
-                _tuples(self.boxes),
-                _tuples(now.mean[:, :4]),
-                _tuples(self._sds),
-                self.measured.numbers.tolist(),
-                self.measured.quiet.tolist(),
-                self._was_lost.tolist(),
-                self._scores.tolist(),
-                _tuples(self._region(0.5)),
-                _tuples(self._region(0.9)),
-                self._clouds(),
-                (now.given == GIVEN).tolist(),
-                [None] * count if self.rows.rule.crowd is None else now.existence.tolist(),
-                self._p_values(),
-                strict=True,
-            )
-            self._made = (*map(self._line, columns), *self.born)
+            self._made = self._make(self._clouds())
         return self._made
+
+    def _make(self, clouds: list[Written]) -> tuple[FrameMetrics, ...]:
+        now, count = self.rows.columns, len(self.rows.ids)
+        columns = zip(
+            self.rows.ids,
+            _tuples(self.boxes),
+            _tuples(now.mean[:, :4]),
+            _tuples(self._sds),
+            self.measured.numbers.tolist(),
+            self.measured.quiet.tolist(),
+            self._was_lost.tolist(),
+            self._scores.tolist(),
+            _tuples(self._region(0.5)),
+            _tuples(self._region(0.9)),
+            clouds,
+            (now.given == GIVEN).tolist(),
+            [None] * count if self.rows.rule.crowd is None else now.existence.tolist(),
+            self._p_values(),
+            strict=True,
+        )
+        return (*map(self._line, columns), *self.born)
 
     def _line(self, column: tuple[Any, ...]) -> FrameMetrics:
         rule = self.rows.rule
@@ -208,6 +263,15 @@ class RowMetrics(Sequence[FrameMetrics]):
 
     def __len__(self) -> int:
         return len(self.rows.ids) + len(self.born)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and self._lines() == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._lines())
+
+    def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
+        return tuple, (self._lines(),)
 
 
 def _tuples(rows: Floats) -> list[Any]:

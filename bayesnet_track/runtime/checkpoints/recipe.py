@@ -30,6 +30,7 @@ from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
 from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
 from bayesnet_track.runtime.checkpoints.given_files import GivenFile, given_cue, given_file, model_files
 from bayesnet_track.runtime.checkpoints.recipe_options import (
+    ALL_HYPOTHESES,
     HORIZON,
     KEEPS_BELIEFS,
     MAX_SIDE,
@@ -71,7 +72,7 @@ class Recipe:
         models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
-            `keep_beliefs`; `horizon`; `max_side`; `video`.
+            `keep_beliefs`; `all_hypotheses`; `horizon`; `max_side`; `video`.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -112,6 +113,7 @@ class Recipe:
         """What the recorder writes besides what every run has."""
         kind = str(self.options.get(VIDEO_FORMAT, "video"))
         asked = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
+        asked["hypotheses"] = bool(self.options.get(ALL_HYPOTHESES))
         return tuple(name for name, is_asked in asked.items() if is_asked)
 
     @property

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.journal.codec import JournalError
+from bayesnet_track.journal.codec import JournalError, to_json
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
 from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS, Row, track_rows
@@ -96,11 +96,17 @@ def as_coco(run: Run, lost: bool = False) -> str:
     return json.dumps(content, allow_nan=False) + "\n"
 
 
+def as_frames(run: Run, lost: bool = True) -> str:
+    """JSON Lines: all that was measured of a target in a frame, a line each, as docs/journal.md has it."""
+    return "".join(f"{to_json(line)}\n" for line in _lines(run, lost))
+
+
 FORMATS: Mapping[str, Callable[[Run, bool], str]] = {
     "mot": as_mot,
     "coco": as_coco,
     "csv": as_csv,
     "jsonl": as_jsonl,
+    "frames": as_frames,
 }
 
 

@@ -13,11 +13,11 @@ from typing import Self
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.frame_columns import lines_of
+from bayesnet_track.journal.frame_file import FrameFile, FrameWriter
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.journal.writer import (
     JournalWriter,
     LineFile,
@@ -29,6 +29,7 @@ from bayesnet_track.journal.writer import (
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
 from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
+from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
@@ -58,7 +59,8 @@ class Recorder:
         directory: where the files go.
         graph: what is tracked with.
         frame_interval_s: nominal seconds between frames, for the video.
-        optional: which of `video` or `mp4` (annotated) and `beliefs` (for smoothing) to write as well.
+        optional: which of `video` or `mp4` (annotated), `beliefs` (for smoothing) and `hypotheses` (of all
+            targets of every frame) to write as well.
         after: how far the files of a run are written that goes on here; what follows is cut off. The video
             begins anew: see `redraw`.
         before_first: called before the first frame is written; until then no file is opened, and events wait.
@@ -77,7 +79,7 @@ class Recorder:
         before_first: Callable[[], None] | None = None,
     ) -> None:
         self._directory, self._interval, self._optional = directory, frame_interval_s, optional
-        self._has_ids = not has_births(graph)
+        self._has_ids, self._hypotheses = not has_births(graph), "hypotheses" in optional
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self._video: VideoWriter | None = None
@@ -93,7 +95,7 @@ class Recorder:
         ids = NO_IDS if after is None else after.ids
         with ExitStack() as files:
             self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
-            self._frames = files.enter_context(JournalWriter(directory.frames, at.get("frames")))
+            self._frames = files.enter_context(FrameWriter(directory.frames, at.get("frames")))
             mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids)
             self._mot = files.enter_context(mot)
             self._csv = files.enter_context(CsvWriter(directory.csv, at.get("csv")))
@@ -150,12 +152,12 @@ class Recorder:
         return written
 
     def redraw(self, frames: Iterable[Frame], until: int) -> None:
-        """Write the video of the frames up to number `until`, as frames.jsonl has them."""
-        measured: dict[int, list[FrameMetrics]] = {}
-        for one in read_metrics(self._directory.frames):
-            measured.setdefault(one.frame, []).append(one)
+        """Write the video of the frames up to number `until`, as the file of frames has them."""
+        file = FrameFile(self._directory.frames)
+        places = {place.frame: place for place in file.places}
         for frame in frames:
-            self._draw(frame, measured.get(frame.index, []))
+            there = frame.index in places
+            self._draw(frame, list(file.lines([places[frame.index]])) if there else [])
             if frame.index >= until:
                 break
 
@@ -182,13 +184,16 @@ class Recorder:
                 self.event(event)
         if result.external_inputs:
             self._take(result.external_inputs)
-        for metrics in result.targets:
-            self._frames.write(metrics)
-            self._mot.write(metrics)
-            self._csv.write(metrics)
-            if self._beliefs is not None and metrics.target in result.states:
-                state, said = result.states[metrics.target], result.heard.get(metrics.target)
-                self._beliefs.write(metrics.frame, metrics.target, state, said)
+        if result.targets:
+            columns, tracked = measured(result.targets, self._hypotheses)
+            self._frames.write_columns(columns)
+            self._mot.write(tracked)
+            self._csv.write(tracked)
+            if self._beliefs is not None:
+                for target in tracked.targets:
+                    if target in result.states:
+                        said = result.heard.get(target)
+                        self._beliefs.write(result.frame.index, target, result.states[target], said)
         if self._forecasts is not None:
             self._forecasts.write(result)
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
@@ -200,8 +205,7 @@ class Recorder:
             file.flush()
         if self._kind in self._optional:
             # As the file has them, so that a run that goes on can draw the same again.
-            lines = [from_json(to_json(metrics)) for metrics in result.targets]
-            self._draw(result.frame, [one for one in lines if isinstance(one, FrameMetrics)])
+            self._draw(result.frame, list(lines_of(columns)) if result.targets else [])
 
     def _take(self, external_inputs: tuple[Input, ...]) -> None:
         if self._inputs is None:
@@ -210,7 +214,7 @@ class Recorder:
             self._inputs.write(one)
         self._inputs.flush()
 
-    def _draw(self, frame: Frame, measured: Sequence[FrameMetrics]) -> None:
+    def _draw(self, frame: Frame, lines: Sequence[FrameMetrics]) -> None:
         from bayesnet_track.view.overlay import draw_overlay
 
         if self._video is None:
@@ -219,7 +223,7 @@ class Recorder:
                 VideoWriter(self._directory.path / FILES[self._kind], width, height, self._interval)
             )
         image = frame.image
-        for metrics in measured:
+        for metrics in lines:
             image = draw_overlay(image, metrics)
         self._video.write(image)
 

@@ -77,7 +77,7 @@ class Run:
     Attributes:
         directory: where its files are.
         events: the lines of journal.jsonl, in order.
-        metrics: the lines of frames.jsonl, in order: one per live target and frame.
+        metrics: what was measured, in order: one per live target and frame.
         graph_text: the canonical text of its graph.
     """
 

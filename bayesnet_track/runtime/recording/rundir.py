@@ -48,8 +48,8 @@ class RunDirectory:
     """What was asked for; see `runtime.checkpoints.recipe`."""
     journal = RunFile("journal.jsonl")
     """Events and decisions."""
-    frames = RunFile("frames.jsonl")
-    """Metrics of every frame."""
+    frames = RunFile("frames.npy.gz")
+    """Metrics of every frame, as columns."""
     beliefs = RunFile("beliefs.jsonl")
     """Beliefs of every frame, where they were kept for smoothing."""
     forecasts = RunFile("forecasts.jsonl")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from itertools import groupby
 from pathlib import Path
 
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.writer import JournalWriter, LineFile, Position
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish
+from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
@@ -43,15 +46,17 @@ def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpe
     has_births = any(plate.birth is not None for plate in graph.targets.values())
     with ExitStack() as files:
         journal = files.enter_context(JournalWriter(directory.journal))
-        frames = files.enter_context(JournalWriter(directory.frames))
+        frames = files.enter_context(FrameWriter(directory.frames))
         mot = files.enter_context(MotWriter(directory.mot, not has_births))
         csv = files.enter_context(CsvWriter(directory.csv))
         for event in smoothed.events:
             journal.write(event)
-        for line in smoothed.metrics:
-            frames.write(line)
-            mot.write(line)
-            csv.write(line)
+        for _, group in groupby(smoothed.metrics, key=lambda line: line.frame):
+            lines = list(group)
+            columns, tracked = measured(lines)
+            frames.write_columns(columns)
+            mot.write(tracked)
+            csv.write(tracked)
         written: dict[str, LineFile] = {"journal": journal, "frames": frames, "mot": mot, "csv": csv}
         for file in written.values():
             file.flush()

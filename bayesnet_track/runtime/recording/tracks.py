@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
 
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.numerics.arrays import Floats
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
@@ -19,6 +24,54 @@ def mot_line(metrics: FrameMetrics, number: int) -> str:
     """``frame, id, left, top, width, height, score, -1, -1, -1`` of a target with that number."""
     box = ",".join(_corner(metrics))
     return f"{metrics.frame + 1},{number},{box},{_fix(metrics.score, 6)},-1,-1,-1"
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """The boxes of one frame.
+
+    Attributes:
+        frame: number of the frame.
+        time_s: its time.
+        targets: T ids.
+        boxes: (T, 4) centre boxes, px.
+        statuses: of each target.
+        scores: of each target, 0..1.
+        uds: UD of each target, px^2.
+        actives: agents that gave evidence of each target, separated by spaces.
+    """
+
+    frame: int
+    time_s: float
+    targets: Sequence[str]
+    boxes: Floats
+    statuses: Sequence[str]
+    scores: Sequence[float]
+    uds: Sequence[float]
+    actives: Sequence[str]
+
+    @classmethod
+    def of(cls, lines: Sequence[FrameMetrics]) -> Self:
+        """The boxes of the lines of one frame, at least one."""
+        return cls(
+            lines[0].frame,
+            lines[0].time_s,
+            [line.target for line in lines],
+            np.array([line.centre_box for line in lines]),
+            [line.status for line in lines],
+            [line.score for line in lines],
+            [line.ud_px2 for line in lines],
+            [" ".join(line.active) for line in lines],
+        )
+
+    @cached_property
+    def corners(self) -> list[list[float]]:
+        """Left, top, width, height of each box; what would be written as -0.000 is 0."""
+        boxes = np.array(self.boxes, dtype=np.float64)
+        boxes[:, :2] -= (boxes[:, 2:] - 1.0) / 2.0
+        boxes[np.abs(boxes) < 0.0005] = 0.0
+        rows: list[list[float]] = boxes.tolist()
+        return rows
 
 
 class MotWriter(LineFile):
@@ -37,12 +90,17 @@ class MotWriter(LineFile):
         self.ids: dict[str, int] = dict(ids)
         self._lost = lost
 
-    def write(self, metrics: FrameMetrics) -> None:
-        """Add the line of one target in one frame to the next flush."""
-        number = self.ids.setdefault(metrics.target, len(self.ids) + 1)
-        if metrics.status == "lost" and not self._lost:
-            return
-        self.append(mot_line(metrics, number))
+    def write(self, tracked: Tracked) -> None:
+        """Add the lines of one frame to the next flush."""
+        number = tracked.frame + 1
+        cells: list[float] = []
+        rows = zip(tracked.targets, tracked.statuses, tracked.corners, tracked.scores, strict=True)
+        for target, status, corner, score in rows:
+            identity = self.ids.setdefault(target, len(self.ids) + 1)
+            if self._lost or status != "lost":
+                cells += (number, identity, *corner, score if abs(score) >= _NO_SCORE else 0.0)
+        if cells:
+            self.append("\n".join([_MOT] * (len(cells) // 7)) % tuple(cells))
 
 
 @dataclass(frozen=True)
@@ -61,25 +119,41 @@ class CsvWriter(LineFile):
 
     def __init__(self, path: Path, after: int | None = None) -> None:
         super().__init__(path, after)
-        self._rows = csv.writer(_Lines(self.append), lineterminator="")
         if after is None:
             self.append(",".join(CSV_COLUMNS))
             self.flush()
 
-    def write(self, metrics: FrameMetrics) -> None:
-        """Add the line of one target in one frame to the next flush."""
-        self._rows.writerow(
-            (
-                metrics.frame,
-                _fix(metrics.time_s, 6),
-                metrics.target,
-                *_corner(metrics),
-                metrics.status,
-                _fix(metrics.score, 6),
-                _fix(metrics.ud_px2, 3),
-                " ".join(metrics.active),
-            )
+    def write(self, tracked: Tracked) -> None:
+        """Add the lines of one frame to the next flush."""
+        first = (tracked.frame, _fix(tracked.time_s, 6))
+        cells: list[Any] = []
+        rows = zip(
+            tracked.targets,
+            tracked.corners,
+            tracked.statuses,
+            tracked.scores,
+            tracked.uds,
+            tracked.actives,
+            strict=True,
         )
+        for target, corner, status, score, ud, active in rows:
+            score, ud = score if abs(score) >= _NO_SCORE else 0.0, ud if abs(ud) >= 0.0005 else 0.0
+            cells += (*first, _cell(target), *corner, _cell(status), score, ud, _cell(active))
+        self.append("\n".join([_CSV] * len(tracked.targets)) % tuple(cells))
+
+
+_MOT = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.6f,-1,-1,-1"
+_CSV = "%d,%s,%s,%.3f,%.3f,%.3f,%.3f,%s,%.6f,%.3f,%s"
+_NO_SCORE = 0.0000005
+"""A score below it is written as 0, without a sign."""
+
+
+@lru_cache(maxsize=4096)
+def _cell(text: str) -> str:
+    """A text as a cell of CSV, in quotes where it needs them."""
+    cells: list[str] = []
+    csv.writer(_Lines(cells.append), lineterminator="").writerow((text, 0))
+    return cells[0][: -len(",0")]
 
 
 def _corner(metrics: FrameMetrics) -> list[str]:

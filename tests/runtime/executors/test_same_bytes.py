@@ -16,7 +16,7 @@ from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 
-FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv")
 EXECUTORS = [("processes", 1), ("processes", 2)]
 SCENES = {"two_squares": 45, "person_color_stereo": 25, "crowd": 20, "flying_ball": 30, "person_parts": 10}
 
