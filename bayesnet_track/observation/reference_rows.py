@@ -91,7 +91,7 @@ def _kind(values: Any) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
 
 
 def column(references: Sequence[Reference], name: str, missing: float | None = None) -> NDArray[Any]:
-    """(T, ...) what references hold under a name, `missing` where one does not; rows and a single one as views.
+    """(T, ...) what references hold under a name, else `missing`; rows and a single one are not copied.
 
     >>> column([{"alpha": np.array(0.1)}, {}], "alpha", 1.0).tolist()
     [0.1, 1.0]
