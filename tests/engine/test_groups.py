@@ -14,6 +14,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.planes import Frame
+from tests.engine.test_particle_rows import known
 
 PLACES = {"a": (20.0, 20.0), "b": (60.0, 40.0), "c": (118.0, 90.0), "d": (64.0, 44.0), "e": (30.0, 70.0)}
 AGENTS = {
@@ -136,13 +137,7 @@ def run(graph, names, frames=4, tell=None, cap=None):
         state, lines = outcome.state, {one.target: to_json(one) for one in outcome.metrics}
         events += outcome.events
         for name in names:
-            one = state.targets[name]
-            references = {
-                agent: {key: np.asarray(values).tobytes() for key, values in sorted(own.items())}
-                for agent, own in sorted(one.references.items())
-            }
-            cloud = one.belief.states.tobytes(), one.belief.weights.log.tobytes()
-            found[name].append((cloud, references, one.memory, lines[name]))
+            found[name].append((known(state.targets[name]), lines[name]))
     return found, events
 
 
