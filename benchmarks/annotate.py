@@ -37,9 +37,10 @@ from real_video import LOOKS, Elsewhere, digest, note
 from sequences import HALVES, Sequence, find_sequences
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.runtime.annotation.answers import Answer, Box, by_target
+from bayesnet_track.runtime.annotation.answers import Answer, Box
 from bayesnet_track.runtime.annotation.asking import Asking, annotate
 from bayesnet_track.runtime.annotation.fusing import iou
+from bayesnet_track.runtime.annotation.session import by_target
 from bayesnet_track.runtime.annotation.tracked import Found, TrackerRuns
 
 Floats = NDArray[np.float64]

@@ -10,13 +10,11 @@ from typing import Annotated
 
 import numpy as np
 
-from bayesnet_track.evaluate.clear_mot import clear_mot
-from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa
+from bayesnet_track.evaluate.clear_mot import LEAST_IOU, clear_mot
+from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa, ospa2
 from bayesnet_track.evaluate.hota import ALPHAS, hota
-from bayesnet_track.evaluate.identity import identity
 from bayesnet_track.evaluate.mot_files import read_pair
-from bayesnet_track.evaluate.mot_pairs import Tracks, pair
-from bayesnet_track.evaluate.ospa2 import ospa2
+from bayesnet_track.evaluate.mot_pairs import Pairs, Tracks, assign, pair
 from bayesnet_track.evaluate.scores import meanings
 from bayesnet_track.evaluate.trajectory_gospa import trajectory_gospa
 
@@ -183,3 +181,47 @@ def score_mot_files(
         ValueError: a malformed file; says file and line.
     """
     return score_mot(*read_pair(tracks_path, truth_path, frames), cutoff_px, trajectories)
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Counts over a sequence.
+
+    Attributes:
+        idtp: true boxes that overlap the box of their target's own track.
+        idfn: the other true boxes.
+        idfp: the other tracked boxes.
+    """
+
+    idtp: int
+    idfn: int
+    idfp: int
+
+    @property
+    def idf1(self) -> float:
+        """2 IDTP / (true boxes + tracked boxes)."""
+        return 2 * self.idtp / (2 * self.idtp + self.idfn + self.idfp)
+
+    @property
+    def idp(self) -> float:
+        """IDTP / tracked boxes; 0 when there is none."""
+        return self.idtp / max(self.idtp + self.idfp, 1)
+
+    @property
+    def idr(self) -> float:
+        """IDTP / true boxes."""
+        return self.idtp / (self.idtp + self.idfn)
+
+
+def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
+    """Identity scores of a sequence with true boxes.
+
+    Whole tracks are assigned to whole targets, one to one, so that most of their boxes overlap by at least
+    `min_iou`. (The published cost, IDFN + IDFP, is the number of all boxes less twice IDTP.)
+    """
+    together = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
+    for frame in pairs.frames:
+        i, j = np.nonzero(frame.iou >= min_iou)
+        together[frame.true[i], frame.tracked[j]] += 1
+    idtp = int(together[assign(together)].sum())
+    return Identity(idtp, int(pairs.true_boxes.sum()) - idtp, int(pairs.tracked_boxes.sum()) - idtp)

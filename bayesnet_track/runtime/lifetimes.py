@@ -1,39 +1,18 @@
-"""Kept beliefs of a finished run, target by target, with the motion between one frame and the next."""
+"""Kept beliefs of a finished run, target by target."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
 
-import numpy as np
-
-from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.composed import compose_motion
-from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.nested import deviations_of
-from bayesnet_track.belief.motion.places import Search
-from bayesnet_track.belief.smoothing.backward import Move
-from bayesnet_track.engine.compiled import make_plate_motion
-from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.reidentification import Returned
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run
-from bayesnet_track.runtime.resizing import Resizing
-
-NO_SEARCH = Search(0.0, "", 0, np.zeros((0, 4)), np.zeros(0), 0.0, 0.0)
 
 
 class KeptBeliefsError(ValueError):
     """A run whose beliefs were not kept, or are not those of its journal."""
-
-
-def root_of(plate: spec.Target) -> spec.InferenceNode:
-    """The inference node without a parent."""
-    (root,) = (n for n in plate.nodes.values() if isinstance(n, spec.InferenceNode) and n.parent is None)
-    return root
 
 
 def kept_lifetimes(run: Run) -> Iterator[list[KeptBelief]]:
@@ -89,28 +68,3 @@ def _is_start(run: Run, target: str, frame: int) -> bool:
     """Whether the target started in that frame, of which no belief is kept."""
     started = TargetStarted | Returned
     return any(isinstance(one, started) and (one.target, one.frame) == (target, frame) for one in run.events)
-
-
-def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
-    """How the filter moved the target from each frame of its lifetime to the next."""
-    plate = run.spec.targets[run.kinds[lifetime[0].target]]
-    root = root_of(plate)
-    assert root.motion is not None
-    plain = make_plate_motion(root, run.spec.constants, deviations_of(plate.nodes))
-    size = Resizing.of(run.started).tracked
-    return [
-        Move(motion_into(now, plain, root.motion, size), now.time - before.time)
-        for before, now in pairwise(lifetime)
-    ]
-
-
-def motion_into(
-    kept: KeptBelief, plain: MotionModel, chosen: spec.Motion, size: tuple[int, int]
-) -> MotionModel:
-    """The motion from the frame before into this one, on the image of `size` (width, height)."""
-    influences, motion = kept.influences, plain
-    if influences is not None:
-        motion = compose_motion(plain, chosen.settings, influences)
-        if influences.jump_share > 0:
-            motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
-    return confined(motion, *size)

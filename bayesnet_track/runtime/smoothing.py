@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.composed import compose_motion
+from bayesnet_track.belief.motion.jumps import Jumping
+from bayesnet_track.belief.motion.nested import deviations_of
+from bayesnet_track.belief.motion.places import Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
 from bayesnet_track.belief.smoothing.viterbi import most_probable_trajectory
+from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.graph import spec
@@ -20,12 +28,14 @@ from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.runtime.lifetimes import KeptBeliefsError, kept_lifetimes, moves_of, root_of
+from bayesnet_track.runtime.lifetimes import KeptBeliefsError, kept_lifetimes
 from bayesnet_track.runtime.recording.beliefs import KeptBelief
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
 
 Smoothed = ParticleSet | GaussianPosterior
+
+NO_SEARCH = Search(0.0, "", 0, np.zeros((0, 4)), np.zeros(0), 0.0, 0.0)
 
 KNOWN_PX2 = 1e-6
 """A box whose fields vary less is known: that of the frame in which the target was given."""
@@ -185,3 +195,34 @@ def _inside(box: Floats, size: tuple[int, int]) -> Floats:
 
 def _floats(values: object) -> tuple[float, ...]:
     return tuple(np.asarray(values, dtype=np.float64).tolist())
+
+
+def root_of(plate: spec.Target) -> spec.InferenceNode:
+    """The inference node without a parent."""
+    (root,) = (n for n in plate.nodes.values() if isinstance(n, spec.InferenceNode) and n.parent is None)
+    return root
+
+
+def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
+    """How the filter moved the target from each frame of its lifetime to the next."""
+    plate = run.spec.targets[run.kinds[lifetime[0].target]]
+    root = root_of(plate)
+    assert root.motion is not None
+    plain = make_plate_motion(root, run.spec.constants, deviations_of(plate.nodes))
+    size = Resizing.of(run.started).tracked
+    return [
+        Move(motion_into(now, plain, root.motion, size), now.time - before.time)
+        for before, now in pairwise(lifetime)
+    ]
+
+
+def motion_into(
+    kept: KeptBelief, plain: MotionModel, chosen: spec.Motion, size: tuple[int, int]
+) -> MotionModel:
+    """The motion from the frame before into this one, on the image of `size` (width, height)."""
+    influences, motion = kept.influences, plain
+    if influences is not None:
+        motion = compose_motion(plain, chosen.settings, influences)
+        if influences.jump_share > 0:
+            motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
+    return confined(motion, *size)

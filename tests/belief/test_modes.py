@@ -24,7 +24,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import symmetric
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Measurement
-from bayesnet_track.runtime.lifetimes import NO_SEARCH
+from bayesnet_track.runtime.smoothing import NO_SEARCH
 
 BOX = np.array([60.0, 90.0, 20.0, 20.0])
 SD = 4.0

@@ -13,7 +13,7 @@ from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.runtime.lifetimes import NO_SEARCH
+from bayesnet_track.runtime.smoothing import NO_SEARCH
 
 FIELDS = (*BOX_FIELDS, "vx", "vy")
 VELOCITY = {

@@ -10,8 +10,8 @@ import pytest
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation.detector import DetectorError, installed_detectors
 from bayesnet_track.observation.image_size import MAX_BYTES, MAX_PIXELS, PictureError, declared_size
-from bayesnet_track.sources.depth_files import read_points
 from bayesnet_track.sources.images import read_image
+from bayesnet_track.sources.stereo_source import read_points
 
 ENCODED = [
     (".jpg", []),

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.image_size import PictureError
-from bayesnet_track.sources.depth_files import read_points
 from bayesnet_track.sources.mot_lines import parse_mot
 from bayesnet_track.sources.origin import fingerprint
 from bayesnet_track.sources.paths import depth_files
 from bayesnet_track.sources.scenes.crowd import SIDE, crowd
 from bayesnet_track.sources.scenes.texture import gray_cells, shaded_cells, smooth_background
+from bayesnet_track.sources.stereo_source import read_points
 
 
 def test_lines_of_boxes_have_commas_or_spaces_and_count_frames_from_one():

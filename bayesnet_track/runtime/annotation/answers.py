@@ -96,11 +96,3 @@ def in_force(answers: Iterable[Answer]) -> tuple[Answer, ...]:
         elif kept:
             kept.pop()
     return tuple(kept)
-
-
-def by_target(answers: Iterable[Answer]) -> dict[str, tuple[Answer, ...]]:
-    """Target -> its answers by frame, the last of a frame; targets in the order in which they came."""
-    found: dict[str, dict[int, Answer]] = {}
-    for one in answers:
-        found.setdefault(one.target, {})[one.frame] = one
-    return {target: tuple(own[frame] for frame in sorted(own)) for target, own in found.items()}

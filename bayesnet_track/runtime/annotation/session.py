@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.engine.starts import StartError
+from bayesnet_track.engine.starts import Start, StartError, check_box
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import LineFile, output_error
 from bayesnet_track.runtime.annotation.answers import (
@@ -17,7 +17,6 @@ from bayesnet_track.runtime.annotation.answers import (
     Answer,
     AnswerError,
     Box,
-    by_target,
     in_force,
     read_answer,
 )
@@ -32,11 +31,12 @@ from bayesnet_track.runtime.annotation.answers_file import (
     write_answers,
 )
 from bayesnet_track.runtime.annotation.asking import Annotations, Asking, Question, annotate_target, fail
-from bayesnet_track.runtime.annotation.bounds import describe_untrackable
 from bayesnet_track.runtime.annotation.formats.document import Document
+from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.fusing import Mark
 from bayesnet_track.runtime.annotation.names import describe_mended, find_alike, mend_names
 from bayesnet_track.runtime.annotation.tracked import Found, Runs
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.sources.entrances.notices import few, notice
 
 
@@ -251,3 +251,25 @@ class _Watched:
         self.frame = frame
         self.hear(frame)
         return self.runs.at(start, box, frame)
+
+
+def by_target(answers: Iterable[Answer]) -> dict[str, tuple[Answer, ...]]:
+    """Target -> its answers by frame, the last of a frame; targets in the order in which they came."""
+    found: dict[str, dict[int, Answer]] = {}
+    for one in answers:
+        found.setdefault(one.target, {})[one.frame] = one
+    return {target: tuple(own[frame] for frame in sorted(own)) for target, own in found.items()}
+
+
+def describe_untrackable(box: Box, video: Video, max_side: int | None = None) -> str | None:
+    """Why a tracker refuses to start from the box in a frame of the video; None where it does not.
+
+    >>> describe_untrackable((10, 10, 0.5, 20), Video("a.mp4", 9, 320, 240, 0.04))
+    'start box 10,10,0.5,20: width and height must be at least 1 px'
+    """
+    try:
+        check_box(box, video.width, video.height)
+        Resizing.to(video.width, video.height, max_side).start(Start(box))
+    except StartError as error:
+        return str(error)
+    return None

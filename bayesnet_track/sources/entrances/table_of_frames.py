@@ -73,7 +73,7 @@ FRAMES = (
     Entrance(
         "depth",
         "`--depth FOLDER`; `depth=` of `Tracker`",
-        ("sources.depth_files: read_points _array _depth_image",),
+        ("sources.stereo_source: read_points _array _depth_image",),
         "nothing: every file has its frame",
         "another number of files than of images, numbers without a partner, another size, several images "
         "in a file; depths without a calibration",

@@ -5,8 +5,8 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.engine.starts import StartError
-from bayesnet_track.runtime.annotation.bounds import describe_untrackable
 from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.runtime.annotation.session import describe_untrackable
 
 VIDEO = Video("made_up.mp4", 2, 64, 48, 0.04)
 FRAME = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
