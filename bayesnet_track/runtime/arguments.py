@@ -21,7 +21,7 @@ def whole(name: str, value: SupportsIndex, least: int) -> int:
         ValueError: it is another value.
     """
     try:
-        number = operator.index(value)
+        number = least - 1 if isinstance(value, bool) else operator.index(value)
     except TypeError:
         number = least - 1
     if number < least:

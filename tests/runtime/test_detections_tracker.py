@@ -68,12 +68,15 @@ TWO = [[20, 100, 60, 200], [300, 100, 360, 200]]
         ({"xyxy": TWO[0] + TWO[1]}, r"xyxy of shape (8,); allowed: (n, 4)"),
         ({"xyxy": [[20, 100], [60, 200]]}, r"xyxy of shape (2, 2); allowed: (n, 4)"),
         ({"xyxy": [TWO]}, r"xyxy of shape (1, 2, 4); allowed: (n, 4)"),
-        ({"xyxy": [["left"] * 4] * 2}, r"xyxy holds something else than real numbers: could not convert"),
+        ({"xyxy": [["left"] * 4] * 2}, r"xyxy holds something else than real numbers: texts"),
         ({"xyxy": np.array(TWO) * 1j}, r"xyxy holds something else than real numbers: complex numbers"),
         ({"xyxy": [[1, 2, 3, 4], [5, 6]]}, r"xyxy holds something else than real numbers"),
         ({"xyxy": None}, r"xyxy of shape (); allowed: (n, 4)"),
         ({"confidence": ["high", 1]}, r"confidence holds something else than real numbers"),
         ({"confidence": [0.5, 90]}, r"confidence goes beyond 0..1"),
+        ({"confidence": [True, False]}, r"confidence holds something else than real numbers: True and False"),
+        ({"xyxy": [[str(one) for one in row] for row in TWO]}, r"something else than real numbers: texts"),
+        ({"data": ["car", "bus"]}, r"data is of type list; allowed: a dict, whose class_name"),
     ],
 )
 def test_what_does_not_fit_the_boxes_is_refused_and_the_tracker_stays_as_it_was(given, message):
@@ -83,6 +86,12 @@ def test_what_does_not_fit_the_boxes_is_refused_and_the_tracker_stays_as_it_was(
     for _ in range(4):
         found = tracker.update(SimpleNamespace(xyxy=TWO, confidence=[0.9, 0.8]))
     assert found.tracker_id.tolist() == [1, 2]
+
+
+def test_boxes_in_parts_of_the_frame_are_said_to_be_such():
+    tracker = DetectionsTracker(size=(640, 480))
+    with pytest.warns(InputNotice, match=r"all coordinates are from 0 to 1, as parts of the frame \(xyxyn\)"):
+        tracker.update(SimpleNamespace(xyxy=np.array(TWO) / 1000))
 
 
 def test_data_of_none_is_no_data():
@@ -252,7 +261,7 @@ def test_a_size_that_the_frames_have_not_is_noticed():
         tracker.update(SimpleNamespace(xyxy=TWO), np.zeros((480, 640, 3), np.uint8))
 
 
-@pytest.mark.parametrize("size", [(0, 480), (640,), (640, -1), 640, (640.5, 480), "ab"])
+@pytest.mark.parametrize("size", [(0, 480), (640,), (640, -1), 640, (640.5, 480), "ab", (True, 480)])
 def test_what_is_no_size_is_refused(size):
     with pytest.raises(ValueError, match="size"):
         DetectionsTracker(size=size)

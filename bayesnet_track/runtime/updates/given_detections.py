@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.boxes import centre_from_xyxy
+from bayesnet_track.numerics.boxes import centre_from_xyxy, xyxy_from_centre
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
 from bayesnet_track.sources.entrances.notices import few, notice
 
+KINDS = {"c": "complex numbers", "b": "True and False", "U": "texts", "S": "texts"}
+"""Kinds of arrays that NumPy makes numbers of, and which hold none."""
 LEAST_AREA_PX = 1.0
 """No graph takes smaller boxes."""
 
@@ -63,8 +65,19 @@ class GivenDetections:
         )  # fmt: skip
         return found.without(
             found.detections.boxes[:, 2:].prod(axis=1) >= LEAST_AREA_PX,
-            lambda rows: _left_out("smaller than 1 px²", rows, self.count, "; xyxy counts pixels"),
+            lambda rows: _left_out("smaller than 1 px²", rows, self.count, _advice(found.detections.boxes)),
         )
+
+
+def _advice(boxes: Floats) -> str:
+    """Why boxes are so small: perhaps all of them are in parts of the frame."""
+    corners = xyxy_from_centre(boxes)
+    if (corners >= 0).all() and (corners <= 1).all():
+        return (
+            "; all coordinates are from 0 to 1, as parts of the frame (xyxyn): multiply x by its width and y "
+            "by its height, px"
+        )
+    return "; xyxy counts pixels"
 
 
 def read_given(detections: Any, graph: CheckedGraph) -> GivenDetections:
@@ -124,7 +137,13 @@ def _scores(detections: Any, count: int) -> Floats:
 
 
 def _labels(detections: Any, count: int, graph: CheckedGraph) -> tuple[str, ...]:
-    names = (getattr(detections, "data", None) or {}).get("class_name")
+    data = getattr(detections, "data", None)
+    if data is not None and not isinstance(data, Mapping):
+        raise ValueError(
+            f"detections: data is of type {type(data).__name__}; allowed: a dict, whose class_name has a "
+            'name for each box: data={"class_name": names}, or None'
+        )
+    names = (data or {}).get("class_name")
     if names is not None:
         _check_one_each('data["class_name"]', np.shape(names), count)
         return tuple(map(str, names))
@@ -141,8 +160,8 @@ def _numbers(name: str, given: Any) -> Floats:
         if isinstance(given, np.ma.MaskedArray):
             return np.asarray(np.ma.filled(np.ma.asarray(given, dtype=np.float64), np.nan))
         values = np.asarray(given)
-        if values.dtype.kind == "c":
-            raise TypeError("complex numbers")
+        if values.dtype.kind in KINDS:
+            raise TypeError(KINDS[values.dtype.kind])
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"detections: {name} holds something else than real numbers: {error}") from error
