@@ -13,7 +13,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.cue import Residual
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes import random_geometry, two_squares
 
 
 @pytest.mark.parametrize("gross", [0.0, 0.02])
@@ -133,7 +133,8 @@ def test_fitted_sds_hold_on_other_scenes():
 
     def residuals(seeds):
         for seed in seeds:
-            scene = make_scene("two_squares_random", seed)
+            geometry = random_geometry(np.random.Generator(np.random.Philox(seed)))
+            scene = two_squares(seed, geometry)
             frames = (Frame(k, float(k), image) for k, image in enumerate(islice(scene.frames, 80)))
             yield residuals_of(checked, frames, scene.truth)
 

@@ -18,7 +18,7 @@ def shared_area(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.prod(np.clip(40.0 - np.abs(a - b)[:, :2], 0, None), axis=1)
 
 
-LARGE = ("crowd_of_fifty", "glass_wall", "person_color_stereo", "two_people_color_stereo_shape")
+LARGE = ("glass_wall", "person_color_stereo", "two_people_color_stereo_shape")
 """Scenes that take long to build or to draw, and those that are others with other settings."""
 
 

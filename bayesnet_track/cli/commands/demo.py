@@ -29,7 +29,6 @@ SCENE_GRAPHS = {
     "ball_between_children": "ball_between_children",
     "carried_box": "carried_box",
     "crowd": "crowd",
-    "crowd_of_fifty": "crowd",
     "orange_and_gray": "orange_and_gray",
     "gray_square": "gray_square",
     "flying_ball": "kalman_ball",

@@ -7,8 +7,6 @@ from dataclasses import replace
 from difflib import get_close_matches
 from types import MappingProxyType
 
-import numpy as np
-
 from bayesnet_track.sources.scenes.ball import flying_ball
 from bayesnet_track.sources.scenes.carried import carried_box
 from bayesnet_track.sources.scenes.children import ball_between_children
@@ -22,25 +20,18 @@ from bayesnet_track.sources.scenes.passer import (
 )
 from bayesnet_track.sources.scenes.scene import Scene
 from bayesnet_track.sources.scenes.silhouettes import person_and_board
-from bayesnet_track.sources.scenes.squares import gray_square, orange_and_gray, random_geometry, two_squares
+from bayesnet_track.sources.scenes.squares import gray_square, orange_and_gray, two_squares
 from bayesnet_track.sources.scenes.stereo import glass_wall, person_stereo
 from bayesnet_track.sources.scenes.two_people import two_people_color_stereo_shape
-
-
-def _random_squares(seed: int) -> Scene:
-    return two_squares(seed, random_geometry(np.random.Generator(np.random.Philox(seed))))
-
 
 _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
     {
         "two_squares": two_squares,
-        "two_squares_random": _random_squares,
         "orange_and_gray": orange_and_gray,
         "gray_square": gray_square,
         "ball_between_children": ball_between_children,
         "carried_box": carried_box,
         "crowd": crowd,
-        "crowd_of_fifty": lambda seed: crowd(seed, count=50),
         "flying_ball": flying_ball,
         "person_and_board": person_and_board,
         "person_parts": person_parts,
