@@ -57,7 +57,7 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     options.stop, options.parser, options.owns_process = stop, parser, arguments is None
     try:
         if options.command == "doctor":  # works where the others cannot even be imported
-            from bayesnet_track.cli.doctor.examine import doctor
+            from bayesnet_track.cli.doctor import doctor
 
             return doctor(options)
         from bayesnet_track.cli import dispatch as commands

@@ -37,8 +37,8 @@ from bayesnet_track.cli.commands.tracking import add_run, run
 from bayesnet_track.cli.commands.verify import add_verify, verify
 from bayesnet_track.cli.commands.what_if import add_what_if, what_if
 from bayesnet_track.cli.diagnose.command import add_diagnose, diagnose
+from bayesnet_track.cli.doctor import add_doctor
 from bayesnet_track.cli.fitting.fit import add_fit, fit
-from bayesnet_track.cli.options.doctor import add_doctor
 from bayesnet_track.cli.overview import add_examples
 from bayesnet_track.cli.slips import MainParser, Parser
 

@@ -93,13 +93,13 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
     return decoded
 
 
-def describe_other(what: str, versions: object, how: str = "read") -> str:
+def describe_other(problem: str, versions: object, verb: str = "read") -> str:
     """The sentence that refuses such a file.
 
     Args:
-        what: what of the file is of another version.
+        problem: what of the file is of another version.
         versions: library -> version, as the file has them; anything else where it does not say.
-        how: what to do with it in that version.
+        verb: what to do with it in that version.
 
     >>> describe_other("format 1 of journals; this version reads format 2", {"bayesnet-track": "0.1.0"})
     ... # doctest: +NORMALIZE_WHITESPACE
@@ -108,10 +108,10 @@ def describe_other(what: str, versions: object, how: str = "read") -> str:
     """
     writer = versions.get("bayesnet-track") if isinstance(versions, Mapping) else None
     if not isinstance(writer, str):
-        return f"{what}: {how} it with the version of bayesnet-track that wrote it"
+        return f"{problem}: {verb} it with the version of bayesnet-track that wrote it"
     name = "".join(c for c in writer[:40] if c.isprintable())
     return (
-        f"{what}: {how} it with bayesnet-track {name}, which wrote it "
+        f"{problem}: {verb} it with bayesnet-track {name}, which wrote it "
         f"(python -m pip install bayesnet-track=={name})"
     )
 
@@ -120,8 +120,8 @@ def check_version(values: Mapping[str, Any]) -> None:
     """Refuse a journal of another format by the members of its first line; raises JournalError."""
     number = values.get("journal")
     if type(number) is int and number != JOURNAL_VERSION:
-        what = f"format {short(str(number))} of journals; this version reads format {JOURNAL_VERSION}"
-        raise JournalError(describe_other(what, values.get("versions")))
+        problem = f"format {short(str(number))} of journals; this version reads format {JOURNAL_VERSION}"
+        raise JournalError(describe_other(problem, values.get("versions")))
 
 
 @cache

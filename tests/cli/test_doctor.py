@@ -6,15 +6,16 @@ import re
 import subprocess
 import sys
 import tomllib
+import urllib.request  # noqa: F401 - loaded before the folder of packages is hidden
 from argparse import Namespace
 from pathlib import Path
 
-import packaging.requirements  # noqa: F401 - loaded before the folder of packages is hidden
+import packaging.requirements  # noqa: F401 - likewise
 import pytest
 
 import bayesnet_track
-from bayesnet_track.cli.doctor import examine, libraries, machine, own_paths, packages, selftest
-from bayesnet_track.cli.doctor.finding import Finding, try_code
+from bayesnet_track.cli import doctor
+from bayesnet_track.cli.doctor import Finding, try_code
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,21 +57,16 @@ def only(findings):
 def test_two_wheels_of_opencv(site, second, kept):
     distribution(site, "opencv-python-headless", "5.0.0")
     distribution(site, second, "4.10.0")
-    found = only(packages.check_wheels())
+    found = next(one for one in doctor.check_versions() if one.check == "opencv wheels")
     assert found.level == "broken" and f"{second} 4.10.0" in found.text
     assert re.search(rf"uninstall -y (?=.*{second}\b).* && .*install \"{kept}>=4.9,<6\"$", found.cure)
-
-
-def test_another_wheel_alone_is_fine(site):
-    distribution(site, "opencv-python", "4.10.0")
-    assert only(packages.check_wheels()).level == "note"
 
 
 def test_versions_out_of_range_and_packages_that_are_missing(site):
     distribution(site, "bayesnet-track", "1", ["alpha>=2,<3", "beta", 'gamma; extra == "more"', "delta>=1"])
     distribution(site, "alpha", "3.1", ["delta<1", 'delta<0.1; extra == "odd"'])
     distribution(site, "delta", "1.4")
-    found = {one.text: one.cure for one in packages.check_versions()}
+    found = {one.text: one.cure for one in doctor.check_versions()}
     assert found == {
         "alpha 3.1 is not <3,>=2": 'python -m pip install "alpha<3,>=2"',
         "alpha 3.1 needs delta<1, not 1.4": 'python -m pip install "delta<1"',
@@ -81,13 +77,13 @@ def test_versions_out_of_range_and_packages_that_are_missing(site):
 def test_any_wheel_of_opencv_will_do(site):
     distribution(site, "bayesnet-track", "1", ["opencv-python-headless>=4.9"])
     distribution(site, "opencv-contrib-python", "4.10.0")
-    assert only(packages.check_versions()).level == "ok"
+    assert only(doctor.check_versions()).level == "ok"
 
 
 def test_a_checkout_that_is_not_installed(site):
-    found = only(packages.check_this_package())
+    found = only(doctor.check_package())
     assert found.level == "broken" and "is not installed" in found.text and "pip install -e" in found.cure
-    found = only(selftest.check_plugins())
+    found = only(doctor.check_plugins())
     assert found.level == "broken" and "no cues" in found.text
 
 
@@ -95,7 +91,7 @@ def test_a_checkout_that_shadows_what_is_installed(site):
     distribution(site, "bayesnet-track", "0.0.1")
     (site / "bayesnet_track").mkdir()
     (site / "bayesnet_track" / "__init__.py").touch()
-    found = only(packages.check_this_package())
+    found = only(doctor.check_package())
     assert found.level == "broken" and f"shadows the installed 0.0.1 in {site}" in found.text
 
 
@@ -103,80 +99,45 @@ def test_an_editable_installation_is_where_it_says(site):
     home = Path(bayesnet_track.__file__).parents[1]
     origin = json.dumps({"url": home.as_uri(), "dir_info": {"editable": True}})
     distribution(site, "bayesnet-track", "0.0.1", direct_url__json=origin)
-    assert only(packages.check_this_package()).level == "ok"
+    assert only(doctor.check_package()).level == "ok"
 
 
 def test_every_extra_that_is_offered_is_one():
     offered = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
-    for name, (_, extra) in packages.EXTRAS.items():
+    for name, (_, extra) in doctor.EXTRAS.items():
         assert any(re.match(rf"{name}\b", needed) for needed in offered[extra])
 
 
 # ------------------------------------------------------------------------------------ libraries
 
 
-def replaced(monkeypatch, tmp_path, name, code):
-    """A module of that name that is found first by the processes that try it out."""
-    folder = tmp_path / "first"
-    folder.mkdir()
-    (folder / f"{name}.py").write_text(code)
-    monkeypatch.setattr(sys, "path", [str(folder), *sys.path])
+def patched(monkeypatch, tmp_path, code, name="sitecustomize"):
+    """A module that is found first by the processes in which a check tries things out."""
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / f"{name}.py").write_text(code)
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "first"), *sys.path])
 
 
 @pytest.mark.parametrize(
-    ("name", "check", "code", "text", "cure"),
+    ("name", "code", "text", "cure"),
     [
         (
             "cv2",
-            libraries.check_opencv,
-            "raise ImportError('libGL.so.1: cannot open shared object file: No such file or directory')",
-            "libGL.so.1",
-            "the machine lacks their libraries",
+            "raise ImportError('libGL.so.1: cannot open shared object file')",
+            "libGL.so",
+            "uninstall -y",
         ),
-        (
-            "cv2",
-            libraries.check_opencv,
-            "import sys; sys.stderr.write('AttributeError: _ARRAY_API not found\\n'); "
-            "raise ImportError('numpy.core.multiarray failed to import')",
-            "multiarray",
-            "built for another version of NumPy",
-        ),
-        (
-            "cv2",
-            libraries.check_opencv,
-            "__version__ = '9'",
-            "9 lacks Canny, DISOpticalFlow",
-            "--force-reinstall",
-        ),
-        (
-            "numba",
-            libraries.check_numba,
-            "raise ImportError('Numba needs NumPy 2.3 or less. Got NumPy 9.9.')",
-            "Got NumPy 9.9",
-            "Numba needs NumPy 2.3 or less",
-        ),
-        ("av", libraries.check_av, "import os; os.abort()", "died of signal 6", "--force-reinstall"),
-        (
-            "av",
-            libraries.check_av,
-            "__version__ = '1'; codecs_available = {'mpeg4', 'mjpeg', 'libx264'}",
-            "cannot read h264",
-            "--force-reinstall",
-        ),
-        ("numpy", libraries.check_numpy, "raise ImportError('no')", "no", "--force-reinstall numpy"),
+        ("cv2", "raise ImportError('multiarray failed to import')", "multiarray", "--force-reinstall"),
+        ("numba", "raise ImportError('Numba needs NumPy 2.3 or less.')", "needs NumPy 2.3", "numba numpy"),
+        ("av", "import os; os.abort()", "died of signal 6", "--force-reinstall av"),
+        ("numpy", "raise ImportError('no')", "no", "--force-reinstall numpy"),
     ],
 )
-def test_a_broken_library(monkeypatch, tmp_path, name, check, code, text, cure):
-    replaced(monkeypatch, tmp_path, name, code)
-    found = only(check())
+def test_a_broken_library(monkeypatch, tmp_path, name, code, text, cure):
+    patched(monkeypatch, tmp_path, code, name)
+    monkeypatch.setattr(doctor, "LIBRARIES", {name: doctor.LIBRARIES[name]})
+    found = only(doctor.check_libraries())
     assert found.level == "broken" and text in found.text and cure in found.cure
-
-
-def patched(monkeypatch, tmp_path, code):
-    """What runs first in the processes in which a check tries things out."""
-    (tmp_path / "first").mkdir()
-    (tmp_path / "first" / "sitecustomize.py").write_text(code)
-    monkeypatch.setattr(sys, "path", [str(tmp_path / "first"), *sys.path])
 
 
 NEW_AV = """
@@ -188,88 +149,30 @@ def newer(file, mode="r", **settings):
     return old(file, mode, **settings)
 av.open = newer
 """
-
-
-@pytest.mark.parametrize(
-    ("check", "code", "text"),
-    [
-        (own_paths.check_video, NEW_AV, "cannot be written and read: TypeError: open() got an unexpected"),
-        pytest.param(
-            own_paths.check_kernel,
-            "import numba\ndef no(*_, **__): raise ImportError('no LLVM')\nnumba.njit = no",
-            "cannot be compiled: ImportError: no LLVM",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            own_paths.check_cue,
-            "import importlib.metadata as m\nm.entry_points = lambda **_: ()",
-            "cannot score a frame: KeyError: 'color_histogram'",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            own_paths.check_worker,
-            "import subprocess as s, os\nold = s.Popen\n"
-            "class Refused(old):\n"
-            "    def __init__(self, *a, **k): raise PermissionError(1, 'no process for you')\n"
-            "s.Popen = Refused\n"
-            "def fork(): raise PermissionError(1, 'no process for you')\n"
-            "os.fork = fork",
-            "agents cannot work in processes: ",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_a_library_that_is_there_and_that_the_program_cannot_use(monkeypatch, tmp_path, check, code, text):
-    """As PyAV 19 was: it could be imported, knew all codecs, and opened no video for this program."""
-    patched(monkeypatch, tmp_path, code)
-    found = only(check())
-    assert found.level == "broken" and text in found.text and found.cure
+NO_FORK = """
+import os
+def fork(): raise PermissionError(1, "no process for you")
+os.fork = fork
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "check", [own_paths.check_video, own_paths.check_kernel, own_paths.check_cue, own_paths.check_worker]
-)
-def test_the_programs_own_ways_work_here(check):
-    assert only(check()).level == "ok"
+@pytest.mark.parametrize("code", [NEW_AV, NO_FORK], ids=["video", "worker"])
+def test_a_library_that_is_there_and_that_the_program_cannot_use(monkeypatch, tmp_path, code):
+    """As PyAV 19 was: it could be imported, knew all codecs, and opened no video for this program."""
+    patched(monkeypatch, tmp_path, code)
+    found = only(doctor.check_tracking())
+    assert found.level == "broken" and found.text and found.cure == doctor.REPORT
 
 
-def test_every_part_of_opencv_that_is_asked_for_is_used():
-    files = [*(ROOT / "bayesnet_track").rglob("*.py"), *(ROOT / "cues").glob("*.py")]
-    code = "".join(file.read_text("utf-8") for file in files if "doctor" not in file.parts)
-    assert [name for name in libraries.NEEDED_OF_OPENCV if f"cv2.{name}" not in code] == []
+@pytest.mark.slow
+def test_ten_frames_work_here():
+    found = only(doctor.check_tracking())
+    assert found.level == "ok" and "the same in a worker process" in found.text
 
 
 def test_a_process_that_hangs_is_given_up():
-    assert try_code("import time; time.sleep(60)", timeout_s=0.2).error == "no answer within 0 s"
-
-
-# ------------------------------------------------------------------------------------ the machine
-
-
-def test_more_threads_than_processors(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", str(machine.processors() + 1))
-    assert only(machine.check_processors()).level == "note"
-    monkeypatch.setenv("OMP_NUM_THREADS", "many")
-    assert only(machine.check_processors()).level == "broken"
-
-
-def test_a_folder_that_cannot_be_written(monkeypatch, tmp_path):
-    monkeypatch.setattr(machine, "_can_write", lambda folder: False)
-    here, temporary = machine.check_folders()
-    assert (here.level, temporary.level) == ("note", "broken") and "TMPDIR" in temporary.cure
-
-
-@pytest.mark.slow
-def test_a_damaged_cache_is_named(monkeypatch, tmp_path):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert only(selftest.check_tracking()).level == "ok"
-    assert only(machine.check_cache()).level == "ok"
-    file = sorted(tmp_path.rglob("*.nbi"))[0]
-    file.write_bytes(file.read_bytes()[:-9])
-    found = only(machine.check_cache())
-    assert found.level == "note" and str(file) in found.cure
-    assert only(selftest.check_tracking()).level == "ok"
+    assert try_code("import time; time.sleep(60)", timeout_s=0.2) == ("", "no answer within 0 s")
 
 
 def test_plug_ins_that_cannot_be_loaded_and_those_that_are_not_even_there(site):
@@ -281,39 +184,39 @@ def test_plug_ins_that_cannot_be_loaded_and_those_that_are_not_even_there(site):
     other = "[bayesnet_track.cues]\ngone = no_such_module:CUE\nthere = present:CUE\n"
     distribution(site, "glow-cue", "1", entry_points__txt=other)
     (site / "present.py").write_text("raise SystemExit('it ran')")
-    first, second = selftest.check_plugins()
+    first, second = doctor.check_plugins()
     assert (first.level, second.level) == ("broken", "broken")
-    assert "cue 'a': AttributeError" in first.text and first.text.endswith("; and 2 more")
-    assert "glow-cue declares the cue 'gone', and no_such_module is not there" in second.text
+    assert "AttributeError" in first.text
+    assert "glow-cue declares 'gone', and no_such_module is not there" in second.text
 
 
 # ------------------------------------------------------------------------------------ the command
 
 
-def test_a_check_that_fails_is_a_finding():
+def test_a_check_that_fails_is_a_finding(monkeypatch):
     def check_the_moon():
         yield Finding("moon", "ok", "up")
         raise OSError("gone")
 
-    assert [one.level for one in examine.examine([check_the_moon])] == ["ok", "broken"]
+    monkeypatch.setattr(doctor, "CHECKS", (check_the_moon,))
+    assert [one.level for one in doctor.examine()] == ["ok", "broken"]
 
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("note", 0), ("broken", 1)])
 def test_the_exit_code(monkeypatch, capsys, level, code):
-    monkeypatch.setattr(examine, "CHECKS", ())
-    monkeypatch.setattr(examine, "examine", lambda: iter([Finding("moon", level, "here", "look up")]))
-    assert examine.doctor(Namespace(json=False)) == code
+    monkeypatch.setattr(doctor, "examine", lambda: iter([Finding("moon", level, "here", "look up")]))
+    assert doctor.doctor(Namespace(json=False)) == code
     assert "moon          here\n                     → look up\n" in capsys.readouterr().out
-    assert examine.doctor(Namespace(json=True)) == code
+    assert doctor.doctor(Namespace(json=True)) == code
     assert json.loads(capsys.readouterr().out)[0]["cure"] == "look up"
 
 
 @pytest.mark.slow
 def test_this_installation_is_well():
     line = [sys.executable, "-m", "bayesnet_track", "doctor", "--json"]
-    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    done = subprocess.run(line, capture_output=True, text=True)
     levels = {one["check"]: one["level"] for one in json.loads(done.stdout)}
-    assert levels["self test"] == levels["plug-ins"] == levels["package"] == "ok"
+    assert levels["ten frames"] == levels["plug-ins"] == levels["versions"] == "ok"
 
 
 @pytest.mark.slow
@@ -327,5 +230,5 @@ def test_it_works_without_any_library(tmp_path):
     assert done.returncode == 1 and "Traceback" not in done.stderr
     found = json.loads(done.stdout)
     broken = {one["check"] for one in found if one["level"] == "broken"}
-    assert {"package", "versions", "numpy", "opencv", "numba", "video", "plug-ins", "self test"} <= broken
+    assert {"package", "versions", "numpy", "cv2", "numba", "av", "plug-ins", "ten frames"} <= broken
     assert all(one["cure"] for one in found if one["level"] == "broken")

@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track import track
 from bayesnet_track.cli import dispatch as commands
-from bayesnet_track.cli.doctor import packages
+from bayesnet_track.cli import doctor
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime import system
 from bayesnet_track.runtime.executors import PlacingError
@@ -67,7 +67,7 @@ def test_a_run_says_so_at_the_start_and_doctor_too(on, monkeypatch, capsys, quie
     assert main(["demo", *quiet.split()]) == 0
     assert capsys.readouterr().err.count("Darwin arm64 is not tested") == times
     assert main(["list"]) == 0 and capsys.readouterr().err == ""
-    found = list(packages.check_system())
+    found = list(doctor.check_system())
     assert [one.level for one in found] == ["note"] and "no limit on memory" in found[0].text
 
 

@@ -235,8 +235,8 @@ def _check_format(path: Path, plain: object) -> None:
     """Refuse a recipe of another format; raises RecipeError."""
     if not isinstance(plain, dict) or plain.get("recipe", RECIPE_VERSION) == RECIPE_VERSION:
         return
-    what = f"format {str(plain['recipe'])[:20]} of run.json; this version reads format {RECIPE_VERSION}"
-    raise RecipeError(f"{path}: {describe_other(what, plain.get('versions'))}")
+    problem = f"format {str(plain['recipe'])[:20]} of run.json; this version reads format {RECIPE_VERSION}"
+    raise RecipeError(f"{path}: {describe_other(problem, plain.get('versions'))}")
 
 
 def make_recipe(

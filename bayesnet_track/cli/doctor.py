@@ -1,0 +1,324 @@
+"""The command `doctor`: versions, and ten frames through the program's own path, each with its cure.
+
+Nothing here imports a library that may be broken: each is tried in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
+
+OURS = "bayesnet-track"
+WHEEL = "opencv-python-headless"
+OPENCV_WHEELS = (WHEEL, "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
+LIBRARIES = {"numpy": "numpy", "cv2": f'"{WHEEL}>=4.9,<6"', "numba": "numba numpy", "av": "av"}
+"""Module -> what pip has to install again where it cannot be imported."""
+EXTRAS = {
+    "matplotlib": ("figures and plots", "figures"),
+    "rerun-sdk": ("the viewer Rerun", "rerun"),
+    "ray": ("batches on a cluster", "ray"),
+    "h5netcdf": ("files for ArviZ", "arviz"),
+    "onnxruntime": ("Siamese networks in less time", "onnx"),
+}
+MARKS = {"ok": "ok     ", "note": "note   ", "broken": "BROKEN "}
+REPORT = "mend what is above; else please report this with the lines above"
+
+_TRACK = """
+import itertools, tempfile
+from pathlib import Path
+from bayesnet_track import Start, open_run, track
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
+from bayesnet_track.runtime.system import has_workers
+from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.sources import open_source
+def play(video, start, out, executor):
+    with open_source(str(video)) as source:
+        run = track("two_squares", source, [Start(start, plate="square")], seed=0, out=out, executor=executor)
+        boxes = [result.targets[0].centre_box for result in run]
+    assert len(open_run(out).metrics) == len(boxes) == 10, f"{len(boxes)} of 10 frames came back"
+    return boxes
+if __name__ == "__main__":
+    scene = make_scene("two_squares", 0)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with VideoWriter(folder / "short.mp4", 320, 240, 1 / 25) as video:
+            for image in itertools.islice(scene.frames, 10):
+                video.write(image)
+        ways = ["serial", "processes" if has_workers() else "serial"]
+        video, start = folder / "short.mp4", scene.start_box
+        first, again = (play(video, start, folder / f"run{n}", way) for n, way in enumerate(ways))
+    share = float(overlap([first[-1]], centre_from_corner(scene.truth[9:10]))[0])
+    assert first == again, "the same seed gives other boxes with agents in a process of their own"
+    assert share > 0.5, f"the target is lost: overlap {share:.2f}"
+    print(f"written as MP4, read, tracked and recorded, the same in a worker process; overlap {share:.2f}")
+"""
+_LOAD = """
+import sys
+from importlib.metadata import entry_points
+for group in sys.argv[1:]:
+    for point in entry_points(group=group):
+        if point.dist is not None and point.dist.name.lower().replace("_", "-") == "bayesnet-track":
+            assert point.load().name, point.name
+"""
+GROUPS = ("bayesnet_track.cues", "bayesnet_track.detectors")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The result of a check.
+
+    Attributes:
+        check: the part of the installation.
+        level: `ok`, `note` (works, but worth knowing) or `broken`.
+        text: the facts.
+        cure: a command or advice; empty if nothing needs to be done.
+    """
+
+    check: str
+    level: Literal["ok", "note", "broken"]
+    text: str
+    cure: str = ""
+
+
+def try_code(code: str, *arguments: str, timeout_s: float = 300.0) -> tuple[str, str]:
+    """Output and error of `code` in a process of its own: a crash or a hang there leaves this one alone.
+
+    The error is the last line that the process complained of; empty if it ended well.
+    """
+    import subprocess
+    import tempfile
+
+    path = os.pathsep.join(folder for folder in sys.path if folder)  # the same package is found there
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8", "PYTHONPATH": path}
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / "trial.py"  # a file: worker processes may import it again
+        script.write_text(code, encoding="utf-8")
+        try:
+            done = subprocess.run(
+                [sys.executable, str(script), *arguments],
+                capture_output=True,
+                timeout=timeout_s,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+            )
+        except subprocess.TimeoutExpired:
+            return "", f"no answer within {timeout_s:.0f} s"
+        except OSError as error:
+            return "", str(error)
+    complaint = (done.stderr.decode("utf-8", "replace").strip().splitlines() or [""])[-1]
+    if done.returncode < 0:
+        complaint = f"the process died of signal {-done.returncode} {complaint}".strip()
+    output = done.stdout.decode("utf-8", "replace").strip()
+    return output, "" if done.returncode == 0 else complaint or f"exit code {done.returncode}"
+
+
+def installed(name: str) -> Distribution | None:
+    """The installed distribution of that name; a build in a checkout is none."""
+    from importlib.metadata import distributions
+
+    found = (one for one in distributions(name=name) if one.read_text("SOURCES.txt") is None)
+    return next((one for one in found if "Version" in one.metadata), None)
+
+
+def check_system() -> Iterator[Finding]:
+    """The interpreter and the operating system."""
+    import platform
+
+    from bayesnet_track.runtime import system
+
+    text = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    if sys.maxsize < 2**32:
+        yield Finding("python", "broken", f"{text}, 32 bits", "install a 64-bit Python")
+    elif missing := system.describe_missing():
+        yield Finding("python", "note", f"{text}: {missing}", "please report what else does not work")
+    else:
+        yield Finding("python", "ok", text)
+
+
+def check_package() -> Iterator[Finding]:
+    """The code that runs is the code that is installed."""
+    import json
+    from urllib.parse import urlparse
+    from urllib.request import url2pathname
+
+    here = Path(__file__).resolve().parents[1]
+    metadata = installed(OURS)
+    install = f"python -m pip install -e {here.parent}"
+    if metadata is None:
+        text = f"runs from {here}, and is not installed: cues, detectors and graphs are not found"
+        yield Finding("package", "broken", text, f"{install}   (or run an installed one elsewhere)")
+        return
+    origin: dict[str, Any] = json.loads(metadata.read_text("direct_url.json") or "{}")
+    home = Path(str(metadata.locate_file("bayesnet_track"))).resolve()
+    if origin.get("dir_info", {}).get("editable"):
+        home = (Path(url2pathname(urlparse(origin["url"]).path)) / "bayesnet_track").resolve()
+    if home != here and (home / "__init__.py").exists():
+        text = f"runs from {here}, which shadows the installed {metadata.version} in {home}"
+        cure = f"start it in another folder, or install this one: {install}"
+        yield Finding("package", "broken", text, cure)
+    else:
+        yield Finding("package", "ok", f"{OURS} {metadata.version} in {here}")
+
+
+def check_versions() -> Iterator[Finding]:
+    """Every package that is needed within its range, those that it needs, and a single wheel of OpenCV."""
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:
+        yield Finding("versions", "broken", "packaging is missing", "python -m pip install packaging")
+        return
+    wrong: dict[str, str] = {}
+    fine = []
+    for needed in map(Requirement, _requires(installed(OURS))):
+        found = _of(needed.name)
+        if found is None:
+            wrong[f"{needed.name} is missing"] = str(needed)
+            continue
+        fine.append(f"{found.name} {found.version}")
+        if not needed.specifier.contains(found.version, prereleases=True):
+            wrong[f"{found.name} {found.version} is not {needed.specifier}"] = str(needed)
+        for inner in map(Requirement, _requires(found)):
+            other = _of(inner.name)
+            if other is not None and not inner.specifier.contains(other.version, prereleases=True):
+                need = f"{inner.name}{inner.specifier}"
+                wrong[f"{found.name} {found.version} needs {need}, not {other.version}"] = need
+    for text, requirement in wrong.items():
+        yield Finding("versions", "broken", text, f'python -m pip install "{requirement}"')
+    if not wrong:
+        yield Finding("versions", "ok" if fine else "note", ", ".join(fine) or "unknown: no metadata")
+    wheels = [found for found in map(installed, OPENCV_WHEELS) if found is not None]
+    if len(wheels) > 1:
+        names = " ".join(found.name for found in wheels)
+        kept = "opencv-contrib-python-headless" if "contrib" in names else WHEEL
+        text = " and ".join(f"{found.name} {found.version}" for found in wheels)
+        text += ": each overwrites files of the other"
+        cure = f'python -m pip uninstall -y {names} && python -m pip install "{kept}>=4.9,<6"'
+        yield Finding("opencv wheels", "broken", text, cure)
+
+
+def _requires(found: Distribution | None) -> Iterator[str]:
+    """The requirements of a distribution that hold here, without extras."""
+    from packaging.requirements import InvalidRequirement, Requirement
+
+    for text in (None if found is None else found.requires) or ():
+        try:
+            marker = Requirement(text).marker
+        except InvalidRequirement:
+            continue
+        if marker is None or marker.evaluate({"extra": ""}):
+            yield text
+
+
+def _of(name: str) -> Distribution | None:
+    """The distribution under the name; any wheel of OpenCV stands for the one that is required."""
+    names = OPENCV_WHEELS if name == WHEEL else (name,)
+    return next((found for found in map(installed, names) if found is not None), None)
+
+
+def check_libraries() -> Iterator[Finding]:
+    """Each library can be imported."""
+    for module, packages in LIBRARIES.items():
+        out, error = try_code(f"import {module}; print({module}.__version__)")
+        cure = f"python -m pip install --force-reinstall {packages}"
+        if "cannot open shared object" in error and module == "cv2":
+            cure = "python -m pip uninstall -y opencv-python opencv-contrib-python && " + cure
+        yield Finding(module, "broken", error, cure) if error else Finding(module, "ok", out)
+
+
+def check_plugins() -> Iterator[Finding]:
+    """Every cue and detector of this package can be loaded; those of other packages are only looked for."""
+    from importlib.metadata import entry_points
+    from importlib.util import find_spec
+
+    _, error = try_code(_LOAD, *GROUPS)
+    points = [point for group in GROUPS for point in entry_points(group=group)]
+    if error or not points:
+        yield Finding("plug-ins", "broken", error or "no cues are declared", "mend what is above first")
+    else:
+        yield Finding("plug-ins", "ok", f"{len(points)} cues and detectors")
+    for point in points:
+        module = point.module.partition(".")[0]
+        if find_spec(module) is None:  # finds the package without running it
+            package = "a package" if point.dist is None else point.dist.name
+            text = f"{package} declares {point.name!r}, and {module} is not there"
+            yield Finding("plug-ins", "broken", text, f"reinstall or uninstall {package}")
+
+
+def check_tracking() -> Iterator[Finding]:
+    """Ten frames by the program's own path: written as MP4, read, tracked, recorded, also in a worker."""
+    out, error = try_code(_TRACK)
+    yield Finding("ten frames", "broken", error, REPORT) if error else Finding("ten frames", "ok", out)
+
+
+def check_extras() -> Iterator[Finding]:
+    """Optional packages, and their purpose."""
+    for name, (purpose, extra) in EXTRAS.items():
+        found = installed(name)
+        if found is None:
+            cure = f'if wanted: python -m pip install "{OURS}[{extra}]"'
+            yield Finding("extra", "note", f"{name} is not installed: {purpose}", cure)
+        else:
+            yield Finding("extra", "ok", f"{name} {found.version}: {purpose}")
+
+
+CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
+    check_system,
+    check_package,
+    check_versions,
+    check_libraries,
+    check_plugins,
+    check_extras,
+    check_tracking,
+)
+
+
+def examine() -> Iterator[Finding]:
+    """The findings of all checks; a check that fails itself is a finding, too."""
+    for check in CHECKS:
+        try:
+            yield from check()
+        except Exception as error:
+            name = check.__name__.removeprefix("check_")
+            yield Finding(name, "broken", f"cannot be checked: {type(error).__name__}: {error}", REPORT)
+
+
+def doctor(options: argparse.Namespace) -> int:
+    """Check the installation; exit code 1 when something is broken."""
+    findings = []
+    for finding in examine():
+        findings.append(finding)
+        if not options.json:
+            cure = f"{'':21}→ {finding.cure}\n" if finding.cure else ""
+            sys.stdout.write(f"{MARKS[finding.level]}{finding.check:13} {finding.text}\n{cure}")
+            sys.stdout.flush()
+    broken = sum(finding.level == "broken" for finding in findings)
+    if options.json:
+        import json
+
+        text = json.dumps([asdict(finding) for finding in findings], indent=2, ensure_ascii=False)
+    else:
+        counted = "1 thing is broken" if broken == 1 else f"{broken} things are broken"
+        text = f"{counted}: begin with the first one" if broken else "everything works"
+    sys.stdout.write(text + "\n")
+    return 1 if broken else 0
+
+
+def add_doctor(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "doctor",
+        help="check the installation, and print how to repair it",
+        description="Check the installation: versions, OpenCV's wheels, plug-ins, and ten frames through the "
+        "program's own path. The exit code is 1 when something is broken. If nothing else works, "
+        "this does: python -m bayesnet_track doctor",
+    )
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")

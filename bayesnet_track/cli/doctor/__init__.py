@@ -1,1 +1,0 @@
-"""Checks of the installation, each with its cure. Nothing here imports a library that may be broken."""
