@@ -101,6 +101,21 @@ class CompiledPlate:
         return None if self.lifecycle is None or self.lifecycle.existence is None else 1.0
 
 
+@dataclass(frozen=True)
+class Stage:
+    """A step that a frame of a graph goes through.
+
+    Attributes:
+        name: what it is.
+        run: batch -> batch (`engine.step.Batch`).
+        calls: the functions that do its work.
+    """
+
+    name: str
+    run: Callable[[Any], Any]
+    calls: tuple[Callable[..., Any], ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Engine:
     """A graph ready to run.
@@ -112,6 +127,7 @@ class Engine:
         clock: seconds, for timings only.
         joins: how targets depend on each other.
         constants: numbers that their factors use by name.
+        stages: what a frame goes through, in order.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -120,26 +136,22 @@ class Engine:
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
+    stages: tuple[Stage, ...] = ()
 
 
-def make_engine(
+def compile_graph(
     graph: CheckedGraph,
     seed: int = 0,
     cues: Mapping[str, CueDeclaration] | None = None,
     motion: Mapping[str, MotionModel] | None = None,
     detectors: Mapping[str, Detector] | None = None,
 ) -> Engine:
-    """Load the cues and detectors of `graph` and make it ready to run.
-
-    `motion` maps plates to motion models of one's own, such as `belief.motion.functions.FunctionMotion`, in
-    place of the graph's: what the language cannot say. The log does not hold them. `detectors` are those that
-    are given from outside, by the names that the graph has for them: `detections`.
+    """The engine of a graph without its stages (`engine.step.make_engine`); without `detectors` it has none.
 
     Raises:
         ValueError: `motion` names a plate that the graph does not have.
         CueError: a cue cannot be made, or is not what its declaration says.
-        DetectorError: a detector cannot be made, the graph asks for `detections` and none are given, or no
-            plate asks for one that is given.
+        DetectorError: a detector cannot be made, or those that are given are not those that are asked for.
     """
     declarations = graph.declarations if cues is None else cues
     own = {} if motion is None else motion
@@ -150,7 +162,8 @@ def make_engine(
         name: _compile_plate(plate, declarations, own.get(name), graph.spec.constants)
         for name, plate in graph.targets.items()
     }
-    made = _make_detectors([one for one in plates.values() if one.detector], detectors or {})
+    with_births = [one for one in plates.values() if one.detector]
+    made = {} if detectors is None else _make_detectors(with_births, detectors)
     return Engine(
         plates, Streams(seed), detectors=made, joins=graph.spec.joins, constants=graph.spec.constants
     )

@@ -1,20 +1,24 @@
 """The engine: one step of every live net for one frame.
 
 It is a function of the engine (graph and seed), the state, the frame and what came from outside; time is read
-for the timings only.
+for the timings only. A step is a loop over the stages of the graph, which are chosen when it is compiled: a
+feature that it does not use is not entered.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
-from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
+from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_targets
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.joining import join_targets
+from bayesnet_track.engine.joining import JointBelief, join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
 from bayesnet_track.engine.outcome import (
@@ -28,10 +32,12 @@ from bayesnet_track.engine.outcome import (
 from bayesnet_track.engine.rows.advancing import advance_rows
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.finding import find_rows
+from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.rows.particle_rows import filter_rows
-from bayesnet_track.engine.scoring.scene_cuts import find_cuts
+from bayesnet_track.engine.scoring.scene_cuts import cut_level, find_cuts
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.statuses import SceneCut
@@ -40,14 +46,18 @@ from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.numerics.streams import birth_key
+from bayesnet_track.observation.cue import CueDeclaration
+from bayesnet_track.observation.detector import Detector
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [
+    "Batch",
     "CompiledPlate",
     "Engine",
     "Outcome",
     "State",
     "TargetState",
+    "compile_stages",
     "finish_first",
     "first_look",
     "make_engine",
@@ -55,6 +65,31 @@ __all__ = [
     "start_target",
     "step",
 ]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """The targets of a frame on their way through its stages.
+
+    Attributes:
+        work: the frame's.
+        state: the state before it.
+        inputs: the external inputs, by whom they concern.
+        targets: target -> its state before the frame, with the detections that it is given.
+        cuts: scene cuts before the frame.
+        associated: the detections, and whose they are.
+        joint: target -> the first half of its frame, with the weights of its joint belief if it has one.
+        outcome: what the frame gave so far.
+    """
+
+    work: FrameWork
+    state: State
+    inputs: ExternalInputs
+    targets: Mapping[str, TargetState]
+    joint: JointBelief
+    outcome: Outcome
+    cuts: tuple[SceneCut, ...] = ()
+    associated: Associated | None = None
 
 
 def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input] = ()) -> Outcome:
@@ -65,50 +100,144 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     """
     if state.previous is not None and not frame.time > state.previous.time:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
-    state, cuts = find_cuts(engine, state, frame)
-    given = route_inputs(engine, state.net, frame.index, external_inputs)
+    batch = _open_frame(engine, state, frame, external_inputs)
+    for stage in engine.stages:
+        batch = stage.run(batch)
+    return with_external_inputs(batch.outcome, batch.inputs)
+
+
+def make_engine(
+    graph: CheckedGraph,
+    seed: int = 0,
+    cues: Mapping[str, CueDeclaration] | None = None,
+    motion: Mapping[str, MotionModel] | None = None,
+    detectors: Mapping[str, Detector] | None = None,
+) -> Engine:
+    """Load the cues and detectors of `graph` and make it ready to run.
+
+    `motion` maps plates to motion models of one's own, such as `belief.motion.functions.FunctionMotion`, in
+    place of the graph's: what the language cannot say. The log does not hold them. `detectors` are those that
+    are given from outside, by the names that the graph has for them: `detections`.
+
+    Raises:
+        ValueError: `motion` names a plate that the graph does not have.
+        CueError: a cue cannot be made, or is not what its declaration says.
+        DetectorError: a detector cannot be made, the graph asks for `detections` and none are given, or no
+            plate asks for one that is given.
+    """
+    engine = compile_graph(graph, seed, cues, motion, detectors or {})
+    return replace(engine, stages=compile_stages(engine))
+
+
+def compile_stages(engine: Engine) -> tuple[Stage, ...]:
+    """The stages of a graph: only what it asks for."""
+    plates = engine.plates.values()
+    by_target = [Stage("filter", filter_targets, (filter_rows, filter_target))]
+    if any(compiled.association_rules for compiled in plates):
+        by_target.insert(0, Stage("associate", associate_targets, (associate_first,)))
+    if any(join.attachment is not None for join in engine.joins):
+        by_target[-1] = Stage("carry and filter", filter_carried, (Rides.of, filter_rows, filter_target))
+    if engine.joins:
+        by_target.append(Stage("join", join, (join_targets,)))
+    by_target.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
+    stages = by_target
+    if any(row_rule(engine, plate) is not None for plate in engine.plates):
+        calls = (find_rows, advance_rows)
+        stages = [Stage("rows", partial(advance, tuple(by_target)), calls)]
+    if any(cut_level(compiled) is not None for compiled in plates):
+        stages.insert(0, Stage("scene cuts", cut_scenes, (find_cuts,)))
+    if any(compiled.lifecycle is not None for compiled in plates):
+        stages.append(Stage("tracks", start_and_end, (manage_tracks,)))
+    if engine.joins:
+        stages.append(Stage("joins", change_joins, (with_joins,)))
+    return (*stages, Stage("load", shed_load, (with_load,)))
+
+
+def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input]) -> Batch:
+    """The batch that the first stage is given."""
+    inputs = route_inputs(engine, state.net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, state.previous))
-    work = FrameWork(engine, state.net, cache, state.history.births, given.availability, given.by_hand)
+    births = state.history.births
+    work = FrameWork(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
+    nothing = JointBelief(Together([], {}, []), state.joins)
+    return Batch(work, state, inputs, state.targets, nothing, Outcome(state, (), ()))
 
-    rows = find_rows(work, state)
+
+def cut_scenes(batch: Batch) -> Batch:
+    """Targets that a scene cut may have moved are lost from the frame on."""
+    state, cuts = find_cuts(batch.work.engine, batch.state, batch.work.frame)
+    work = changed(batch.work, net=state.net)
+    return changed(batch, work=work, state=state, targets=state.targets, cuts=cuts)
+
+
+def advance(by_target: tuple[Stage, ...], batch: Batch) -> Batch:
+    """All targets as rows; in a frame in which something has no place in a row, by the other stages."""
+    rows = find_rows(batch.work, batch.state)
     if rows is not None:
-        return _manage(work, *advance_rows(work, state, rows), given, cuts)
+        outcome, associated = advance_rows(batch.work, batch.state, rows)
+        return _with_outcome(changed(batch, associated=associated), outcome)
+    for stage in by_target:
+        batch = stage.run(batch)
+    return batch
 
-    # Which detections are whose, where agents measure by them
-    associated = associate_first(work, state.targets, state.history)
-    before = state.targets if associated is None else associated.targets
 
-    # Predict and update: by each target's own agents, then together where targets are joined
-    rides = Rides.of(work, state.joins)
-    carriers = rides.carriers.keys()
-    near = {name: one for name, one in before.items() if name not in carriers} if carriers else before
+def associate_targets(batch: Batch) -> Batch:
+    """Detections are divided among targets whose agents measure by them."""
+    associated = associate_first(batch.work, batch.targets, batch.state.history)
+    return changed(batch, associated=associated, targets=associated.targets)
+
+
+def filter_targets(batch: Batch) -> Batch:
+    """Every target is predicted and weighed by its own agents."""
+    alone: dict[str, Filtered] = {}
+    filtered = Together(filter_rows(batch.work, batch.targets), alone, [*batch.targets])
+    for target in filtered.missing():
+        alone[target] = filter_target(batch.work, target, batch.targets[target])
+    return changed(batch, joint=JointBelief(filtered, batch.state.joins))
+
+
+def filter_carried(batch: Batch) -> Batch:
+    """Every target is predicted, after the target that may carry it, and weighed by its own agents."""
+    work, before = batch.work, batch.targets
+    rides = Rides.of(work, batch.state.joins)
+    near = {name: one for name, one in before.items() if name not in rides.carriers}
     alone: dict[str, Filtered] = {}
     filtered = Together(filter_rows(work, near), alone, [*before])
     for target in rides.carriers_first(filtered.missing()):
         if target not in filtered:
             ride = rides.ride(target, before[target], filtered)
             alone[target] = filter_target(work, target, before[target], ride)
-    joint = join_targets(work, state.joins, filtered)
-
-    # Measure, decide, learn, describe
-    results = finish_targets(work, joint.filtered)
-    outcome = carry_out(work, state, results, joint)
-    return _manage(work, outcome, associated, given, cuts)
+    return changed(batch, joint=JointBelief(filtered, batch.state.joins))
 
 
-def _manage(
-    work: FrameWork,
-    outcome: Outcome,
-    associated: Associated | None,
-    given: ExternalInputs,
-    cuts: tuple[SceneCut, ...],
-) -> Outcome:
-    """The outcome after targets start and end, join and part, and load is shed; cuts come first."""
-    outcome = changed(outcome, events=(*cuts, *outcome.events))
-    outcome = manage_tracks(work, outcome, associated)
-    outcome = with_joins(work, outcome)
-    outcome = with_load(work, outcome, given.timing)
-    return with_external_inputs(outcome, given)
+def join(batch: Batch) -> Batch:
+    """Joined targets are weighed together, so that the evidence of a pixel counts once."""
+    return changed(batch, joint=join_targets(batch.work, batch.state.joins, batch.joint.filtered))
+
+
+def finish(batch: Batch) -> Batch:
+    """Every target is measured, judged by the rules, learnt from and described."""
+    results = finish_targets(batch.work, batch.joint.filtered)
+    return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint))
+
+
+def start_and_end(batch: Batch) -> Batch:
+    """Detections become targets, lost targets are found, and nets end."""
+    return changed(batch, outcome=manage_tracks(batch.work, batch.outcome, batch.associated))
+
+
+def change_joins(batch: Batch) -> Batch:
+    """Targets join and part for the next frame."""
+    return changed(batch, outcome=with_joins(batch.work, batch.outcome))
+
+
+def shed_load(batch: Batch) -> Batch:
+    """Work is shed or taken back, where a run has a time budget."""
+    return changed(batch, outcome=with_load(batch.work, batch.outcome, batch.inputs.timing))
+
+
+def _with_outcome(batch: Batch, outcome: Outcome) -> Batch:
+    return changed(batch, outcome=changed(outcome, events=(*batch.cuts, *outcome.events)))
 
 
 def start_target(

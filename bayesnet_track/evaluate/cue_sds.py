@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.compiled import make_engine
+from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner

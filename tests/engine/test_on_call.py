@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.compiled import make_engine
 from bayesnet_track.engine.outcome import State
-from bayesnet_track.engine.step import start_target, step
+from bayesnet_track.engine.step import make_engine, start_target, step
 from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.switches import Scheduled

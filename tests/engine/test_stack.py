@@ -15,7 +15,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.cues.intensity import IntensityCue
 from bayesnet_track.graph.spec import GraphSpec
 
-MOST = 9
+MOST = 10
 IMAGE = np.full((60, 80, 3), 120, np.uint8)
 
 BELIEFS = {
@@ -68,7 +68,7 @@ def stacks(monkeypatch):
 
 
 @pytest.mark.parametrize("name", BELIEFS)
-def test_at_most_nine_calls_lie_between_the_tracker_and_a_cue(name, stacks):
+def test_at_most_ten_calls_lie_between_the_tracker_and_a_cue(name, stacks):
     (*_, deepest) = sorted(stacks(BELIEFS[name]), key=len)
     print("\n".join(("Tracker.update", *deepest, "log_likelihood")))
     assert deepest[0] == "bayesnet_track.engine.step.step"

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.compiled import make_engine
 from bayesnet_track.engine.outcome import Outcome, State
-from bayesnet_track.engine.step import first_look, step
+from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.switches import Scheduled

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -12,6 +14,7 @@ from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:
+    from bayesnet_track.engine.compiled import Stage
     from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 
 
@@ -58,6 +61,12 @@ def graph(options: argparse.Namespace) -> int:
 
     loaded = load_graph(options.graph)
     plates = _plates(loaded, options.target)
+    if options.plan:
+        from bayesnet_track.engine.compiled import compile_graph
+        from bayesnet_track.engine.step import compile_stages
+
+        say("\n".join(_stages(compile_stages(compile_graph(loaded)), "")))
+        return OK
     text = _density if options.formula or options.latex else _plan
     if options.formula or options.latex or not (options.svg or options.png):
         said = [text(plate, _active(plate), options.latex) for plate in plates]
@@ -74,6 +83,18 @@ def graph(options: argparse.Namespace) -> int:
 
         _write(Path(options.png), cv2.imencode(".png", graph_image(plate, active))[1].tobytes())
     return OK
+
+
+def _stages(stages: Iterable[Stage], indent: str) -> Iterator[str]:
+    """A line for each stage, with the module and name of each function that does its work."""
+    for number, stage in enumerate(stages, 1):
+        places = (
+            (call.__module__.removeprefix("bayesnet_track."), call.__qualname__) for call in stage.calls
+        )
+        yield f"{indent}{number}. {stage.name}: {', '.join(map('.'.join, places))}"
+        if isinstance(stage.run, partial):
+            yield f"{indent}   in a frame that does not fit rows:"
+            yield from _stages(stage.run.args[0], f"{indent}   ")
 
 
 def _active(plate: CheckedTarget) -> frozenset[str]:
@@ -179,6 +200,7 @@ def add_graph(commands: argparse._SubParsersAction[Any]) -> None:
     graph.add_argument(
         "--target", metavar="NAME", help="the plate to show (default: all; of a drawing, the first)"
     )
+    graph.add_argument("--plan", action="store_true", help="print the stages that a frame goes through")
     graph.add_argument("--formula", action="store_true", help="print the density that the net stands for")
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
     graph.add_argument("--svg", metavar="FILE", help="draw the net")

@@ -49,13 +49,9 @@ class Associated:
     events: tuple[DetectorFailed | DetectionsCut, ...]
 
 
-def associate_first(
-    work: FrameWork, targets: Mapping[str, TargetState], history: TrackHistory
-) -> Associated | None:
-    """Whose the detections are, for plates with agents that measure by them; None where there are none."""
+def associate_first(work: FrameWork, targets: Mapping[str, TargetState], history: TrackHistory) -> Associated:
+    """Association of detections and targets, for plates with agents that measure by them."""
     net, plates = work.net, work.engine.plates
-    if not any(compiled.association_rules for compiled in plates.values()):
-        return None
     started = work.engine.clock()
     expected = {target: _predict_box(work, target, before) for target, before in targets.items()}
 

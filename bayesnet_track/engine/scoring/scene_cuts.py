@@ -22,8 +22,6 @@ def find_cuts(engine: Engine, state: State, frame: Frame) -> tuple[State, tuple[
 
     A frame that shows no scene, such as a black one, is skipped: the next is compared with the one before it.
     """
-    if all(_level_of(plate) is None for plate in engine.plates.values()):
-        return state, ()
     before, scene = _last_scene(state), describe_scene(frame.image)
     if before is None or scene is None:
         return replace(state, scene=scene or before), ()
@@ -31,7 +29,7 @@ def find_cuts(engine: Engine, state: State, frame: Frame) -> tuple[State, tuple[
     change = compare_scenes(before, scene)
     found: dict[str, SceneCut] = {}
     for target in state.targets:
-        level = _level_of(engine.plates[state.net.targets[target].template])
+        level = cut_level(engine.plates[state.net.targets[target].template])
         if level is not None and change.distance > level:
             found[target] = SceneCut(
                 frame.index, target, change.distance, level, change.colors, change.structure
@@ -50,7 +48,8 @@ def _rule_of(compiled: CompiledPlate) -> Lost | None:
     return compiled.plate.inference(compiled.plate.root).lost
 
 
-def _level_of(compiled: CompiledPlate) -> float | None:
+def cut_level(compiled: CompiledPlate) -> float | None:
+    """Distance of two scenes from which a cut lies between them; None where a plate asks for no cuts."""
     rule = _rule_of(compiled)
     return None if rule is None else rule.scene_cut
 

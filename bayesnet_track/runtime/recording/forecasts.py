@@ -37,8 +37,8 @@ class ForecastWriter(LineFile):
         for line in result.targets:
             if line.target not in result.states:
                 continue
-            known = result.states[line.target], result.births[line.target], line
-            for seen in forecast(forecaster.engine, *known, forecaster.horizon, resizing.tracked):
+            start = result.states[line.target], result.births[line.target], line
+            for seen in forecast(forecaster.engine, *start, forecaster.horizon, resizing.tracked):
                 one = resizing.estimate(seen)
                 self.append(
                     json.dumps(
