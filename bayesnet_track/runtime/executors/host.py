@@ -84,8 +84,6 @@ class AgentHost:
                 return Foreign(numbers) if isinstance(numbers, str) else numbers
             case "measure":
                 return _measurement(returned)
-            case "advance":  # whole nets: bytes
-                return returned
         if returned is None and question.method == "adapt":
             return None
         # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
