@@ -12,10 +12,8 @@ from bayesnet_track.cli.commands.calibrate import parse_board
 from bayesnet_track.cli.commands.detect import read_parameters
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.options.changes import set_values
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins, add_view_options, set_values
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_given
-from bayesnet_track.cli.options.view import add_view_options
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.detector import installed_detectors

@@ -20,9 +20,8 @@ from bayesnet_track.cli.commands.answer import (
     words,
     writing,
 )
-from bayesnet_track.cli.options.arguments import share, whole_number
+from bayesnet_track.cli.options.arguments import add_address_options, share, whole_number
 from bayesnet_track.cli.options.sources import add_range_option, add_size_option
-from bayesnet_track.cli.options.view import add_address_options
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph

@@ -23,10 +23,8 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
     writing,
 )
-from bayesnet_track.cli.options.arguments import seconds, whole_number
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins, add_truth_format, seconds, whole_number
 from bayesnet_track.cli.options.sources import add_range_option, add_size_option
-from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.batch.jobs import Job, Video

@@ -16,7 +16,7 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
     writing,
 )
-from bayesnet_track.cli.options.truths import add_truth_format
+from bayesnet_track.cli.options.arguments import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.compare import Comparison, Total

@@ -15,11 +15,14 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.commands.start_boxes import run_folder
 from bayesnet_track.cli.commands.tracking import track_source
 from bayesnet_track.cli.commands.viewing import open_view
-from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.cli.options.changes import add_set_option, set_values
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import (
+    add_plugins,
+    add_set_option,
+    add_view_options,
+    set_values,
+    whole_number,
+)
 from bayesnet_track.cli.options.runs import add_run_options
-from bayesnet_track.cli.options.view import add_view_options
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.live_view.view import LiveView

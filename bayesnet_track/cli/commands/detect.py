@@ -20,7 +20,7 @@ from bayesnet_track.cli.commands.answer import (
     say,
     users_mistake,
 )
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins
 from bayesnet_track.cli.options.sources import (
     add_depth_options,
     add_size_option,

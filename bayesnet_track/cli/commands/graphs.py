@@ -10,7 +10,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins
 from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:

@@ -15,9 +15,8 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
     writing,
 )
-from bayesnet_track.cli.options.arguments import cells, gradient, share, whole_number
+from bayesnet_track.cli.options.arguments import add_truth_format, cells, gradient, share, whole_number
 from bayesnet_track.cli.options.sources import add_range_option
-from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.numerics.arrays import Floats

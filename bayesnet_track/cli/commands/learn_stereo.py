@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake
 from bayesnet_track.cli.commands.detect import read_parameters
-from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.arguments import add_truth_format, whole_number
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_depth
-from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, words, writing
-from bayesnet_track.cli.options.truths import add_truth_format
+from bayesnet_track.cli.options.arguments import add_truth_format
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

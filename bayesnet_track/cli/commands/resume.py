@@ -11,9 +11,8 @@ from bayesnet_track.cli.commands.answer import OK, complain, say
 from bayesnet_track.cli.commands.tracking import executor_of
 from bayesnet_track.cli.commands.viewing import begin_again, open_view
 from bayesnet_track.cli.following import Narrator, follow
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins, add_view_options
 from bayesnet_track.cli.options.runs import add_checkpoints, add_executor_options, add_output_options
-from bayesnet_track.cli.options.view import add_view_options
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.rundir import RunDirectory

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake
-from bayesnet_track.cli.options.arguments import pixels, whole_number
-from bayesnet_track.cli.options.truths import add_truth_format
+from bayesnet_track.cli.options.arguments import add_truth_format, pixels, whole_number
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, say, users_mistake, writing
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
-from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.cli.options.changes import add_set_option, set_values
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import (
+    add_plugins,
+    add_set_option,
+    add_truth_format,
+    set_values,
+    whole_number,
+)
 from bayesnet_track.cli.options.sources import add_range_option
-from bayesnet_track.cli.options.truths import add_truth_format
 
 if TYPE_CHECKING:
     from bayesnet_track.engine.simulating import Simulated

@@ -17,9 +17,14 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
 from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
-from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.cli.options.changes import add_set_option, set_values
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import (
+    add_plugins,
+    add_set_option,
+    add_truth_format,
+    add_view_options,
+    set_values,
+    whole_number,
+)
 from bayesnet_track.cli.options.runs import (
     add_outside_options,
     add_rerun_option,
@@ -32,8 +37,6 @@ from bayesnet_track.cli.options.sources import (
     add_window_options,
     open_given,
 )
-from bayesnet_track.cli.options.truths import add_truth_format
-from bayesnet_track.cli.options.view import add_view_options
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain, users_mistake
 from bayesnet_track.cli.commands.compare import add_comparison_options
-from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.cli.options.changes import add_set_option, set_values
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins, add_set_option, set_values, whole_number
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph

@@ -20,10 +20,8 @@ from bayesnet_track.cli.fitting.written import (
     used_features,
     write_fitted,
 )
-from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import add_plugins, add_truth_format, whole_number
 from bayesnet_track.cli.options.sources import add_range_option
-from bayesnet_track.cli.options.truths import add_truth_format
 from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.sources.entrances.notices import notice
