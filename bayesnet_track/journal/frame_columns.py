@@ -78,25 +78,25 @@ def narrowed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Without the columns that say nothing, floats in single precision where that holds them."""
     floats = [name for name, column in columns.items() if column.dtype.kind == "f" and column.ndim]
     rows = [columns[name].reshape(-1, columns[name].shape[-1]) for name in floats]
-    every = np.concatenate(rows, axis=0, dtype=np.float64)
-    size = np.abs(every)
+    doubles = np.concatenate(rows, axis=0, dtype=np.float64)
+    size = np.abs(doubles)
     beyond = ((size > _LARGEST) & (size < np.inf)) | ((size < _LEAST) & (size > 0.0))
     is_wide: list[bool] = np.any(beyond, axis=1).tolist()
-    is_empty: list[bool] = np.all(is_absent(every), axis=1).tolist()
+    is_empty: list[bool] = np.all(is_absent(doubles), axis=1).tolist()
     with np.errstate(over="ignore"):
-        single = every.astype("<f4")
-    kept = {name: column for name, column in columns.items() if column.dtype.kind != "f" or not column.ndim}
+        single = doubles.astype("<f4")
+    narrow = {name: column for name, column in columns.items() if column.dtype.kind != "f" or not column.ndim}
     start = 0
     for name, row in zip(floats, rows, strict=True):
         end = start + len(row)
         if not all(is_empty[start:end]) and (name != "angle" or row.any()):
-            chosen = every if any(is_wide[start:end]) else single
-            kept[name] = chosen[start:end].reshape(columns[name].shape)
+            numbers = doubles if any(is_wide[start:end]) else single
+            narrow[name] = numbers[start:end].reshape(columns[name].shape)
         start = end
     for name in ("silent", "join"):
-        if name in kept and not any(kept[name].tolist()):
-            del kept[name]
-    return {name: kept[name] for name in columns if name in kept}
+        if name in narrow and not any(narrow[name].tolist()):
+            del narrow[name]
+    return {name: narrow[name] for name in columns if name in narrow}
 
 
 def lines_of(columns: Columns) -> Iterator[FrameMetrics]:
@@ -137,7 +137,7 @@ def region_of(columns: Columns, name: str) -> NDArray[np.float64]:
 
 
 def is_absent(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where a column of floats has no value."""
+    """Mask of the values that a column of floats does not have."""
     nothing = np.isnan(values)
     if nothing.any():
         size = values.dtype.itemsize
@@ -172,8 +172,8 @@ def _gaussian(centre: NDArray[Any], sd: NDArray[Any], share: float) -> NDArray[n
 
 
 def _is_gaussian(region: NDArray[Any], centre: NDArray[Any], sd: NDArray[Any], share: float) -> bool:
-    apart = np.abs(region - _gaussian(centre, sd, share))
-    return bool((apart <= _BETWEEN * (1.0 + np.repeat(sd[:2], 2, axis=0))).all())
+    distance = np.abs(region - _gaussian(centre, sd, share))
+    return bool((distance <= _BETWEEN * (1.0 + np.repeat(sd[:2], 2, axis=0))).all())
 
 
 def _optional(values: Sequence[float | None]) -> NDArray[np.float64]:
@@ -202,14 +202,14 @@ def _nullable(columns: Columns, name: str, count: int) -> list[float | None]:
 
 
 def _mappings(columns: Columns, field: str, count: int) -> list[dict[str, float]]:
-    found: list[dict[str, float]] = [{} for _ in range(count)]
+    mappings: list[dict[str, float]] = [{} for _ in range(count)]
     for name in columns:
         if name.startswith(f"{field}/"):
             key = name[len(field) + 1 :]
-            for row, value in zip(found, _nullable(columns, name, count), strict=True):
+            for row, value in zip(mappings, _nullable(columns, name, count), strict=True):
                 if value is not None:
                     row[key] = value
-    return found
+    return mappings
 
 
 def _words(columns: Columns, name: str, count: int) -> list[tuple[str, ...]]:
@@ -241,17 +241,17 @@ def _parts(lines: Sequence[FrameMetrics]) -> dict[str, NDArray[Any]]:
 
 
 def _parts_of(columns: Columns, count: int) -> list[dict[str, PartMetrics]]:
-    found: list[dict[str, PartMetrics]] = [{} for _ in range(count)]
+    rows: list[dict[str, PartMetrics]] = [{} for _ in range(count)]
     for column in columns:
         if not (column.startswith("parts/") and column.endswith("/status")):
             continue
         name = column[len("parts/") : -len("/status")]
         boxes, sds = (_fours(columns[f"parts/{name}/{key}"], count) for key in ("box", "sd"))
         uds = _single(columns, f"parts/{name}/ud_px2", count)
-        for row, box, sd, ud, status in zip(found, boxes, sds, uds, strings(columns[column]), strict=True):
+        for row, box, sd, ud, status in zip(rows, boxes, sds, uds, strings(columns[column]), strict=True):
             if status:
                 row[name] = PartMetrics(box, sd, ud, status)
-    return found
+    return rows
 
 
 def _clouds(lines: Sequence[FrameMetrics]) -> dict[str, NDArray[Any]]:

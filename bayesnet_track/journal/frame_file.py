@@ -49,7 +49,7 @@ _NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a frame's record is.
+    """Place of a frame's record in the file.
 
     Attributes:
         frame: number of the frame.
@@ -80,7 +80,7 @@ class FrameWriter(LineFile):
         """Add the columns of one frame to the next flush."""
         self._records.append(record(columns))
 
-    def _taken(self) -> bytes:
+    def _pending(self) -> bytes:
         data = b"".join(self._records)
         self._records.clear()
         return data
@@ -129,8 +129,8 @@ class FrameFile:
 
     def lines(self, places: Sequence[Place] | None = None) -> Iterator[FrameMetrics]:
         """The lines of some frames, or of all, in order."""
-        chosen = self.places if places is None else places
-        for place, columns in zip(chosen, self.columns(chosen), strict=True):
+        wanted_places = self.places if places is None else places
+        for place, columns in zip(wanted_places, self.columns(wanted_places), strict=True):
             try:
                 lines = list(lines_of(columns))
             except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as error:
@@ -158,8 +158,8 @@ def unpacked(data: bytes) -> Columns:
     if len(content) != start + length:
         raise ValueError(f"{len(content) - start} bytes of columns, not {length}")
     return {
-        name: np.frombuffer(content, kind, size, start + at).reshape(shape)
-        for name, kind, shape, size, at in fields
+        name: np.frombuffer(content, kind, size, start + offset).reshape(shape)
+        for name, kind, shape, size, offset in fields
     }
 
 
@@ -184,7 +184,7 @@ def _places(file: FileIO, path: Path, notice: Notice | None) -> Iterator[Place]:
 
 @lru_cache(maxsize=256)
 def _header(kind: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
-    """What stands before the data of an array of one element with these fields."""
+    """Header of an array of one element with these fields."""
     array = np.zeros((), np.dtype([*kind]))
     text = io.BytesIO()
     with warnings.catch_warnings():
@@ -212,11 +212,11 @@ def _fields(header: bytes) -> tuple[list[tuple[str, Any, tuple[int, ...], int, i
         kind = _kind_of(header)
         fields = []
         for name in kind.names or ():
-            field, at = (kind.fields or _NO_FIELDS)[name][:2]
+            field, offset = (kind.fields or _NO_FIELDS)[name][:2]
             base, shape = field.subdtype or (field, ())
             if base.kind not in "fiS" or not base.itemsize:
                 raise ValueError(f"column {name} of type {base}")
-            fields.append((name, base, shape, int(np.prod(shape, dtype=np.int64)), at))
+            fields.append((name, base, shape, int(np.prod(shape, dtype=np.int64)), offset))
     except (tokenize.TokenError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise ValueError(f"not the header of an array: {error}") from error
     return fields, kind.itemsize

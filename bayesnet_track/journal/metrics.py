@@ -10,7 +10,7 @@ from bayesnet_track.journal.boxed import Boxed
 
 @dataclass(frozen=True, repr=False)
 class PartMetrics(Boxed):
-    """What was measured for one part of a target in one frame.
+    """Measurements of one part of a target in one frame.
 
     Attributes:
         centre_box: estimate, the mean of the part's belief given all that was seen, centre box x, y, w, h in
@@ -32,7 +32,7 @@ class PartMetrics(Boxed):
 
 @dataclass(frozen=True)
 class JoinMetrics:
-    """What a joint belief says of one target in one frame.
+    """Results of a joint belief of one target in one frame.
 
     Attributes:
         others: targets that it is joined with.
@@ -53,7 +53,7 @@ class JoinMetrics:
 
 @dataclass(frozen=True, repr=False)
 class FrameMetrics(Boxed):
-    """What was measured for one target in one frame.
+    """Measurements of one target in one frame.
 
     Attributes:
         frame: frame index.

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bayesnet_track.journal.encoder import JournalError
-from bayesnet_track.journal.line_checks import MOST
+from bayesnet_track.journal.reader import MOST
 
 
 def read_seconds(path: Path) -> Iterator[tuple[int, float]]:

@@ -40,12 +40,12 @@ def read_position(path: Path, size: int | None = None) -> Position:
     Raises:
         OSError: it cannot be read.
     """
-    digest, done = hashlib.sha256(), 0
+    digest, count = hashlib.sha256(), 0
     with path.open("rb") as file:
-        while part := file.read(1 << 20 if size is None else min(1 << 20, size - done)):
+        while part := file.read(1 << 20 if size is None else min(1 << 20, size - count)):
             digest.update(part)
-            done += len(part)
-    return Position(done, digest.hexdigest())
+            count += len(part)
+    return Position(count, digest.hexdigest())
 
 
 class LineFile:
@@ -112,28 +112,28 @@ class LineFile:
         """Add a line (without its newline) to the next flush."""
         self._lines.append(line)
 
-    def _taken(self) -> bytes:
-        """What was added since the last flush."""
+    def _pending(self) -> bytes:
+        """Lines since the last flush."""
         data = "".join([f"{line}\n" for line in self._lines]).encode("utf-8")
         self._lines.clear()
         return data
 
     def flush(self) -> None:
         """Hand every line added so far to the operating system."""
-        data = memoryview(self._taken())
+        data = memoryview(self._pending())
         if not data:
             return
         self.check()
-        done = 0
+        count = 0
         try:
-            while done < len(data):
-                done += self._file.write(data[done:]) or 0
+            while count < len(data):
+                count += self._file.write(data[count:]) or 0
         except OSError as error:
             with suppress(OSError):
                 self._file.truncate(self._size)
                 self._file.seek(self._size)
             raise output_error(self.path, error) from error
-        self._size += done
+        self._size += count
         self._digest.update(data)
 
     def close(self) -> None:

@@ -14,8 +14,8 @@ from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
 from bayesnet_track.journal.events.statuses import FoundAgain, StatusChanged
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.line_checks import MOST, check_line
 from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.reader import MOST, check_line
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away
