@@ -74,13 +74,17 @@ def field_kind(name: str) -> Kind:
     """A tracker of `trackers`, with its defaults."""
     import supervision
     import trackers
-    from trackers.utils.state_representations import XYXYStateEstimator
+
+    def oc_sort_of_corners() -> Any:
+        from trackers.utils.state_representations import XYXYStateEstimator  # of version 2.6
+
+        return trackers.OCSORTTracker(state_estimator_class=XYXYStateEstimator)
 
     kinds: dict[str, Callable[[], Any]] = {
         "SORT": trackers.SORTTracker,
         "ByteTrack": trackers.ByteTrackTracker,
         "OC-SORT": trackers.OCSORTTracker,
-        "OC-SORT, corners": lambda: trackers.OCSORTTracker(state_estimator_class=XYXYStateEstimator),
+        "OC-SORT, corners": oc_sort_of_corners,
     }
 
     def prepare(rows: Any) -> Any:
