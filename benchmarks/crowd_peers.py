@@ -75,17 +75,13 @@ def field_kind(name: str) -> Kind:
     import supervision
     import trackers
 
-    def oc_sort_of_corners() -> Any:
+    kinds = {"SORT": "SORTTracker", "ByteTrack": "ByteTrackTracker", "OC-SORT": "OCSORTTracker"}
+    settings: dict[str, Any] = {}
+    if name == "OC-SORT, corners":
         from trackers.utils.state_representations import XYXYStateEstimator  # of version 2.6
 
-        return trackers.OCSORTTracker(state_estimator_class=XYXYStateEstimator)
-
-    kinds: dict[str, Callable[[], Any]] = {
-        "SORT": trackers.SORTTracker,
-        "ByteTrack": trackers.ByteTrackTracker,
-        "OC-SORT": trackers.OCSORTTracker,
-        "OC-SORT, corners": oc_sort_of_corners,
-    }
+        settings["state_estimator_class"] = XYXYStateEstimator
+    tracker = getattr(trackers, kinds[name.partition(",")[0]])(**settings)
 
     def prepare(rows: Any) -> Any:
         # Double precision, so that a score of 0.7 is not below 0.7.
@@ -96,7 +92,7 @@ def field_kind(name: str) -> Kind:
         ids = [] if found.tracker_id is None else found.tracker_id.tolist()
         return [[i, *box] for i, box in zip(ids, found.xyxy.tolist(), strict=True) if i >= 0] if ids else []
 
-    return Kind(prepare, kinds[name]().update, read)
+    return Kind(prepare, tracker.update, read)
 
 
 def stone_soup(size: Sequence[int], detected: float, clutter: float) -> Kind:
