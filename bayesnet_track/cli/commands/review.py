@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,14 @@ from bayesnet_track.cli.options.arguments import add_truth_format, pixels, whole
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event
+    from bayesnet_track.journal.metrics import FrameMetrics
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
 def log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
-    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.journal.reader import read_events
     from bayesnet_track.journal.text.explain import has_several_targets, why
     from bayesnet_track.journal.text.folding import narrate_all
     from bayesnet_track.journal.text.naming import kinds_of, name_targets, narrate
@@ -39,7 +40,7 @@ def log(options: argparse.Namespace) -> int:
         with users_mistake():
             check_target(events, options.target)
     if options.why is not None or (options.target is not None and not given):
-        metrics = list(read_metrics(directory.frames, complain))
+        metrics = _lines(directory, options.why)
         with users_mistake():
             if options.why is None:
                 account = describe_life(events, metrics, options.target)
@@ -62,6 +63,19 @@ def log(options: argparse.Namespace) -> int:
     for line in lines:
         say(line)
     return OK
+
+
+def _lines(directory: RunDirectory, frame: int | None) -> Iterator[FrameMetrics]:
+    """Measurements of one frame; of the first and the last if the run has none of it; of all without one."""
+    from bayesnet_track.journal.frame_file import FrameFile
+    from bayesnet_track.journal.reader import read_metrics
+
+    if frame is None:
+        yield from read_metrics(directory.frames, complain)
+        return
+    file = FrameFile(directory.frames, complain)
+    places = [place for place in file.places if place.frame == frame]
+    yield from file.lines(places or [*file.places[:1], *file.places[-1:]])
 
 
 def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[Event]:
