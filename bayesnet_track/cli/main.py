@@ -62,9 +62,10 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
             return doctor(options)
         from bayesnet_track.cli import dispatch as commands
         from bayesnet_track.cli.commands.answer import complain
+        from bayesnet_track.observation.settings import by_command_line
         from bayesnet_track.sources.entrances.notices import heard
 
-        with heard(complain):
+        with heard(complain), by_command_line():
             code = commands.call(options)
         sys.stdout.flush()
         return code

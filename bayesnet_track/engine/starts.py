@@ -20,6 +20,7 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.stereo_source import WAYS
@@ -157,7 +158,8 @@ def say_blank(frame: Frame, starts: Sequence[Start]) -> None:
     if least == most or (not frame.has_color and most - least <= NOISE) or most <= NOISE:
         notice(
             f"frame {frame.index}, in which the target starts, shows nothing: its values are "
-            f"{least if least == most else f'{least} to {most}'} everywhere; start in another one (--start N)"
+            f"{least if least == most else f'{least} to {most}'} everywhere; start in another one "
+            f"({setting('--start', 'N')})"
         )
 
 

@@ -21,6 +21,7 @@ from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.misfits import explain_places
 from bayesnet_track.sources.entrances.notices import notice
 
@@ -98,7 +99,7 @@ def say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
         return
     left = f"frames {rows} to {ran.stop - 1}" if rows < ran.stop else f"rows {ran.stop} to {rows - 1}"
     asked = rows > ran.stop and _has_end(folder)
-    question = "as --end says." if asked else "is it of this video?"
+    question = f"as {setting('--end')} says." if asked else "is it of this video?"
     notice(
         f"{truth_path} has {rows} rows, the run {len(ran)} frames: {question} Not scored: {left}, counted "
         "from 0"

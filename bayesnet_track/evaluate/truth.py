@@ -10,6 +10,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.column_names import CORNERS, is_kitti, layout_of, plain
 from bayesnet_track.sources.entrances.line_forms import (
     count_up,
@@ -195,13 +196,13 @@ def _refuse_other_readings(boxes: Floats, rows: list[list[float]], name: str) ->
     if len(rows[0]) == 4 and count_up(first[:, 0]) and (first[:, 1] % 1 == 0).all():
         raise ValueError(
             f"{name}: lines of 4 numbers of which the first counts up: boxes x,y,w,h of a target that moves "
-            "1 px a frame, or frame numbers; say which: --truth-format boxes, form= in Python, or a header "
+            f"1 px a frame, or frame numbers; say which: {setting('--truth-format', 'boxes')}, or a header "
             "line x,y,w,h or frame,x,y,w,h"
         )
     refuse_corners(
         boxes,
         name,
-        "--truth-format boxes or corners, form= in Python, or a header line x,y,w,h or x1,y1,x2,y2",
+        f"{setting('--truth-format', 'boxes or corners')}, or a header line x,y,w,h or x1,y1,x2,y2",
     )
 
 

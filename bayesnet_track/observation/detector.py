@@ -20,6 +20,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.guests import real_numbers
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.plugins import installed
+from bayesnet_track.observation.settings import setting
 
 ENTRY_POINT_GROUP = "bayesnet_track.detectors"
 
@@ -195,4 +196,5 @@ def detectors_of_graphs(named: Iterable[str] = ()) -> Mapping[str, DetectorDecla
 
 
 def _not_given(parameters: DetectorParameters) -> Detector:
-    raise DetectorError(f"the graph has births by {GIVEN}, and no file of them is given (--detections FILE)")
+    way = setting("--detections", "FILE")
+    raise DetectorError(f"the graph has births by {GIVEN}, and no file of them is given ({way})")

@@ -14,6 +14,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.misfits import LONG, LONG_SHARE, QUESTION, explain_corners
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.vision.detectors.left_out import left_out
@@ -65,10 +66,10 @@ def explain_unused(graph: CheckedGraph, found: Found, size: tuple[int, int], fra
     first = min(read, default=0)
     step = gcd(*(index - first for index in read))
     if step > frames.step:
-        begin = f"--start {first} " if first != frames.start else ""
+        begin = f"{setting('--start', str(first))} " if first != frames.start else ""
         yield (
             f"only one frame in {step} has detections, and in the others nobody is detected: "
-            f"{begin}--stride {step} reads only those that have some"
+            f"{begin}{setting('--stride', str(step))} reads only those that have some"
         )
     yield from _explain_places(read, size)
     total = sum(map(len, read.values()))

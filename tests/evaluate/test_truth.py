@@ -140,7 +140,7 @@ BOTH = {
 
 @pytest.mark.parametrize("pattern", BOTH)
 def test_lines_with_two_readings_are_refused_and_both_named(pattern):
-    with pytest.raises(ValueError, match="--truth-format") as error:
+    with pytest.raises(ValueError, match="form=") as error:
         parse_truth(lines_of(pattern), "truth.txt")
     assert all(reading in str(error.value) for reading in BOTH[pattern])
     assert len(parse_truth(lines_of(pattern), form="boxes")) == len(MOVING)
@@ -149,7 +149,7 @@ def test_lines_with_two_readings_are_refused_and_both_named(pattern):
 def test_mot_whose_lines_are_rectangles_too_is_refused():
     """Line n is a rectangle with the corners n,1 and conf,class, so that both readings hold."""
     text = "".join(f"{n},1,{n + 50},1,{50 + 1},31,1,31\n" for n in range(1, 9))
-    with pytest.raises(ValueError, match=r"can be MOT .* or polygons .*--truth-format mot or polygons"):
+    with pytest.raises(ValueError, match=r"can be MOT .* or polygons .*form=mot or polygons"):
         parse_truth(text)
     assert parse_truth(text, form="mot")[0].tolist() == [51, 1, 51, 31]
     assert parse_truth(text, form="polygons")[0].tolist() == [1, 1, 50, 30]

@@ -12,7 +12,7 @@ from bayesnet_track.runtime.unused_detections import explain_unused
 SEEN = Detections(np.array([[20.0, 30.0, 20.0, 20.0]]), np.ones(1), ("",))
 POOR = Detections(np.array([[20.0, 30.0, 20.0, 20.0]]), np.array([0.1]), ("",))
 SPARSE = (
-    "only one frame in 3 has detections, and in the others nobody is detected: --start 1 --stride 3 reads "
+    "only one frame in 3 has detections, and in the others nobody is detected: start=1 stride=3 reads "
     "only those that have some"
 )
 

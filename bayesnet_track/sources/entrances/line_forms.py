@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.observation.settings import setting
 
 LEAST_LINES = 3
 """With fewer lines nothing is said about how numbers change."""
@@ -39,15 +40,15 @@ def is_mot_of_8(rows: Floats, name: str) -> bool:
     if can_be_mot and (rectangles or (convex and not is_flag)):
         raise ValueError(
             f"{name}: lines of 8 numbers that can be MOT (frame,id,left,top,width,height,confidence,class) "
-            "or polygons (x1,y1,..,x4,y4); say which: --truth-format mot or polygons, form= in Python, or a "
-            "header line of these names"
+            "or polygons (x1,y1,..,x4,y4); say which: "
+            f"{setting('--truth-format', 'mot or polygons')}, or a header line of these names"
         )
     if not can_be_mot and len(rows) >= LEAST_LINES and float(_are_convex(points).mean()) < 0.5:
         tenths = " or boxes of 4 numbers with decimal commas (write points);" if (rows % 1 == 0).all() else ""
         raise ValueError(
             f"{name}: lines of 8 numbers that are polygons (x1,y1,..,x4,y4) whose sides cross;{tenths} and "
-            "no MOT (frame,id,left,top,width,height,confidence,class); say --truth-format polygons or mot, "
-            "form= in Python, or write a header line of names"
+            "no MOT (frame,id,left,top,width,height,confidence,class); say "
+            f"{setting('--truth-format', 'polygons or mot')}, or write a header line of names"
         )
     return can_be_mot
 

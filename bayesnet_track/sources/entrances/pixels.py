@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.observation.settings import setting
+
 ValueRange = tuple[float, float]
 """The values that become 0 and 255; what lies beyond becomes one of them."""
 
@@ -90,7 +92,7 @@ def middle_of(values: NDArray[Any]) -> ValueRange:
 def flag_of(value_range: Sequence[float]) -> str:
     """How a range is given."""
     low, high = (text_of(value) for value in value_range)
-    return f"--range {low},{high}, in Python value_range=({low}, {high})"
+    return setting("--range", f"{low},{high}", f"({low}, {high})")
 
 
 def text_of(value: Any) -> str:

@@ -91,7 +91,7 @@ NO_FRAMES = [
     ),
     (np.stack([np.dstack([scene(np.uint8)] * 3)] * 5), r"5 images: give them one by one, frame\[0\] first"),
     (scene(np.int64), r"0 to 255 are black to white, frame.astype\(numpy.uint8\)"),
-    (scene(np.float64) / 255, r"need a range: --range 0,1, in Python value_range=\(0, 1\)"),
+    (scene(np.float64) / 255, r"need a range: value_range=\(0, 1\)"),
     (np.dstack([scene(np.uint8)] * 2), r"two channels: frame\[..., 0\]"),
     (np.dstack([scene(np.uint8)] * 5), "takes three channels, blue, green and red, of several"),
     (scene(np.complex64), r"frame.astype\(numpy.uint8\) makes 8 bits"),
