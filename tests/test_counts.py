@@ -1,7 +1,7 @@
 """Counts of the house that may only fall, room by room: files, vague names, docstrings, lonely functions.
 
-`tests/ceilings.json` holds their limits. `python tests/test_counts.py [ROOM ...]` lowers those whose counts have
-fallen, and raises none.
+`tests/ceilings.json` holds their limits. `python tests/test_counts.py [ROOM ...]` lowers those whose counts
+have fallen, and raises none.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables of the run page: columns of numbers as bytes, events in words, the graph with places of its nodes."""
+"""Tables of the run page: columns as bytes, events in words, the graph with places of its nodes."""
 
 from __future__ import annotations
 

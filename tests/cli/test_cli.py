@@ -543,13 +543,13 @@ MISTAKES = {
     ),
     "run general --source {images} --out {out} --init-from {images}/none.txt": (
         2,
-        "bayesnet-track run: --init-from {images}/none.txt: No such file or directory; expected a text file "
-        "with one box x,y,w,h per line",
+        "bayesnet-track run: --init-from {images}/none.txt: No such file or directory; expected a text "
+        "file with one box x,y,w,h per line",
     ),
     "run general --source {images} --out {out} --init-from {wrong}/binary": (
         2,
-        "bayesnet-track run: --init-from {wrong}/binary: not a text file (a JPEG image); expected a text file "
-        "with one box x,y,w,h per line",
+        "bayesnet-track run: --init-from {wrong}/binary: not a text file (a JPEG image); expected a text "
+        "file with one box x,y,w,h per line",
     ),
     "run general --source {images} --out {out} --init-from {wrong}/none --seeds 2": (
         2,
@@ -563,13 +563,13 @@ MISTAKES = {
     ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/none": (
         2,
-        "bayesnet-track run: --detections {wrong}/none: No such file or directory; expected a text file "
-        "with MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
+        "bayesnet-track run: --detections {wrong}/none: No such file or directory; expected a text "
+        "file with MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
     ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/binary": (
         2,
-        "bayesnet-track run: --detections {wrong}/binary: not a text file (a JPEG image); expected a text file "
-        "with MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
+        "bayesnet-track run: --detections {wrong}/binary: not a text file (a JPEG image); expected a text "
+        "file with MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
     ),
     "batch general --list {wrong}/binary --out {out}": (
         2,
