@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -129,8 +130,7 @@ def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools
     from bayesnet_track.numerics.kernels.judging_kernels import extend_streaks
 
     layout, count = memory.layout, len(memory)
-    memory = _with_contributions(inputs, memory)
-    memory = changed(memory, baselines=_with_uds(inputs, memory))
+    memory = _with_contributions(inputs, memory, _with_uds(inputs, memory))
     shape = memory.counts.shape
     streaks = Streaks(np.zeros(shape, np.bool_), np.zeros(shape), np.zeros(shape, np.bool_))
     _check_selves(inputs, memory, streaks)
@@ -170,8 +170,10 @@ class Streaks:
     keeps: Bools
 
 
-def _with_contributions(inputs: RuleColumns, memory: RuleMemory) -> RuleMemory:
-    """With what the active agents contributed."""
+def _with_contributions(
+    inputs: RuleColumns, memory: RuleMemory, baselines: Mapping[tuple[str, frozenset[str]], Baseline]
+) -> RuleMemory:
+    """With what the active agents contributed, and the frame's baselines."""
     layout = memory.layout
     if tuple(inputs.agents) == tuple(layout.agents):
         nats, frames = memory.nats + inputs.nats, memory.frames + 1
@@ -191,7 +193,7 @@ def _with_contributions(inputs: RuleColumns, memory: RuleMemory) -> RuleMemory:
                 {**rate, node: rate.get(node, Worth()).after(contribution, frames_kept)}
                 for rate, contribution in zip(rates, contributions, strict=True)
             )
-    return changed(memory, nats=nats, frames=frames, worth=rates)
+    return changed(memory, nats=nats, frames=frames, worth=rates, baselines=baselines)
 
 
 def _with_uds(inputs: RuleColumns, memory: RuleMemory) -> Mapping[tuple[str, frozenset[str]], Baseline]:
@@ -210,8 +212,7 @@ def _with_uds(inputs: RuleColumns, memory: RuleMemory) -> Mapping[tuple[str, fro
     return baselines
 
 
-@dataclass(frozen=True, eq=False)
-class _Reading:
+class _Reading(NamedTuple):
     """A rule's condition applied to T beliefs: (T,) values, and which lie above and below the level."""
 
     values: Floats
@@ -227,6 +228,9 @@ def _read(
 
     Beside more agents than are on, the baseline of these counts where that of so few is unknown.
     """
+    if level is not None and level.kind == "ud_px2":
+        values = inputs.uds[node]
+        return _Reading(values, values > level.settings, values < level.settings)
     if level is not None:
         scale = _scale(inputs, memory, node, level)
         if beside_more and level.kind == "ud_baseline":
@@ -256,8 +260,7 @@ def _scale(inputs: RuleColumns, memory: RuleMemory, node: str, level: Level) -> 
 
 
 def _in_unit(ud_px2: Floats, scale: Floats) -> Floats:
-    is_known = scale > 0.0
-    return np.where(is_known, ud_px2 / np.where(is_known, scale, 1.0), np.nan)
+    return np.asarray(np.divide(ud_px2, scale, out=np.full(len(scale), np.nan), where=scale > 0.0))
 
 
 def _check_selves(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> None:
@@ -329,18 +332,20 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
         fits |= inputs.hidden >= 0.5
     if inputs.is_hidden is not None:
         fits[:] = True
-    looks_found, values = fits & ~is_wide, np.nan_to_num(reading.values, copy=False)
+    looks_found, values = fits & ~is_wide, np.where(np.isnan(reading.values), 0.0, reading.values)
     for streak, holds, numbers in (
         (LOST, ~looks_found, np.where(fits, values, np.inf)),
         (UNFIT, ~looks_found, np.where(is_wide, -np.inf, inputs.fits)),
         (FOUND, looks_found, values),
     ):
         streaks.holds[:, columns[streak]], streaks.values[:, columns[streak]] = holds, numbers
-    streaks.keeps[:, [columns[SEEN], columns[UNSURE]]] = True
+    streaks.keeps[:, columns[SEEN]] = streaks.keeps[:, columns[UNSURE]] = True
 
 
 def _due(inputs: RuleColumns, counts: Ints, frames: int, two_levels: bool) -> Bools:
     """(T,) whose status may change."""
+    if inputs.is_hidden is None and not two_levels and not inputs.statuses.any():
+        return np.asarray(counts[:, 0] >= frames)  # the usual case: all are tracked
     lost, _, found, seen, unsure = (counts[:, : len(STATUS_STREAKS)] >= frames).T
     is_lost = inputs.statuses == STATUSES.index("lost")
     is_due = np.where(is_lost, found, lost)

@@ -129,20 +129,22 @@ class StepArrays:
         """Those of steps with the same key."""
         evidence, columns = steps[0].evidence, [BOX_FIELDS.index(name) for name in _ud_fields(target)]
         messages = {
-            name: np.array([step.evidence.messages[name] for step in steps]) for name in evidence.messages
+            name: _stack([step.evidence.messages[name] for step in steps]) for name in evidence.messages
         }
-        factors = {
-            name: np.array([step.evidence.factors[name] for step in steps]) for name in evidence.factors
-        }
+        factors = {name: _stack([step.evidence.factors[name] for step in steps]) for name in evidence.factors}
         return cls(
             [one.agent for one in plan.observations if one.agent in messages],
             silent_of(evidence),
             messages | factors,
-            np.array([step.prior.log for step in steps]),
-            np.array([step.support.weights.log for step in steps]),
-            np.array([step.support.boxes for step in steps]),
+            _stack([step.prior.log for step in steps]),
+            _stack([step.support.weights.log for step in steps]),
+            _stack([step.support.boxes for step in steps]),
             [step.posterior.uncertainty(step.map_state, columns) for step in steps],
         )
+
+
+def _stack(arrays: list[Floats]) -> Floats:
+    return arrays[0][None] if len(arrays) == 1 else np.array(arrays)
 
 
 def silent_of(evidence: Evidence) -> tuple[str, ...]:
