@@ -17,6 +17,8 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
         RUN: (
             "cli.batch.table.read_table",
             "evaluate.runs._has_end",
+            "journal.frame_file.FrameFile.__init__",
+            "journal.frame_file.FrameFile.columns",
             "journal.reader._read",
             "journal.timings.read_seconds",
             "journal.writer.read_position",
