@@ -1,4 +1,4 @@
-"""The contract between a belief and the engine.
+"""The contract between a belief and the engine, and the one state that stands for a belief.
 
 A belief is stepped by ``step(prior, motion, evaluate, streams)``. It proposes hypotheses and asks `evaluate`
 for their evidence, as often as it likes within a frame; it knows nothing of the net behind it.
@@ -15,10 +15,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.distributions import nearest_probable
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedStates:
+    """Hypotheses (N, D) with their posterior weights (`belief.contract.Support`)."""
+
+    states: Floats
+    weights: LogWeights
+
+    @property
+    def boxes(self) -> Floats:
+        """(N, 4) centre boxes."""
+        return self.states[:, :4]
+
+
+def hypotheses_of(states: Floats, fields: tuple[str, ...]) -> Hypotheses:
+    """What cues see of `states` (N, D): the boxes, and the further fields by name."""
+    return Hypotheses(states[:, :4], {name: states[:, k] for k, name in enumerate(fields) if k >= 4})
+
 
 Ancestors = NDArray[np.intp]
 
@@ -204,3 +225,34 @@ class Belief(Protocol[P]):
 
     def step(self, prior: P, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream) -> Step[P]:
         """The belief after `dt` frame intervals and the evidence of a frame."""
+
+
+def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
+    """(D,) the state that stands for the belief after a step; the MAP when nothing is chosen.
+
+    - `map`: largest posterior density, prior density included.
+    - `max_weight`: hypothesis of the largest weight.
+    - `mean`: mean of the belief, which lies between the modes of a bimodal one.
+    - `robust_mean`: weighted mean of the hypotheses whose centres lie within `box` sqrt(w h) of the best,
+      in x and in y (tracking chapter, estimators).
+    - `nearest`: of the hypotheses with at least `epsilon` of the largest weight, the one whose centre lies
+      nearest to the mean prediction (General Distribution Filter 1.3, corrected). The weights of a grid are
+      densities; those of particles that were drawn from the prediction are likelihoods.
+    """
+    kind = "map" if chosen is None else chosen.kind
+    if kind == "map":
+        return step.map_state
+    if kind == "mean":
+        return step.posterior.mean
+    states, weights = step.support.states, step.support.weights.weights
+    if chosen is not None and chosen.nearest is not None:
+        predicted = step.prior.weights @ states[:, :2]
+        return np.asarray(states[nearest_probable(states[:, :2], weights, predicted, chosen.nearest.epsilon)])
+    best = np.asarray(states[int(np.argmax(weights))])
+    if kind == "max_weight" or chosen is None or chosen.robust_mean is None:
+        return best
+    reach = chosen.robust_mean.box * float(np.sqrt(best[2] * best[3]))
+    x, y = (np.abs(states[:, axis] - best[axis]) <= reach for axis in (0, 1))
+    near = np.flatnonzero(x & y)
+    shares = weights[near]
+    return np.asarray(shares @ states[near] / shares.sum())

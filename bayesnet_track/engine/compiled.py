@@ -10,13 +10,12 @@ from bayesnet_track.belief.contract import Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
-from bayesnet_track.belief.modes import Modes, make_modes
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
+from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_of, turning
 from bayesnet_track.belief.motion.formulas import make_formula_motion
-from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.nested import Deviation, Nested, deviations_of, turning
+from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.scoring.verifying import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec

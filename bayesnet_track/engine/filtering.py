@@ -11,11 +11,19 @@ import numpy as np
 
 from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.adapt.measures import Call
-from bayesnet_track.belief.contract import Belief, Evaluate, Evidence, MotionModel, Posterior, Step, Stream
-from bayesnet_track.belief.modes import Modes
+from bayesnet_track.belief.contract import (
+    Belief,
+    Evaluate,
+    Evidence,
+    MotionModel,
+    Posterior,
+    Step,
+    Stream,
+    hypotheses_of,
+)
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.motion.modes import Modes
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState
 from bayesnet_track.engine.moving.elsewhere import look_elsewhere

@@ -16,8 +16,8 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.belief.estimate import estimate
-from bayesnet_track.belief.particles.maps import find_maps
+from bayesnet_track.belief.contract import estimate
+from bayesnet_track.belief.particles.belief import find_maps
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult, heard
 from bayesnet_track.engine.frame_metrics import frame_metrics

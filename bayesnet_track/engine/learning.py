@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.adapt.situation import Situation, quiet_level
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.belief.contract import Posterior
-from bayesnet_track.belief.modes import Modes, mode_probabilities
+from bayesnet_track.belief.motion.modes import Modes, mode_probabilities
 from bayesnet_track.journal.events.modes import ModeChanged
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import HiddenCause

@@ -14,9 +14,7 @@ from bayesnet_track.adapt.measures import Call
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.on_call import is_due, on_call_rule
 from bayesnet_track.adapt.situation import quiet_level
-from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.belief.estimate import estimate
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.contract import Posterior, Step, estimate, hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.graph.checked import CheckedTarget

@@ -8,8 +8,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.composed import Influences, compose_motion
-from bayesnet_track.belief.motion.nested import deviations_of
+from bayesnet_track.belief.motion.composed import Influences, compose_motion, deviations_of
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.motion import Moving

@@ -115,7 +115,7 @@ def make_engine(
 ) -> Engine:
     """Load the cues and detectors of `graph` and make it ready to run.
 
-    `motion` maps plates to motion models of one's own, such as `belief.motion.functions.FunctionMotion`, in
+    `motion` maps plates to motion models of one's own, such as `belief.motion.formulas.FunctionMotion`, in
     place of the graph's: what the language cannot say. The log does not hold them. `detectors` are those that
     are given from outside, by the names that the graph has for them: `detections`.
 

@@ -13,8 +13,7 @@ from functools import partial
 import numpy as np
 
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.belief.particles.clouds import Clouds
-from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.motion.functions import derivative
+from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.spec import Given

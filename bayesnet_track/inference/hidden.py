@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence
-from bayesnet_track.belief.modes import FIELD, Modes
+from bayesnet_track.belief.motion.modes import FIELD, Modes
 from bayesnet_track.graph.settings.modes import Hidden
 from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.gaussian_messages import measurement_message

@@ -201,7 +201,7 @@ def _without_each(plan: Plan, steps: StepArrays) -> Floats:
 
 
 def uncertainties(states: Floats, weights: Floats, centres: Floats) -> list[float]:
-    """UD of each target (`numerics.divergence.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
+    """UD of each target (`numerics.log_weights.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
     away = (states - centres[:, None]).reshape(-1, states.shape[2])
     squares = np.einsum("nk,nk->n", away, away).reshape(weights.shape)
     return [float(np.dot(*pair)) for pair in zip(weights, squares, strict=True)]

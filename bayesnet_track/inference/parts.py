@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
-from bayesnet_track.belief.motion.nested import field_of
+from bayesnet_track.belief.motion.composed import field_of
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan

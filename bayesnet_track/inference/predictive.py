@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.belief.contract import Step
-from bayesnet_track.belief.motion.functions import derivative
+from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import p_value

@@ -11,14 +11,10 @@ import numpy as np
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.composed import compose_motion
-from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.nested import deviations_of
-from bayesnet_track.belief.motion.places import Search
+from bayesnet_track.belief.motion.composed import compose_motion, deviations_of
+from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
-from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
-from bayesnet_track.belief.smoothing.viterbi import most_probable_trajectory
+from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.summaries import CLOUD_SIZE

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Belief, Evidence, MotionModel, Step
-from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.contract import BOX_FIELDS, Belief, Evidence, MotionModel, Step, estimate
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
-from bayesnet_track.belief.motion.functions import FunctionMotion
+from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec

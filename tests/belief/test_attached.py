@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.belief.motion.attached import FIELD, Attached, with_carried, without_carried
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.particles.map import map_index
+from bayesnet_track.belief.particles.belief import map_index
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.numerics.log_weights import LogWeights

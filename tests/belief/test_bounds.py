@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph.spec import Motion
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.gaussian.predict import predict
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.graph.spec import BoxVelocity, Gaussian, PixelSd
 

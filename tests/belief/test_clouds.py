@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.belief.particles.clouds import Clouds, some
-from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet, some
 from bayesnet_track.numerics.log_weights import LogWeights
 
 FIELDS = ("x", "y", "w", "h", "vx")

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from bayesnet_track.belief.motion.composed import Influences, compose_motion
+from bayesnet_track.belief.motion.composed import Influences, Nested, compose_motion, turning
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.nested import Nested, turning
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.graph import spec
 

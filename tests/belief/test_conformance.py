@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.event import Event

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
-from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step, estimate
 from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.formulas import predict_by_function
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.formulas import Undefined, make_formula_motion, undefined_in
-from bayesnet_track.belief.motion.functions import derivative
+from bayesnet_track.belief.motion.formulas import Undefined, derivative, make_formula_motion, undefined_in
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.streams import Streams

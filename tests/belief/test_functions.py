@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesnet_track.belief.gaussian.belief import GaussianFilter
-from bayesnet_track.belief.gaussian.predict import predict
-from bayesnet_track.belief.motion.functions import (
+from bayesnet_track.belief.gaussian.belief import GaussianFilter, predict
+from bayesnet_track.belief.motion.formulas import (
     FunctionMotion,
     derivative,
     extended_update,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.motion.functions import FunctionMotion
+from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import from_json, to_json

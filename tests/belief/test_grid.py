@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.contract import Evidence, estimate
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.motion import predict_grid
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events.beliefs import BeliefReset

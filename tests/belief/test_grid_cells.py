@@ -5,11 +5,25 @@ import math
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.grid.belief import _around_zero, _bounding_box, _heaviest
-from bayesnet_track.belief.grid.cells import GridBelief, Lattice
-from bayesnet_track.belief.grid.reset import _nearest, unknown_velocity, window_around
-from bayesnet_track.belief.grid.window import Limits, Patch, find_kept, limits_of, stack_patches, within
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.grid.belief import (
+    _around_zero,
+    _bounding_box,
+    _heaviest,
+    _nearest,
+    unknown_velocity,
+    window_around,
+)
+from bayesnet_track.belief.grid.cells import (
+    GridBelief,
+    Lattice,
+    Limits,
+    Patch,
+    find_kept,
+    limits_of,
+    stack_patches,
+    within,
+)
+from bayesnet_track.belief.motion.borders import Confined
 
 LATTICE = Lattice(
     (50.0, 40.0), 2.0, -3, 4, (20.0, 10.0), np.array([-0.2, 0.0, 0.2]), np.array([-1.5, 0.0, 1.5])

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.grid.belief import GridFilter
-from bayesnet_track.belief.grid.cells import GridBelief, Lattice
-from bayesnet_track.belief.grid.evidence import log_gaussian
-from bayesnet_track.belief.grid.gaps import Leap, Span, _leapt, leapt, moving
-from bayesnet_track.belief.grid.motion import _bound, _change, axis_steps, predict_grid, scale_sd
-from bayesnet_track.belief.grid.reset import judge_in_box, judge_on_image
-from bayesnet_track.belief.grid.window import Limits, Patch
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.grid.belief import GridFilter, judge_in_box, judge_on_image
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice, Limits, Patch, log_gaussian
+from bayesnet_track.belief.grid.motion import (
+    Leap,
+    Span,
+    _bound,
+    _change,
+    _leapt,
+    axis_steps,
+    leapt,
+    moving,
+    predict_grid,
+    scale_sd,
+)
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import spreading_matrix
 from bayesnet_track.observation.cue import Measurement

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.grid.belief import GridFilter
-from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.grid.belief import GridFilter, judge_on_image
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice, Limits
 from bayesnet_track.belief.grid.motion import predict_grid
-from bayesnet_track.belief.grid.reset import judge_on_image
-from bayesnet_track.belief.grid.window import Limits
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import spreading_matrix
 

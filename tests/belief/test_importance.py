@@ -10,8 +10,8 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
+from bayesnet_track.belief.particles.fitted import Kernels, log_mixture, log_prior
 from bayesnet_track.belief.particles.importance import surprise
-from bayesnet_track.belief.particles.kernels import Kernels, log_mixture, log_prior
 from bayesnet_track.belief.particles.proposals import neighbourhoods
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.load import load_graph

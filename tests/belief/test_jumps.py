@@ -7,9 +7,8 @@ import pytest
 from scipy import integrate, stats
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.places import Places, Search, Within
+from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.jumps import Jumping, Places, Search, Within
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.jumps import Reappeared

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.kinematics import steps, unmixing
+from bayesnet_track.belief.motion.models import steps, unmixing
 
 DAMPED = ((0.0, 1.0), (0.0, -0.25))
 ACCELERATING = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.particles.map import map_index
+from bayesnet_track.belief.particles.belief import map_index
 from bayesnet_track.numerics.log_weights import LogWeights
 
 BOX = np.array([160.0, 120.0, 60.0, 40.0])

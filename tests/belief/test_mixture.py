@@ -3,7 +3,7 @@
 import numpy as np
 
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.gaussian.mixture import ModalPosterior, mix
+from bayesnet_track.belief.gaussian.modal import ModalPosterior, mix
 
 FIELDS = ("x", "y", "w", "h")
 

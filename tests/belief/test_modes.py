@@ -10,16 +10,13 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.gaussian.modal import ModalFilter
-from bayesnet_track.belief.modes import FIELD, make_modes, mode_probabilities
-from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.belief.motion.forgetting import Forgetting
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.jumps import Jumping, modal_of
-from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.particles.belief import ParticleFilter
-from bayesnet_track.belief.particles.map import map_index
-from bayesnet_track.belief.particles.mode_draws import EVENLY
-from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
+from bayesnet_track.belief.motion.modes import FIELD, Forgetting, Modal, make_modes, mode_probabilities
+from bayesnet_track.belief.particles.adaptive_size import EVENLY
+from bayesnet_track.belief.particles.belief import ParticleFilter, map_index
+from bayesnet_track.belief.smoothing import Move, smooth_particles
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import symmetric
 from bayesnet_track.numerics.log_weights import LogWeights

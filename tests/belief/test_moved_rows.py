@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.moved_rows import propagate_rows
+from bayesnet_track.belief.motion.models import make_motion, propagate_rows
 from bayesnet_track.graph import spec
 
 MOTIONS = {

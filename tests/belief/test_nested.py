@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_of
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.nested import Deviation, Nested, deviations_of
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.graph.text.load import load_graph
 

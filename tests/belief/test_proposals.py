@@ -8,7 +8,6 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
-from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edit, mixture_pass, select
 from bayesnet_track.belief.particles.fitted import (
     STRETCH,
     Message,
@@ -17,7 +16,7 @@ from bayesnet_track.belief.particles.fitted import (
     flatten,
     paired_log_density,
 )
-from bayesnet_track.belief.particles.importance import proposal_of
+from bayesnet_track.belief.particles.importance import auxiliary_pass, edit, mixture_pass, proposal_of, select
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.proposals import (
     Draws,
@@ -26,7 +25,7 @@ from bayesnet_track.belief.particles.proposals import (
     draw_fitted,
     mix_defensive,
 )
-from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
+from bayesnet_track.belief.particles.sample_size import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import (
     Auxiliary,

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.motion.attached import Attached
-from bayesnet_track.belief.motion.jumps import Jumping
+from bayesnet_track.belief.motion.composed import Nested, turning
+from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.nested import Nested, turning
-from bayesnet_track.belief.motion.places import Search
-from bayesnet_track.belief.particles.map import map_index
+from bayesnet_track.belief.particles.belief import map_index
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import ANGLE

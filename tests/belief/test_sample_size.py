@@ -9,12 +9,14 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
-from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory, find_sample_size
-from bayesnet_track.belief.particles.size_decision import (
+from bayesnet_track.belief.particles.sample_size import (
     NOTABLE,
+    SampleSize,
     SizeDecision,
+    SizeMemory,
     begin_with,
     find_limit,
+    find_sample_size,
     find_turning,
 )
 from bayesnet_track.graph import spec

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.gaussian.predict import predict
-from bayesnet_track.belief.motion.functions import derivative
-from bayesnet_track.belief.motion.inflation import inflate_noise, inflation_factor
+from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.belief.motion.composed import inflate_noise, inflation_factor
+from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, camera_shift, revert_size
 from bayesnet_track.graph import spec

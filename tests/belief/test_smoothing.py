@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, predict
 from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
-from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
+from bayesnet_track.belief.smoothing import Move, smooth_gaussians, smooth_particles
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.runtime.smoothing import NO_SEARCH

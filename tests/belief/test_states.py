@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.belief.states import WeightedStates, hypotheses_of
+from bayesnet_track.belief.contract import WeightedStates, hypotheses_of
 from bayesnet_track.numerics.log_weights import LogWeights
 
 

@@ -8,8 +8,7 @@ import pytest
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.belief.smoothing.backward import Move
-from bayesnet_track.belief.smoothing.viterbi import most_probable_trajectory
+from bayesnet_track.belief.smoothing import Move, most_probable_trajectory
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bayesnet_track.belief.motion.borders import Wrapped
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.graph.spec import Motion
 
 MOTION = make_motion(Motion.model_validate({"constant_velocity": {"sd_px": {"x": 3, "y": 2}}}))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.belief.modes import make_modes
+from bayesnet_track.belief.motion.modes import make_modes
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.load import load_graph

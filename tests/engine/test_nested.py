@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.nested import Deviation
+from bayesnet_track.belief.motion.composed import Deviation
 
 START = (55.0, 50.0, 20.0, 60.0)
 ROOT_SD = 3.0

@@ -5,8 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.particles.map import map_index
-from bayesnet_track.belief.particles.maps import find_maps
+from bayesnet_track.belief.particles.belief import find_maps, map_index
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.frame_work import FrameWork

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.modes import FIELD, make_modes
+from bayesnet_track.belief.motion.modes import FIELD, make_modes
 from bayesnet_track.graph import spec
 from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import evaluate, without

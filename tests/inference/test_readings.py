@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky
 
-from bayesnet_track.belief.gaussian.measured import log_message
-from bayesnet_track.belief.gaussian.update import take, update_seen
-from bayesnet_track.belief.modes import mode_probabilities
+from bayesnet_track.belief.gaussian.update import log_message, take, update_seen
+from bayesnet_track.belief.motion.modes import mode_probabilities
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checked import MeasuredAs
 from bayesnet_track.graph.expressions.parse import parse

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.assign import assign, assign_pairs, gated_gains
-from bayesnet_track.belief.gaussian.predict import predict
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
 from bayesnet_track.graph.spec import Gaussian, Motion
 from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_update, root, root_of

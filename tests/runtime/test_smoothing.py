@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, open_run, track
-from bayesnet_track.belief.smoothing.backward import Move
-from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
+from bayesnet_track.belief.smoothing import Move, smooth_gaussians
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.lifetimes import KeptBeliefsError

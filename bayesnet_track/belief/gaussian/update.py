@@ -1,17 +1,17 @@
-"""Update of a Gaussian belief: moments of a likelihood asked at hypotheses, and what agents measured."""
+"""Update of a Gaussian belief by moments of a likelihood, and by measurements of some fields."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.gaussian.measured import columns_of, observe_fields
-from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.belief.motion.functions import derivative, extended_update, unscented_update
+from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.formulas import derivative, extended_update, unscented_update
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
@@ -27,7 +27,37 @@ from bayesnet_track.numerics.gaussian import (
     whiten,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.observation.cue import Measurement
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+
+FAR = 1e100
+"""Where a quantity has no value, it is so far from what was measured."""
+
+
+def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
+    """(N,) -d^2 / 2 of hypotheses under a measurement."""
+    if one.choices:
+        each = (weight * np.exp(log_message(own, hypotheses, fields)) for weight, own in one.choices)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(one.missed + sum(each)))
+    states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
+    if one.seen is None:
+        away = states @ observe_fields(one, fields).T - one.mean
+    else:
+        values = one.seen.function(dict(zip(fields, states.T, strict=True)))
+        away = np.nan_to_num(one.seen.less(values, one.mean), nan=FAR, posinf=FAR, neginf=-FAR)
+    return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))
+
+
+def observe_fields(one: Measurement, fields: tuple[str, ...]) -> Floats:
+    """(K, D) H: the rows of the identity for the fields measured."""
+    return np.eye(len(fields))[list(columns_of(one.fields, fields))]
+
+
+@lru_cache(maxsize=256)
+def columns_of(measured: tuple[str, ...], fields: tuple[str, ...]) -> tuple[int, ...]:
+    """(K,) the columns of what was measured among the fields of a state."""
+    return tuple(fields.index(name) for name in measured)
+
 
 WORST = 1e-100
 """The least likelihood of a sigma point, as a share of the best: a parabola has no place for zero."""

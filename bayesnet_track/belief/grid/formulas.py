@@ -13,8 +13,7 @@ from itertools import product
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.grid.cells import GridBelief
-from bayesnet_track.belief.grid.window import NEGLIGIBLE, Patch, limits_of, within
+from bayesnet_track.belief.grid.cells import NEGLIGIBLE, GridBelief, Patch, limits_of, within
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
 

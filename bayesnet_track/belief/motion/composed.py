@@ -1,18 +1,212 @@
-"""What the motion of one frame depends on besides the states, and the motion that it makes."""
+"""Motions made of other motions: nested fields, more noise while unsure, and the motion of one frame."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from bayesnet_track.belief.contract import MotionModel
+import numpy as np
+
+from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors, MotionModel
 from bayesnet_track.belief.motion.borders import Reflecting
-from bayesnet_track.belief.motion.inflation import inflate_noise
-from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import KinematicMotion
-from bayesnet_track.belief.motion.nested import Nested
+from bayesnet_track.belief.motion.modes import Modal
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
-from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.graph import spec
+from bayesnet_track.graph.settings.motion import BoxSd, Moving
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.cue import ANGLE
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """One coordinate in which a latent node deviates from its place: an Ornstein-Uhlenbeck process.
+
+    Attributes:
+        name: the field of the state.
+        sd: of the deviation in the long run, px, above 0.
+        step_sd: of its change in one frame interval beside the pull to 0, px, above 0 and at most `sd`.
+    """
+
+    name: str
+    sd: float
+    step_sd: float
+
+    def over(self, dt: float) -> tuple[float, float]:
+        """What is left of it after `dt` frame intervals, as a factor, and the sd of what is added.
+
+        d <- f^dt d + N(0, sd^2 (1 - f^(2 dt))) with f = sqrt(1 - step_sd^2 / sd^2): two steps of dt / 2 are
+        one of dt, and N(0, sd^2) stays what it is.
+
+        >>> [round(value, 6) for value in Deviation("head.x", 5.0, 3.0).over(1.0)]
+        [0.8, 3.0]
+        """
+        kept = (1.0 - (self.step_sd / self.sd) ** 2) ** (dt / 2.0)
+        return kept, self.sd * float(np.sqrt(1.0 - kept**2))
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A coordinate that walks at random, with nothing that pulls it back.
+
+    Attributes:
+        name: the field of the state.
+        sd: of its change in one frame interval, above 0.
+    """
+
+    name: str
+    sd: float
+
+    def over(self, dt: float) -> tuple[float, float]:
+        """As of a `Deviation`."""
+        return 1.0, self.sd * float(np.sqrt(dt))
+
+
+def turning(motion: MotionModel, sd_deg: float) -> Nested:
+    """`motion`, with a last column of the state: by how much the target is turned since its first frame.
+
+    In degrees, clockwise in the picture. It walks on the line, not on the circle: a target that turned once
+    is at 360, so that means, variances and densities of the belief are plain ones. What looks at the target
+    sees the same at 360 as at 0. `sd_deg` is that of its step in one frame interval, above 0.
+    """
+    return Nested(motion, (Walk(ANGLE, sd_deg),))
+
+
+def field_of(node: str, axis: str) -> str:
+    """The field of a state in which a node's deviation along an axis of its box stands."""
+    return f"{node}.{axis}"
+
+
+def deviations_of(nodes: Mapping[str, spec.Node]) -> tuple[Deviation, ...]:
+    """The deviations of latent nodes that move, in file order: coordinates in which `given` has noise."""
+    return tuple(
+        Deviation(field_of(name, axis), sd, getattr(node.motion.settings.sd_px, axis))
+        for name, node in nodes.items()
+        if isinstance(node, spec.InferenceNode) and node.parent is not None and node.motion is not None
+        if node.fuse is not None and node.fuse.latent is not None
+        for axis in BOX_FIELDS
+        if (sd := getattr(node.fuse.latent.given.sd_px, axis)) > 0
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """`motion`, with last columns of the state for coordinates of their own; 0 in the first frame.
+
+    They move independently of the box and of each other. Of the deviations of latent nodes: the agents
+    learn a part at its place in the start box, so it deviates from there by nothing yet; where a part is
+    depends on its parent's box through its place alone.
+
+    Attributes:
+        motion: how the rest moves.
+        deviations: the further columns.
+    """
+
+    motion: MotionModel
+    deviations: tuple[Deviation | Walk, ...]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Those of the model, and the deviations."""
+        return (*self.motion.fields, *(one.name for one in self.deviations))
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """As the model, everything in its place."""
+        return _with(self.motion.start(box, size, rng), np.zeros((size, len(self.deviations))))
+
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """As the model, everything in its place."""
+        mean, covariance = self.motion.start_moments(box)
+        further = len(self.deviations)
+        return np.append(mean, np.zeros(further)), np.pad(covariance, (0, further))
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """(N, D) states after `dt` frame intervals."""
+        own = self._own(states) if parents is None else self._own(states)[parents]
+        kept, sds = self._over(dt)
+        moved = self.motion.propagate(self._rest(states), dt, rng, parents)
+        return _with(moved, own * kept + sds * rng.standard_normal(own.shape))
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """(N, D) states after `dt` frame intervals without noise."""
+        return _with(self.motion.drift(self._rest(states), dt), self._own(states) * self._over(dt)[0])
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F and Q of the model; each deviation's are what is kept of it and the variance that is added."""
+        further = len(self.deviations)
+        transition, covariance = (
+            np.pad(one, (0, further)) for one in self.motion.linearise(state[:-further], dt)
+        )
+        kept, sds = self._over(dt)
+        at = np.arange(len(state) - further, len(state))
+        transition[at, at], covariance[at, at] = kept, sds**2
+        return transition, covariance
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """(M, N) that of the model, times those of the deviations, per unit of each."""
+        return self.transition(old, dt).log_density(new)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """That of the model; the deviations are the last coordinates."""
+        own = self.motion.transition(self._rest(old), dt)
+        further = len(self.deviations)
+        kept, step_sds = self._over(dt)
+        sds = np.broadcast_to(step_sds, (*own.sds.shape[:2], further))
+
+        def coordinates(states: Floats) -> tuple[Floats, Floats]:
+            points, log_jacobian = own.coordinates(self._rest(states))
+            return _with(points, self._own(states)), log_jacobian
+
+        def states_at(points: Floats, still: Floats) -> Floats:
+            assert own.states is not None
+            rest = np.ascontiguousarray(points[:, :-further])
+            return _with(own.states(rest, self._rest(still)), points[:, -further:])
+
+        return replace(
+            own,
+            coordinates=coordinates,
+            means=_with(own.means, self._own(old) * kept),
+            sds=np.concatenate([own.sds, sds], axis=2),
+            states=None if own.states is None else states_at,
+        )
+
+    def _over(self, dt: float) -> tuple[Floats, Floats]:
+        kept, sds = zip(*(one.over(dt) for one in self.deviations), strict=True)
+        return np.array(kept), np.array(sds)
+
+    def _rest(self, states: Floats) -> Floats:
+        return np.ascontiguousarray(states[:, : -len(self.deviations)])
+
+    def _own(self, states: Floats) -> Floats:
+        return states[:, -len(self.deviations) :]
+
+
+def _with(states: Floats, own: Floats) -> Floats:
+    return np.concatenate([states, own], axis=1)
+
+
+def inflation_factor(doubt: float, most: float) -> float:
+    """The factor sqrt(doubt), at least 1 and at most `most`; `doubt` is UD as a multiple of its level."""
+    return float(min(max(doubt, 1.0) ** 0.5, most))
+
+
+def inflate_noise(motion: KinematicMotion, factor: float) -> KinematicMotion:
+    """The motion with the sds of its position, and of the noise that drives it, times `factor`.
+
+    The size keeps its noise. The result is a motion of the same kind: its density is that of what it draws.
+    """
+    if factor == 1.0:
+        return motion
+    px, box = motion.noise.sd_px, motion.noise.sd_box
+    wider = {
+        "sd_px": px.model_copy(update={"x": factor * px.x, "y": factor * px.y}),
+        "sd_box": BoxSd(x=factor * box.x, y=factor * box.y),
+    }
+    noise = motion.noise.model_copy(update=wider)
+    return replace(motion, noise=noise, diffusion=factor**2 * motion.diffusion)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,21 +1,230 @@
-"""Motion by expressions of the graph: x' = f(x, dt) + noise, for every field of the state its own formula."""
+"""Motion and measurement by functions: Python's own, or expressions of the graph, x' = f(x, dt) + noise."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
-from bayesnet_track.belief.motion.functions import derivative
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import Term, names_in
 from bayesnet_track.graph.settings.motion import ByExpressions
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import (
+    Updated,
+    innovation_likelihood,
+    linear_update,
+    root,
+    sigma_points,
+    symmetric,
+)
+
+Drift = Callable[[Floats, float], Floats]
+"""(N, D) states and dt in frame intervals -> (N, D) states after it, without noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionMotion:
+    """A motion model (`belief.contract.MotionModel`) by a function: x' = f(x, dt) + N(0, Q dt).
+
+    A target that turns at an unknown rate::
+
+        def turn(states, dt):
+            x, y, w, h, speed, heading, rate = states.T
+            middle = heading + rate * dt / 2
+            return np.stack([x + speed * dt * np.cos(middle), y + speed * dt * np.sin(middle),
+                             w, h, speed, heading + rate * dt, rate], axis=1)
+
+        motion = FunctionMotion(("x", "y", "w", "h", "speed", "heading", "rate"), turn,
+                                np.diag([1, 1, 0, 0, 0.2, 0, 0.01]) ** 2, start_sd=(3, 1, 0.1))
+
+    Attributes:
+        fields: names of the columns of a state, x, y, w, h first.
+        function: f, for many states at once.
+        noise: (D, D) Q, the covariance of the noise of one frame interval; or dt -> the covariance over dt.
+        jacobian: (D,) state, dt -> (D, D) derivative of f; by central differences when None.
+        start_mean: (D - 4,) of the further fields when the target starts; zeros when empty.
+        start_sd: (D - 4,) their sds; zeros when empty.
+    """
+
+    fields: tuple[str, ...]
+    function: Drift
+    noise: Floats | Callable[[float], Floats]
+    jacobian: Callable[[Floats, float], Floats] | None = None
+    start_mean: tuple[float, ...] = ()
+    start_sd: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        further = len(self.fields) - 4
+        if self.fields[:4] != BOX_FIELDS or len(set(self.fields)) != len(self.fields):
+            raise ValueError(f"fields are x, y, w, h and names of their own, not {', '.join(self.fields)}")
+        for name in ("start_mean", "start_sd"):
+            given = getattr(self, name)
+            if len(given) not in (0, further):
+                raise ValueError(f"{name} has {len(given)} values for {further} further fields")
+        self.covariance(1.0)
+
+    def covariance(self, dt: float) -> Floats:
+        """(D, D) of the noise over `dt`.
+
+        Raises:
+            ValueError: dt is not positive, or the noise is not a covariance of these fields.
+        """
+        if not (dt > 0 and np.isfinite(dt)):
+            raise ValueError(f"time between frames must be positive and finite, not {dt}")
+        size = len(self.fields)
+        given = self.noise(dt) if callable(self.noise) else dt * np.asarray(self.noise, dtype=np.float64)
+        covariance = np.asarray(given, dtype=np.float64)
+        if covariance.shape != (size, size) or not np.isfinite(covariance).all():
+            raise ValueError(f"noise: a finite ({size}, {size}) covariance, not of shape {covariance.shape}")
+        scale = max(float(np.abs(covariance).max()), 1e-300)
+        if (
+            not np.allclose(covariance, covariance.T, atol=1e-9 * scale)
+            or np.linalg.eigvalsh(covariance)[0] < -1e-9 * scale
+        ):
+            raise ValueError("noise is not symmetric and positive")
+        return symmetric(covariance)
+
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """(D,) mean and (D, D) covariance of a target first seen in the centre box (4,)."""
+        further = len(self.fields) - 4
+        mean = np.concatenate([box, self.start_mean or np.zeros(further)]).astype(np.float64)
+        sds = np.concatenate([np.zeros(4), self.start_sd or np.zeros(further)])
+        return mean, np.diag(sds**2)
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """(size, D) states in the centre box (4,), further fields drawn around `start_mean`."""
+        mean, covariance = self.start_moments(box)
+        return np.asarray(mean + rng.standard_normal((size, len(mean))) * np.sqrt(np.diagonal(covariance)))
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """(N, D) f of the states.
+
+        Raises:
+            ValueError: the function gives another shape, or numbers that are not finite.
+        """
+        moved = np.array(self.function(states.copy(), dt), dtype=np.float64)
+        if moved.shape != states.shape:
+            raise ValueError(f"the motion's function gave shape {moved.shape} for states {states.shape}")
+        if not np.isfinite(moved).all():
+            raise ValueError("the motion's function gave a state that is not finite")
+        return moved
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """(N, D) f of the states with noise added; widths and heights stay at least 1 px."""
+        if parents is not None:
+            states = states.take(parents, axis=0)
+        lower = root(self.covariance(dt))
+        new = self.drift(states, dt) + rng.standard_normal((len(states), lower.shape[1])) @ lower.T
+        np.maximum(new[:, 2:4], 1.0, out=new[:, 2:4])
+        return np.asarray(new)
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F and Q, each (D, D): the derivative of f at a state (D,), and the covariance of the noise."""
+        if self.jacobian is not None:
+            return np.asarray(self.jacobian(state, dt), dtype=np.float64), self.covariance(dt)
+        return derivative(lambda states: self.drift(states, dt), state), self.covariance(dt)
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """(M, N) log p(new_m | old_n) over the directions that have noise."""
+        return self.transition(old, dt).log_density(new)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """p(new | old) along the eigenvectors of the noise: a rotation, whose Jacobian is 1."""
+        lower = root(self.covariance(dt))
+        values, vectors = np.linalg.eigh(lower @ lower.T)
+        keep = values > 1e-14 * max(float(values[-1]), 1e-300)
+        axes, sds = vectors[:, keep], np.sqrt(values[keep])
+        means = self.drift(old, dt) @ axes
+        return Transition(
+            lambda states: (states @ axes, np.zeros(len(states))),
+            means,
+            np.broadcast_to(sds, (1, *means.shape)).copy(),
+            np.zeros(1),
+            lambda points, still: still + (points - still @ axes) @ axes.T,
+        )
+
+
+def derivative(function: Callable[[Floats], Floats], state: Floats) -> Floats:
+    """(K, D) derivative at a state (D,) of a function (N, D) -> (N, K), by central differences.
+
+    Steps of eps^(1/3) max(1, |x|), which balance rounding and curvature: about 1e-10 of the scale.
+    """
+    step = np.cbrt(np.finfo(np.float64).eps) * np.maximum(1.0, np.abs(state))
+    ahead, behind = state + np.diag(step), state - np.diag(step)
+    # What was really added, after rounding.
+    taken = np.diagonal(ahead) - np.diagonal(behind)
+    values = function(np.concatenate([ahead, behind]))
+    size = len(state)
+    return np.asarray(((values[:size] - values[size:]) / taken[:, None]).T)
+
+
+def extended_update(
+    mean: Floats,
+    covariance: Floats,
+    measured: Floats,
+    noise: Floats,
+    function: Callable[[Floats], Floats],
+    jacobian: Callable[[Floats], Floats] | None = None,
+) -> Updated:
+    """The update of the extended Kalman filter by z = h(x) + N(0, R) (tracking chapter 3.8).
+
+    Args:
+        mean: (D,) before.
+        covariance: (D, D) before.
+        measured: (K,) z.
+        noise: (K, K) R.
+        function: h, (N, D) states -> (N, K).
+        jacobian: (D,) state -> (K, D) derivative of h; by central differences when None.
+    """
+    observe = derivative(function, mean) if jacobian is None else jacobian(mean)
+    return linear_update(mean, covariance, measured - function(mean[None])[0], observe, noise)
+
+
+def unscented_update(
+    mean: Floats,
+    covariance: Floats,
+    measured: Floats,
+    noise: Floats,
+    function: Callable[[Floats], Floats],
+    kappa: float = 1.0,
+) -> Updated:
+    """The same by the unscented transform: h is asked at 2 K + 1 points, K the covariance's rank.
+
+    The points lie at +-sqrt(K + kappa) sds; kappa >= 0 keeps every weight positive, and so the covariance.
+    """
+    lower = root(covariance)
+    width = lower.shape[1]
+    if width == 0:
+        innovation = measured - function(mean[None])[0]
+        d2, log_likelihood = innovation_likelihood(innovation, noise, noise)
+        return Updated(mean, covariance, d2, log_likelihood)
+    unit = sigma_points(width, width + kappa)
+    weights = np.full(len(unit), 0.5 / (width + kappa))
+    weights[0] = kappa / (width + kappa)
+    seen = function(mean + unit @ lower.T)
+    expected = weights @ seen
+    away = seen - expected
+    # h = expected + B u + rest, u the state in units of its sds: B by regression on the points.
+    slope = (away * weights[:, None]).T @ unit
+    rest = away - unit @ slope.T
+    # The rest is noise to the linear update, so that it keeps Joseph's form.
+    more = symmetric(noise + (rest * weights[:, None]).T @ rest)
+    unit_update = linear_update(np.zeros(width), np.eye(width), measured - expected, slope, more)
+    d2, log_likelihood = innovation_likelihood(measured - expected, symmetric(slope @ slope.T + more), noise)
+    return Updated(
+        mean + lower @ unit_update.mean,
+        symmetric(lower @ unit_update.covariance @ lower.T),
+        d2,
+        log_likelihood,
+    )
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from bayesnet_track.belief.contract import Ancestors
+from bayesnet_track.belief.motion.borders import Wrapped
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.graph.settings.motion import SizeReversion
 from bayesnet_track.numerics.arrays import Floats
 

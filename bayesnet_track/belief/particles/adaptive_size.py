@@ -1,4 +1,4 @@
-"""The first pass of a frame: how many hypotheses are drawn from the motion model, and from which parents.
+"""First pass of a frame: the number of hypotheses drawn from the motion model, their parents and modes.
 
 An adaptive size draws as many as the last frame asked for, in two halves from independent streams. When a
 half finds that the frame asks for more, the *other* half is enlarged. Each half's number then depends on the
@@ -11,22 +11,82 @@ evaluation is needed while frames ask for the same.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Ancestors
-from bayesnet_track.belief.motion.jumps import Jumping, draw_jumps, jumping_of, report_reappeared
-from bayesnet_track.belief.particles.mode_draws import DrawnModes, draw_modes
+from bayesnet_track.belief.contract import Ancestors, MotionModel, hypotheses_of
+from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.jumps import Jumping, draw_jumps, jumping_of, modal_of, report_reappeared
+from bayesnet_track.belief.motion.modes import Modal, draw
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory, find_sample_size
-from bayesnet_track.belief.particles.size_decision import SizeDecision, begin_with, halve, make_report
-from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample, concatenate
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.particles.sample_size import (
+    FrameSample,
+    SampleSize,
+    SizeDecision,
+    SizeMemory,
+    WeightedSample,
+    begin_with,
+    concatenate,
+    find_sample_size,
+    halve,
+    make_report,
+)
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
+
+EVENLY = 0.2
+"""Share of the hypotheses that draw their mode evenly among those that can follow: weights are at most
+1 / (1 - EVENLY)."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnModes:
+    """Hypotheses that have drawn the modes in which they are about to move.
+
+    Attributes:
+        inputs: with them as the belief before, and a motion that draws no modes any more.
+        prior_log: (N,) log-weights that make them a sample of the prior.
+    """
+
+    inputs: Inputs
+    prior_log: Floats
+
+
+def draw_modes(inputs: Inputs, ancestors: NDArray[np.intp], beta_log: Floats) -> DrawnModes | None:
+    """The modes of hypotheses that move from `ancestors`; None for a motion without modes.
+
+    A mode that the chain enters once in a hundred frames would have a few hypotheses, and when it is entered
+    the belief would be what those few are. So a mode is drawn from q = (1 - EVENLY) P + EVENLY U, U even
+    among those that can follow, and the hypothesis is weighted by P / q.
+    """
+    modal = modal_of(inputs.motion)
+    if modal is None:
+        return None
+    prior, rng = inputs.prior, inputs.stream("modes")
+    states = prior.states[ancestors]
+    chain = modal.chain.over(inputs.dt)
+    can_follow = chain > 0
+    drawn_by = (1.0 - EVENLY) * chain + EVENLY * can_follow / can_follow.sum(axis=1, keepdims=True)
+    before, size = states[:, -1].astype(np.intp), len(states)
+    modes = draw(drawn_by[before], (rng.permutation(size) + rng.random(size)) / size)
+    states[:, -1] = modes
+    prior_log = beta_log + np.log(chain[before, modes] / drawn_by[before, modes])
+    moved = replace(inputs, prior=replace(prior, states=states), motion=_settle(inputs.motion))
+    return DrawnModes(moved, prior_log)
+
+
+def _settle(motion: MotionModel) -> MotionModel:
+    """The motion, drawing no modes."""
+    match motion:
+        case Modal():
+            return replace(motion, settled=True)
+        case Confined() | Jumping():
+            return replace(motion, motion=_settle(motion.motion))
+    return motion
 
 
 def start_size(settings: spec.Particles) -> int:

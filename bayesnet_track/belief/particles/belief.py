@@ -1,22 +1,88 @@
-"""The particle filter: a weighted set of hypotheses, stepped in passes over hypotheses of a frame."""
+"""Particle filter: a weighted set of hypotheses, stepped in passes, and its maximum a posteriori."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from bayesnet_track.belief.contract import Evaluate, MotionModel, Report, Step, Stream
+from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.jumps import modal_of
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.importance import proposal_of
-from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.particles.sample_size import SizeMemory
-from bayesnet_track.belief.particles.weighted_sample import WeightedSample, prior_of
+from bayesnet_track.belief.particles.sample_size import SizeMemory, WeightedSample, prior_of
 from bayesnet_track.graph import spec
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.numerics.density import mixture_argmax
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import changed
+
+Prior = tuple[Floats, LogWeights]
+"""The belief before the motion: (K, D) states and their weights, normalised or not."""
+
+
+def map_index(
+    log_likelihood: Floats,
+    states: Floats,
+    parents: Floats,
+    weights: LogWeights,
+    motion: MotionModel,
+    dt: float,
+) -> int:
+    """argmax_i L(x_i) sum_k beta_k p(x_i | x_k): the hypothesis of the largest posterior density.
+
+    The hypothesis of the largest weight is the maximum *likelihood* one when hypotheses come from the prior
+    with equal weights (thesis 2.5, corrected).
+
+    Args:
+        log_likelihood: (N,) log L, finite or -inf.
+        states: (N, D) hypotheses, after the motion.
+        parents: (K, D) the belief before the motion.
+        weights: beta, its K weights.
+        motion: what leads from parents to states.
+        dt: the time between, in frame intervals.
+    """
+    modal = modal_of(motion)
+    if modal is not None:
+        return _index_of_modes(log_likelihood, states, (parents, weights), modal, dt)
+    return _index(log_likelihood, states, (parents, weights), motion, dt)
+
+
+def _index_of_modes(log_likelihood: Floats, states: Floats, before: Prior, modal: Modal, dt: float) -> int:
+    """The best of the hypotheses of each mode, then the best of these."""
+    parents, weights = before
+    modes, own = states[:, -1].astype(np.intp), np.ascontiguousarray(parents[:, :-1])
+    with np.errstate(divide="ignore"):
+        log_chain = np.log(modal.chain.over(dt))[parents[:, -1].astype(np.intp)]
+    found, values = [], []
+    for mode, motion in enumerate(modal.motions):
+        chosen = np.flatnonzero(modes == mode)
+        if not len(chosen):
+            continue
+        here, log_before = np.ascontiguousarray(states[chosen, :-1]), weights.log + log_chain[:, mode]
+        best = _index(log_likelihood[chosen], here, (own, LogWeights(log_before)), motion, dt)
+        density = motion.log_density(here[best : best + 1], own, dt)[0] + log_before
+        found.append(int(chosen[best]))
+        values.append(float(log_likelihood[chosen[best]] + np.logaddexp.reduce(density)))
+    return found[int(np.argmax(values))]
+
+
+def _index(log_likelihood: Floats, states: Floats, before: Prior, motion: MotionModel, dt: float) -> int:
+    parents, weights = before
+    transition = motion.transition(parents, dt)
+    points, log_jacobian = transition.coordinates(states)
+    components, width = transition.sds.shape[0], points.shape[1]
+    log_weights = (transition.log_shares[:, None] + weights.log).ravel()
+    means = transition.means if components == 1 else np.concatenate([transition.means] * components)
+    sds = transition.sds.reshape(len(means), width)
+    return mixture_argmax(log_likelihood + log_jacobian, points, log_weights, means, sds)
+
 
 __all__ = ["Inputs", "ParticleFilter", "ParticleSet"]
 
@@ -123,4 +189,72 @@ def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[Parti
         support=posterior,
         log_evidence=step.log_evidence + total - own,
         find_map=changed(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
+    )
+
+
+def find_maps(steps: Iterable[Step[Any]]) -> None:
+    """Find `map_state` of the steps of particle filters that share a motion, before anybody asks for it.
+
+    Other steps find theirs when they are asked. Every row of states moves by itself, so that the states of
+    several targets can stand below each other.
+    """
+    alike: dict[Hashable, list[tuple[Step[Any], FindMap]]] = {}
+    for step in steps:
+        find = step.find_map
+        if not isinstance(find, FindMap) or "map_state" in step.__dict__:
+            continue
+        motion = find.inputs.motion
+        inner = motion.motion if isinstance(motion, Confined) else motion
+        if isinstance(inner, KinematicMotion):
+            key = (inner, find.inputs.dt, find.states.shape, find.inputs.prior.states.shape)
+            alike.setdefault(key, []).append((step, find))
+    for group in alike.values():
+        _find(group)
+
+
+def _find(group: list[tuple[Step[Any], FindMap]]) -> None:
+    finds = [find for _, find in group]
+    inputs = finds[0].inputs
+    before = Before(
+        np.array([one.inputs.prior.states for one in finds]),
+        np.array([one.inputs.prior.weights.log for one in finds]),
+    )
+    said, states = np.array([one.log_likelihood for one in finds]), np.array([one.states for one in finds])
+    best = find_places(inputs.motion, inputs.dt, before, said, states)
+    for (step, find), place in zip(group, best.tolist(), strict=True):
+        if place >= 0:  # else all densities are 0 in floating point, and the step looks further
+            step.__dict__["map_state"] = find.states[place]
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """The beliefs of T targets before they moved: states (T, K, D) and log-weights (T, K)."""
+
+    states: Floats
+    log: Floats
+
+
+def find_places(motion: MotionModel, dt: float, before: Before, said: Floats, states: Floats) -> Ints:
+    """(T,) which of the hypotheses (T, N, D), of log-likelihoods `said` (T, N), is each target's MAP.
+
+    -1 where all densities are 0 in floating point. The motion is that of a `KinematicMotion`.
+    """
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.density import likeliest_of_each
+
+    (count, own), known = states.shape[:2], before.states.shape[1]
+    transition = motion.transition(before.states.reshape(count * known, -1), dt)
+    points, log_jacobian = transition.coordinates(states.reshape(count * own, -1))
+    components, width = transition.sds.shape[0], points.shape[1]
+    log_weights = transition.log_shares[:, None] + before.log[:, None]
+    means = np.broadcast_to(
+        transition.means.reshape(count, 1, known, width), (count, components, known, width)
+    )
+    sds = transition.sds.reshape(components, count, known, width).swapaxes(0, 1)
+    return likeliest_of_each(
+        said + log_jacobian.reshape(count, own),
+        np.ascontiguousarray(points).reshape(count, own, width),
+        log_weights.reshape(count, -1),
+        plain(means).reshape(count, -1, width),
+        1.0 / np.ascontiguousarray(sds).reshape(count, -1, width),
     )

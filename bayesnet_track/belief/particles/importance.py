@@ -1,4 +1,4 @@
-"""From where the hypotheses of a frame are drawn, and when a second pass is paid for."""
+"""Importance functions of thesis 5.5.1, and the second pass over hypotheses of a frame."""
 
 from __future__ import annotations
 
@@ -8,25 +8,30 @@ from functools import partial
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Evidence, Report
+from bayesnet_track.belief.contract import Ancestors, Evidence, Report, hypotheses_of
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import (
     WillRepeat,
     adaptive_size,
     evaluate_sample,
     fixed_size,
+    move,
     resize_by,
     start_size,
 )
-from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edit, mixture_pass, refine
+from bayesnet_track.belief.particles.fitted import Kernels, flatten, log_prior
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.proposals import (
     CombinedSample,
     combine,
+    confine,
     draw_by_parents,
     draw_fitted,
     log_sum,
+    mix_defensive,
+    reweight_sample,
 )
-from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample
+from bayesnet_track.belief.particles.sample_size import FrameSample, WeightedSample, concatenate, prior_of
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import (
     Auxiliary,
@@ -37,7 +42,215 @@ from bayesnet_track.graph.settings.proposals import (
 )
 from bayesnet_track.journal.events.sample_sizes import SecondPass
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights, kl
+from bayesnet_track.numerics.resampling import systematic
+from bayesnet_track.observation.cue import Hypotheses
+
+LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps of Roberts' R2 sequence: as even as a grid, for any number of places."""
+
+LEAST_EFFECTIVE = 10
+"""Effective hypotheses that kernels stand around; a sharper likelihood is flattened until there are."""
+
+
+def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> WeightedSample:
+    """Parents drawn by beta_k L(drift of k), their hypotheses weighted by what that favoured (eq. 5.20).
+
+    The evidence is unbiased: parents are drawn before, and independently of, where their hypotheses move.
+    """
+    beta, states = inputs.prior.weights, inputs.prior.states
+    ahead = hypotheses_of(inputs.motion.drift(states, inputs.dt), inputs.prior.fields)
+    try:
+        looked, _ = beta.times(inputs.evaluate(ahead, beta.log).log_likelihood)
+    except DegenerateWeights:  # nothing fits ahead: the look favours none
+        looked = beta
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(beta.log > -np.inf, looked.log - beta.log, -np.inf)
+    ratio = np.asarray(mix_defensive(ratio, settings.defensive))
+    log_parents, _ = LogWeights.normalise(beta.log + ratio)
+    rng = inputs.stream("resample")
+    ancestors = systematic(log_parents.weights, size, rng).astype(np.intp, copy=False)
+    prior_log = (beta.log - log_parents.log)[ancestors] - np.log(size)
+    return reweight_sample(
+        evaluate_sample(
+            inputs, move(inputs, ancestors, "propagate"), LogWeights.normalise(prior_log)[0].log, ancestors
+        ),
+        prior_log,
+    )
+
+
+# ------------------------------------------------------------------------------------ prior editing
+
+
+def edit(inputs: Inputs, first: WeightedSample, settings: PriorEditing) -> WeightedSample:
+    """Prior editing: hypotheses kept with probability min(1, L / c), their weight divided by it.
+
+    All rounds are drawn, so that their number depends on nothing, and c_i is a share of the largest
+    likelihood of the *other* hypotheses: so those kept are a sample of the prior exactly, and the evidence is
+    unbiased (rejection control; a fixed number of kept hypotheses, or a c that knows of i, would bias it).
+    """
+    whole = first
+    if settings.rounds > 1:
+        more = (settings.rounds - 1) * len(first)
+        drawn = systematic(inputs.prior.weights.weights, more, inputs.stream("resample rounds"))
+        ancestors = drawn.astype(np.intp, copy=False)
+        states = move(inputs, ancestors, "propagate rounds")
+        again = evaluate_sample(inputs, states, LogWeights.uniform(more).log, ancestors)
+        whole = concatenate(first, again, 1.0 / settings.rounds)
+    likelihood = whole.evidence.log_likelihood
+    if not np.isfinite(np.max(likelihood)):  # all -inf, or one a NaN or inf
+        return whole
+    best = int(np.argmax(likelihood))
+    second = float(np.max(np.delete(likelihood, best)))
+    level = np.full(len(whole), likelihood[best] + np.log(settings.accept_above))
+    level[best] = second + np.log(settings.accept_above)
+    log_kept = np.minimum(0.0, likelihood - level)
+    log_kept[best] = 0.0  # at least its level, which may be -inf
+    with np.errstate(divide="ignore"):
+        kept = np.flatnonzero(np.log(inputs.stream("reject").random(len(whole))) < log_kept)
+    chosen = select(whole, kept)
+    return reweight_sample(chosen, chosen.prior_log - log_kept[kept])
+
+
+def select(one: WeightedSample, index: Ancestors) -> WeightedSample:
+    """Some of a pass' hypotheses, by index, with their evidence."""
+    evidence = one.evidence
+    part: Evidence = replace(
+        evidence,
+        log_likelihood=evidence.log_likelihood[index],
+        messages={name: values[index] for name, values in evidence.messages.items()},
+        latent={
+            name: Hypotheses(own.boxes[index], {key: values[index] for key, values in own.fields.items()})
+            for name, own in evidence.latent.items()
+        },
+        sampled=None if evidence.sampled is None else evidence.sampled[index],
+        factors={name: values[index] for name, values in evidence.factors.items()},
+    )
+    return WeightedSample(one.states[index], one.prior_log[index], one.ancestors[index], part)
+
+
+# ------------------------------------------------------------------------------------ by kernels
+
+
+def refine(inputs: Inputs, first: WeightedSample, settings: IteratedProposal) -> CombinedSample | None:
+    """West's adaptive mixture: each refinement draws from kernels around all hypotheses so far.
+
+    All are weighted by the mixture of what they could have been drawn from, 1 / (n + sum m_r r_r(x)), where
+    r_r = g_r / p by (5.18): O(R^2 M N). The evidence of `CombinedSample` is that of the refinements alone,
+    each unbiased given those before. None where passes cannot be joined or drawn.
+
+    Raises:
+        DegenerateWeights: no hypothesis of the first pass has a positive, finite likelihood.
+    """
+    beta = inputs.prior.weights
+    transition = inputs.motion.transition(inputs.prior.states, inputs.dt)
+    if transition.states is None or transition.means.shape[1] == 0:
+        return None
+    n = len(first)
+    as_first = round(settings.defensive * n)
+    rng = inputs.stream("second pass")
+    whole, mixtures, evidences = first, list[Kernels](), []
+    for _ in range(settings.refinements):
+        points = transition.coordinates(whole.states)[0]
+        kernels = _around(points, whole, settings.bandwidth)
+        mixtures.append(kernels)
+        component, drawn = kernels.draw(n - as_first, rng)
+        parents = whole.ancestors[component]
+        still = inputs.motion.drift(inputs.prior.states[parents], inputs.dt)
+        from_prior = systematic(beta.weights, as_first, rng).astype(np.intp, copy=False)
+        fresh = inputs.motion.propagate(inputs.prior.states[from_prior], inputs.dt, rng)
+        states = np.concatenate([transition.states(drawn, still), fresh])
+        ancestors = np.concatenate([parents, from_prior])
+
+        points = transition.coordinates(np.concatenate([whole.states, states]))[0]
+        log_p = log_prior(transition, beta, points)
+        ratios = [
+            mix_defensive(each.log_density(points, len(each.centres)) - log_p, as_first / n)
+            for each in mixtures
+        ]
+        alone = -np.log(n) - ratios[-1][len(whole) :]
+        states = confine(inputs.motion, states)
+        more = evaluate_sample(inputs, states, LogWeights.normalise(alone)[0].log, ancestors)
+        if more.evidence.faults.keys() != first.evidence.faults.keys():
+            return None
+        evidences.append(log_sum(alone + more.evidence.log_likelihood))
+        counts = np.log(n) + np.logaddexp.reduce([np.zeros(len(points)), *ratios], axis=0)
+        whole = reweight_sample(concatenate(whole, more, 0.5), -counts)
+    return CombinedSample(whole, log_sum(np.array(evidences)) - np.log(len(evidences)))
+
+
+def _around(points: Floats, whole: WeightedSample, bandwidth: float) -> Kernels:
+    """Kernels around weighted hypotheses, by the normal reference rule for their effective size."""
+    size = points.shape[1]
+    _, weights = flatten(prior_of(whole), whole.evidence.log_likelihood, LEAST_EFFECTIVE)
+    spread = weighted_moments(points, weights.weights)[1]
+    width = bandwidth * (4.0 / ((size + 2) * weights.ess)) ** (1.0 / (size + 4))
+    scale = np.diag(np.maximum(np.diagonal(spread), 1e-12))
+    return Kernels(weights, points, width * np.linalg.cholesky(spread + 1e-6 * scale))
+
+
+def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> WeightedSample:
+    """Hypotheses from the motion model, and from where probes find the likelihood high (Thrun et al.).
+
+    Probes are spread evenly over the prior's surroundings, their boxes and further fields as a draw from the
+    prior has them. Positions come from kernels of the probes' spacing, weighted by their likelihood; the
+    other coordinates from the prior's Gaussian given the position. Each hypothesis is weighted by the prior's
+    density over that of the mixture (5.18), at most 1 / (1 - share). The probes are no hypotheses, so nothing
+    is used twice and the evidence is unbiased.
+    """
+    beta, rng = inputs.prior.weights, inputs.stream("candidates")
+    ancestors = systematic(beta.weights, size, inputs.stream("resample")).astype(np.intp, copy=False)
+    usual = move(inputs, ancestors, "propagate")
+    transition = inputs.motion.transition(inputs.prior.states, inputs.dt)
+    part = round(settings.share * size)
+    kernels = _probe(inputs, usual, transition, settings.reach_sd, rng) if part else None
+    if kernels is None or transition.states is None:
+        return evaluate_sample(inputs, usual, LogWeights.uniform(size).log, ancestors)
+    # Which of the draws give way must not depend on where they went.
+    stay = np.sort(rng.permutation(size)[: size - part])
+    _, drawn = kernels.draw(part, rng)
+    parents = systematic(beta.weights, part, rng).astype(np.intp, copy=False)
+    still = inputs.motion.drift(inputs.prior.states[parents], inputs.dt)
+    states = np.concatenate([usual[stay], transition.states(drawn, still)])
+    points = transition.coordinates(states)[0]
+    log_ratio = kernels.log_density(points) - log_prior(transition, beta, points)
+    prior_log = -np.logaddexp(np.log(size - part), np.log(part) + log_ratio)
+    of, states = np.concatenate([ancestors[stay], parents]), confine(inputs.motion, states)
+    return reweight_sample(
+        evaluate_sample(inputs, states, LogWeights.normalise(prior_log)[0].log, of), prior_log
+    )
+
+
+def _probe(
+    inputs: Inputs, usual: Floats, transition: Transition, reach_sd: float, rng: np.random.Generator
+) -> Kernels | None:
+    """Kernels in the motion's coordinates where probes are likely; None when none is, or nothing can move."""
+    size = len(usual)
+    points = transition.coordinates(usual)[0]
+    place = usual[:, :2]
+    middle, sd = place.mean(axis=0), place.std(axis=0)
+    if points.shape[1] == 0 or not (sd > 0).all():
+        return None
+    lattice = (np.arange(size)[:, None] * LATTICE + rng.random(2)) % 1
+    probes = usual.copy()
+    probes[:, :2] = middle + reach_sd * sd * (2.0 * lattice - 1.0)
+    seen = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), LogWeights.uniform(size).log)
+    try:
+        weights, _ = LogWeights.normalise(seen.log_likelihood)
+    except DegenerateWeights:
+        return None
+    spacing = 2.0 * reach_sd * sd / np.sqrt(size)
+    centre = points.mean(axis=0)
+    across = (points - centre).T @ (place - middle) / size
+    within = np.cov(place.T, bias=True)
+    gain = across @ np.linalg.inv(within)
+    spread = (
+        np.cov(points.T, bias=True).reshape(len(centre), -1) - gain @ (within - np.diag(spacing**2)) @ gain.T
+    )
+    root = np.linalg.cholesky(spread + 1e-9 * np.diag(np.diagonal(np.atleast_2d(np.cov(points.T)))))
+    return Kernels(weights, centre + (probes[:, :2] - middle) @ gain.T, root)
+
 
 Draw = Callable[[Inputs], FrameSample]
 """Draws the hypotheses of a frame."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.particles.fitted import (
     EFFECTIVE,
     fit_message,
@@ -21,7 +21,7 @@ from bayesnet_track.belief.particles.fitted import (
     paired_log_density,
 )
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
+from bayesnet_track.belief.particles.sample_size import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph.settings.proposals import SecondPassProposal
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights

@@ -14,8 +14,7 @@ from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.adapt.passes import share_by_overlap, share_in_passes
-from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork

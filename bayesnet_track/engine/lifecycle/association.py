@@ -16,7 +16,7 @@ import numpy as np
 from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.assigning import Sharing, give_detection, score_looks

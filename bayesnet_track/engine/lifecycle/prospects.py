@@ -10,7 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Pairs, Population, Prospects, Shared
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.engine.compiled import CompiledPlate

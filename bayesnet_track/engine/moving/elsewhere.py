@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
-from bayesnet_track.belief.motion.jumps import TELL_ABOVE
-from bayesnet_track.belief.motion.places import Within
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step, hypotheses_of
+from bayesnet_track.belief.motion.jumps import TELL_ABOVE, Within
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import MotionContext, PredictedMotion
 from bayesnet_track.engine.scoring.confidences import log_odds

@@ -10,11 +10,9 @@ from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.attached import Attached
-from bayesnet_track.belief.motion.composed import Influences, compose_motion, kinematics_of
-from bayesnet_track.belief.motion.inflation import inflation_factor
-from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.modal import Modal
-from bayesnet_track.belief.motion.places import Search, Within
+from bayesnet_track.belief.motion.composed import Influences, compose_motion, inflation_factor, kinematics_of
+from bayesnet_track.belief.motion.jumps import Jumping, Search, Within
+from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel, Posterior, Step
-from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.places import Search, Within
+from bayesnet_track.belief.motion.jumps import Jumping, Search, Within
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.scoring.reacquisition import usual_fit

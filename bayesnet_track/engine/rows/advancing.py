@@ -18,7 +18,7 @@ from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.engine.frame_metrics import WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.assigning import advance_tentative, name_owners, tentative_tracks

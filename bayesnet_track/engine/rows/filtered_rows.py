@@ -9,10 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from bayesnet_track.belief.contract import Evidence, MotionModel, Step
-from bayesnet_track.belief.particles.belief import FindMap
-from bayesnet_track.belief.particles.clouds import Clouds, some
-from bayesnet_track.belief.particles.maps import Before, find_places
-from bayesnet_track.belief.particles.particle_set import Inputs
+from bayesnet_track.belief.particles.belief import Before, FindMap, find_places
+from bayesnet_track.belief.particles.particle_set import Clouds, Inputs, some
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
-from bayesnet_track.belief.gaussian.predict import require_linear
+from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior, require_linear
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork

@@ -13,13 +13,12 @@ from functools import lru_cache
 import numpy as np
 
 from bayesnet_track.adapt.on_call import on_call_rule
+from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.models import KinematicMotion
-from bayesnet_track.belief.motion.moved_rows import draws_twice, propagate_rows
+from bayesnet_track.belief.motion.models import KinematicMotion, draws_twice, propagate_rows
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.belief import ParticleFilter
-from bayesnet_track.belief.particles.clouds import Clouds
-from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.belief.particles.particle_set import Clouds
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork

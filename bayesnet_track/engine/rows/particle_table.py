@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.belief.particles.clouds import Clouds
-from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.state import TargetState

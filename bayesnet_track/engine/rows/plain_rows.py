@@ -16,7 +16,7 @@ import numpy as np
 from bayesnet_track.adapt.memory import USUAL, RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns, remember
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.contract import estimate
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.findings import Heard, Learnt, Measured, TargetResult, heard
 from bayesnet_track.engine.frame_metrics import frame_metrics

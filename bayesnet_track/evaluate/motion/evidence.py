@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.modes import Modes
-from bayesnet_track.belief.motion.kinematics import steps
-from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.models import KinematicMotion, steps
+from bayesnet_track.belief.motion.modes import Modes
 from bayesnet_track.belief.motion.noise import (
     box_coordinates,
     component_log_shares,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.modes import make_modes
 from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.motion.modes import make_modes
 from bayesnet_track.belief.motion.noise import is_log
 from bayesnet_track.evaluate.motion.evidence import Hypothesis, log_evidence, noisy_columns
 from bayesnet_track.evaluate.motion.parameters import (

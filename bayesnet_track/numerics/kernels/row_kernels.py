@@ -33,7 +33,7 @@ def predict_rows(
 
     Centres stay on the image (width, height; infinite: they go anywhere), sizes from 1 px to twice the
     image's; the sds of a box are at
-    most those of one that may be anywhere (`belief.motion.bounds.Confined`).
+    most those of one that may be anywhere (`belief.motion.borders.Confined`).
     """
     count, size = mean.shape
     new, spread = np.empty((count, size)), np.empty((count, size, size))

@@ -25,7 +25,7 @@ from bayesnet_track.adapt.lifecycle import AppearanceMemory, TrackHistory, Track
 from bayesnet_track.adapt.memory import Baseline, Layout, RuleMemory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.gaussian.mixture import ModalPosterior
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift

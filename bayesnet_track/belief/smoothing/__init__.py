@@ -1,1 +1,0 @@
-"""Beliefs given the whole sequence: backward over what was filtered."""
