@@ -111,7 +111,7 @@ def test_values_that_are_no_numbers_become_black():
 @pytest.mark.parametrize("dtype", [np.float32, np.int16, np.uint32, np.float64])
 def test_other_types_need_a_range_and_the_refusal_gives_one(tmp_path, dtype):
     values = (RAMP + 20).astype(dtype)
-    with pytest.raises(PictureError, match="need a range: value_range=\(20, 83\)"):
+    with pytest.raises(PictureError, match=r"need a range: value_range=\(20, 83\)"):
         to_bgr(values)
     assert (to_bgr(values, (20, 83))[0][..., 0] == COLUMNS).all()
 
