@@ -75,19 +75,6 @@ def test_a_batch_takes_the_class_of_a_box(tmp_path, video):
     assert '"gray"' in (tmp_path / "runs" / "a" / "run.json").read_text()
 
 
-def test_an_earlier_run_whose_box_names_no_class_can_be_repeated(tmp_path, video, capsys):
-    out = tmp_path / "run"
-    box = "10,10,20,20"
-    run = ["run", "orange_and_gray", "--source", str(video), "--init", f"orange:{box}", "--out", str(out)]
-    assert main([*run, "-q"]) == 0
-    path = out / "run.json"
-    assert path.read_text().count('"orange"') == 1
-    path.write_text(path.read_text().replace('"orange"', "null"))
-    (out / "manifest.json").unlink()
-    assert main(["what-if", str(out), "--seed", "0", "--out", str(tmp_path / "again")]) == 0
-    assert (tmp_path / "again" / "tracks.txt").read_bytes() == (out / "tracks.txt").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("box", "said"),
     [
