@@ -1,6 +1,6 @@
 /**
  * A run as the page knows it. It is filled at once from a packed page (packed.ts), or line by line while the run
- * goes on: `append` takes a line of frames.jsonl, `addTiming` one of timings.jsonl, `addEvent` a row of an event.
+ * goes on: `append` takes the measurements of a frame, `addTiming` one of timings.jsonl, `addEvent` a row of an event.
  * Whoever feeds it calls `changed` after each batch; the page listens with `onChange`. It knows no DOM.
  */
 
@@ -151,7 +151,7 @@ export class RunData {
     this.plates = header.plates;
   }
 
-  /** Call with a line of frames.jsonl; frames come in order. */
+  /** Call with the measurements of a frame; frames come in order. */
   append(line: FrameLine): void {
     let track = this.tracks.get(line.target);
     if (track === undefined) {

@@ -85,7 +85,7 @@ export interface Header {
 /** A number as the journal writes it: JSON has neither NaN nor infinity. */
 export type Written = number | "NaN" | "Infinity" | "-Infinity" | null;
 
-/** A line of frames.jsonl. */
+/** Measurements of a frame, as `export --format frames` writes them. */
 export interface FrameLine {
   frame: number;
   time_s: Written;
