@@ -75,7 +75,7 @@ def test_which_of_several_classes_is_fitted_is_said(data, capsys):
     assert main(["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--what", "score"]) == 0
     said = capsys.readouterr()
     assert "has the classes target, person: target, the first one, is fitted, and person not" in said.err
-    first, other = said.out.split("  person:\n")
+    first, other = said.out.split("\n  person:\n")
     assert "# fit: " in first and "# fit: " not in other
 
 

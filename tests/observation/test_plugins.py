@@ -167,7 +167,7 @@ def test_a_run_remembers_them_but_is_data_and_allows_nothing(both, graph, images
     results = track(graph(), images, BOX, out=run, allow_plugins=["flat", "middle"])
     next(results)
     results.close()
-    assert Recipe.read(run).options == {"allow_plugins": "flat", "manifest": True}
+    assert Recipe.read(run).options == {"allow_plugins": "flat"}
     plugins.forget()
     both.unlink()
     line = ["what-if", str(run), "--out", str(tmp_path / "other"), "--seed", "3", "--quiet"]

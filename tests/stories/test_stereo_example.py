@@ -78,7 +78,7 @@ def test_both_ways_of_giving_a_pair_give_the_same(files, tmp_path):
     assert run(files, tmp_path, "--source", files / "left", "--right", files / "right", *calibration) == 0
     both = ("--source", files / "both", "--stereo", "side_by_side", *calibration)
     assert run(files, tmp_path, *both, out="halves") == 0
-    one, other = ((tmp_path / name / "frames.npy.gz").read_text() for name in ("run", "halves"))
+    one, other = ((tmp_path / name / "frames.npy.gz").read_bytes() for name in ("run", "halves"))
     assert one == other
     assert all("stereo" in m.active for m in read_metrics(tmp_path / "run" / "frames.npy.gz"))
     first = json.loads((tmp_path / "run" / "journal.jsonl").read_text().splitlines()[0])
