@@ -110,7 +110,7 @@ import gzip
 
 import numpy as np
 
-with gzip.open("runs/one/frames.npy.gz") as file:
+with gzip.open("runs/mine/frames.npy.gz") as file:
     frame = np.load(file)  # the first frame with targets; again for the next one
     print(frame["frame"], frame["target"], frame["box"])  # texts (T,), centre boxes (4, T)
 ```

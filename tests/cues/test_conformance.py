@@ -202,10 +202,10 @@ def test_order_and_company_of_hypotheses_do_not_matter(asked, scene):
 
 
 def test_a_group_of_targets_gets_the_bits_of_each_alone(asked, scene):
-    """Also by the cue's own form for all, with planes that they share; one target is outside the frame."""
+    """Also by the cue's own form for all, with planes that they share; two are half outside the frame."""
     pair, whole = scene.pair(), Region(0, 0, scene.width, scene.height)
-    border, outside = np.array([20.0, 230.0, 61.3, 44.9]), np.array([-5000.0, 9.0, 20.0, 20.0])
-    targets = [scene.box(), scene.box((7.0, -4.0)), border, outside]
+    border, corner = np.array([20.0, 230.0, 61.3, 44.9]), np.array([0.0, 0.0, 20.0, 20.0])
+    targets = [scene.box(), scene.box((7.0, -4.0)), border, corner]
     references = [asked.learn(pair, box) for box in targets]
     clouds = [random_boxes(scene, size, seed) for seed, size in enumerate((40, 7, 60, 9))]
     starts = np.cumsum([0, *map(len, clouds)])

@@ -4,7 +4,7 @@
 checkers complain of an ignore that is not needed.
 """
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, assert_type
 
@@ -70,7 +70,7 @@ def of_a_whole_run(starts: list[Start]) -> None:
     results = track("general", "video.mp4", (1, 2, 3, 4))
     assert_type(results, Generator[Result, None, None])
     for result in track("general", "video.mp4", starts, out="run"):
-        assert_type(result.targets, tuple[FrameMetrics, ...])
+        assert_type(result.targets, Sequence[FrameMetrics])
         assert_type(result.frame.index, int)
         assert_type(result.frame.image, NDArray[np.uint8])
         assert_type(result.seconds, dict[str, float])
