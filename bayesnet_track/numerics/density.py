@@ -124,7 +124,7 @@ def _peaks(log_weights: Floats, precisions: Floats) -> Floats:
         density = 1.0
         for k in range(precisions.shape[1]):
             density *= precisions[n, k]
-        if density != before:  # often all are equal, and a logarithm is dear
+        if density != before:  # often all are equal, and a logarithm is expensive
             before, log_density = density, np.log(density)
         log_peaks[n] = log_weights[n] + log_density
     peaks: Floats = np.exp(log_peaks - log_peaks.max())

@@ -198,7 +198,7 @@ class Tracker(Boxed, Storable):
     ) -> tuple[bool, CornerBox]:
         """Process the next frame: (False while lost else True, the estimate as a top-left corner box).
 
-        Of several targets it tells of the first, and `targets` of all; without any it is (False, zeros).
+        Of several targets it is that of the first (`targets` has all); without any it is (False, zeros).
 
         `time_s` is when the frame was taken, in seconds on the clock of the frames before it: beliefs are
         predicted over the true time from one frame to the next. Without it every frame is taken for one that

@@ -161,7 +161,7 @@ def _told(job: Job, process: subprocess.Popen[str], reports: SimpleQueue[Progres
     """Give a process its job and report what it says; its row, or None where it ends without one."""
     assert process.stdin is not None and process.stdout is not None
     row: Row | None = None
-    with suppress(BrokenPipeError):  # it has ended already: its code tells how
+    with suppress(BrokenPipeError):  # it has ended already: its exit code says how
         process.stdin.write(job.to_json() + "\n")
         process.stdin.close()
     for line in process.stdout:

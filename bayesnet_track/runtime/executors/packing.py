@@ -11,7 +11,7 @@ NOTEWORTHY_S = 0.0005
 
 
 def pack(costs: Mapping[str, float], workers: int) -> list[set[str]]:
-    """Agents for each worker: the dearest first, each to the worker that has least to do.
+    """Agents for each worker: the most expensive first, each to the worker that has least to do.
 
     >>> [sorted(own) for own in pack({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
     [['a'], ['b', 'c']]

@@ -72,7 +72,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """A run as its directory tells it. Made by `open_run`.
+    """A run as its directory holds it. Made by `open_run`.
 
     Attributes:
         directory: where its files are.
