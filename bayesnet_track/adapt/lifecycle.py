@@ -1,15 +1,18 @@
-"""What is remembered of targets that come and go, and when a lost one ends."""
+"""Births, ends and duplicates of targets: records, and tentative tracks before a birth."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from bayesnet_track.adapt.candidates import Candidate
+import numpy as np
+
+from bayesnet_track.adapt.association import NOBODY, Owners, distances, pair_up
 from bayesnet_track.adapt.existence import Population
-from bayesnet_track.graph.settings.lifecycle import Death
+from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState
 
@@ -96,3 +99,209 @@ def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | N
     if rule.unseen_frames is not None and record.unseen_frames >= rule.unseen_frames:
         return "unseen", record.unseen_frames, rule.unseen_frames
     return None
+
+
+SAME_PLACE = 0.1
+"""Places this share of a box apart are one object: beliefs are widened by so much to be compared."""
+
+
+def belief_overlap(mean_a: Floats, cov_a: Floats, mean_b: Floats, cov_b: Floats) -> Floats:
+    """Bhattacharyya coefficient, 0..1, of two Gaussians of x, y, w, h, both widened by `SAME_PLACE` of a box.
+
+    exp(-D), D = d' S^-1 d / 8 + ln(det S / sqrt(det S_a det S_b)) / 2, S = (S_a + S_b) / 2. Means: (..., 4)
+    and covariances (..., 4, 4).
+
+    >>> box, sure = np.array([50.0, 40, 20, 20]), np.zeros((4, 4))
+    >>> round(float(belief_overlap(box, sure, box + [4, 0, 0, 0], sure)), 6)  # exp(-(4 / 2)^2 / 8)
+    0.606531
+    """
+    box = (mean_a + mean_b) / 2
+    widening = ((SAME_PLACE * box[..., [2, 3, 2, 3]]) ** 2)[..., None] * np.eye(4)
+    first, second = cov_a + widening, cov_b + widening
+    both = (first + second) / 2
+    d = (mean_a - mean_b)[..., None]
+    shape = np.linalg.slogdet(both)[1] - (np.linalg.slogdet(first)[1] + np.linalg.slogdet(second)[1]) / 2
+    apart = (np.swapaxes(d, -1, -2) @ np.linalg.solve(both, d))[..., 0, 0]
+    return np.asarray(np.exp(-apart / 8 - np.maximum(shape, 0.0) / 2))
+
+
+def overlapping(
+    names: Sequence[str],
+    means: Floats,
+    covariances: Floats,
+    since: Sequence[int],
+    before: Mapping[tuple[str, str], tuple[float, ...]],
+    rule: MergeDuplicates,
+) -> dict[tuple[str, str], tuple[float, ...]]:
+    """(younger, older) -> overlaps of their beliefs in the last frames; means (T, 4), covariances (T, 4, 4).
+
+    No more than `rule.frames` of them; only pairs that overlap by `rule.overlap` in this frame. Of those born
+    in one frame the later named is the younger. Targets whose centres lie a box apart are not compared.
+    """
+    first, second = near_pairs(means, covariances, rule.overlap)
+    if not len(first):
+        return {}
+    values = belief_overlap(means[first], covariances[first], means[second], covariances[second])
+    streaks = {}
+    for pair in np.flatnonzero(values >= rule.overlap).tolist():
+        i, j, value = int(first[pair]), int(second[pair]), float(values[pair])
+        older, younger = (names[k] for k in sorted((i, j), key=lambda k: (since[k], k)))
+        streak = (*before.get((younger, older), ()), value)
+        streaks[younger, older] = streak[-rule.frames :]
+    return streaks
+
+
+def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[Owners, Owners]:
+    """Rows i < j (P,) of centre boxes (T, 4) whose centres lie less than a box apart, in order.
+
+    Left out are those whose fields, each alone, rule out an overlap of `least`: cheap, and leaves few.
+
+    >>> near_pairs(np.array([[0.0, 0, 4, 4], [9, 0, 4, 4], [3, 0, 4, 4]]), np.zeros((3, 4, 4)))
+    (array([0]), array([2]))
+    """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
+
+    order, sides = np.argsort(boxes[:, 0], kind="stable"), np.sqrt(boxes[:, 2] * boxes[:, 3])
+    variances = plain(np.diagonal(covariances, axis1=1, axis2=2))
+    limit = -8.0 * np.log(least) * (1.0 + 1e-9) if least > 0.0 else np.inf
+    ends = pairs_alike(plain(boxes), sides, variances, order, limit, SAME_PLACE)
+    if not len(ends[0]):
+        return ends
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    away = np.hypot(boxes[low, 0] - boxes[high, 0], boxes[low, 1] - boxes[high, 1])
+    near = away / ((sides[low] + sides[high]) / 2) < 1.0
+    low, high = low[near], high[near]
+    by_rows = np.lexsort((high, low))
+    return low[by_rows], high[by_rows]
+
+
+FOLLOW_BOX = 1.0
+"""How far from where it is expected a candidate is looked for, in box sides."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something detected that is no target yet.
+
+    Attributes:
+        box: (4,) centre box where it was last detected, or is expected since.
+        step: (2,) its centre's last displacement per look, px.
+        looks: for each of the last looks, its score there, or None when it was not seen.
+        first_frame: frame in which it was first detected.
+        birth: what its draws are keyed by once it is a target: its first detection.
+        mean: (D,) of its belief, where the plate has `existence` or tentative tracks.
+        covariance: (D, D) of its belief.
+        existence: probability that it exists.
+        observed: (H,) what is remembered of the detections of a tentative track (`adapt.association`).
+    """
+
+    box: Floats
+    step: Floats
+    looks: tuple[float | None, ...]
+    first_frame: int
+    birth: str
+    mean: Floats | None = None
+    covariance: Floats | None = None
+    existence: float | None = None
+    observed: Floats | None = None
+
+    @property
+    def seen(self) -> int:
+        """In how many of its looks it was seen."""
+        return sum(score is not None for score in self.looks)
+
+    @property
+    def score(self) -> float:
+        """Mean score of the looks in which it was seen."""
+        scores = [score for score in self.looks if score is not None]
+        return sum(scores) / len(scores)
+
+
+def feed(
+    candidates: Sequence[Candidate],
+    boxes: Floats,
+    scores: Floats,
+    births: Sequence[str],
+    frame: int,
+    rule: Birth,
+) -> tuple[Candidate, ...]:
+    """The candidates after a look that found the boxes (N, 4), the best first, which are no live target's.
+
+    A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
+    too often to be confirmed by the looks it has left is dropped. No more than twice `rule.max_targets` (and
+    8) are
+    kept: those seen most often, then those with the best scores. `births` are what the draws of each box are
+    keyed by if it is the first of a target.
+    """
+    confirm = rule.confirm
+    expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
+    owner = pair_up(distances(boxes, expected), np.full((len(boxes), len(expected)), FOLLOW_BOX))
+    found = {int(k): row for row, k in enumerate(owner) if k != NOBODY}
+    kept = []
+    for number, one in enumerate(candidates):
+        row = found.get(number)
+        if row is None:
+            after = _add_look(_move_on(one), None, confirm)
+        else:
+            after = _add_look(one, float(scores[row]), confirm)
+            after = changed(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
+        if not _is_hopeless(after, confirm):
+            kept.append(after)
+    for new in np.flatnonzero(owner == NOBODY).tolist():
+        kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame, births[new]))
+    return keep_best(kept, rule)
+
+
+def look_again(
+    candidate: Candidate, box: Floats | None, score: float | None, confirm: Confirm
+) -> Candidate | None:
+    """A tentative track after a look: seen in the centre box (4,) or not; None when it is given up."""
+    after = _add_look(candidate, score, confirm)
+    if box is not None:
+        after = changed(after, box=box.copy(), step=box[:2] - candidate.box[:2])
+    return None if _is_hopeless(after, confirm) else after
+
+
+def keep_best(kept: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
+    """No more than twice `rule.max_targets` (and 8): those seen most often, then those of the best scores."""
+    most = max(2 * rule.max_targets, 8)
+    if len(kept) <= most:
+        return tuple(kept)
+    best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
+    chosen = sorted(best[:most])
+    return tuple(kept[k] for k in chosen)
+
+
+def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
+    """True when it is seen now and was often enough."""
+    return candidate.looks[-1] is not None and candidate.seen >= confirm.hits
+
+
+def _add_look(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
+    return changed(candidate, looks=(*candidate.looks, score)[-confirm.of :])
+
+
+def _move_on(candidate: Candidate) -> Candidate:
+    box = candidate.box.copy()
+    box[:2] += candidate.step
+    return changed(candidate, box=box)
+
+
+def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:
+    """True after so many misses on end that no look it has had can count toward a confirmation."""
+    misses = 0
+    for score in reversed(candidate.looks):
+        if score is not None:
+            break
+        misses += 1
+    return misses > confirm.of - confirm.hits
+
+
+def is_refusal_notable(before: int, after: int) -> bool:
+    """True when the number of refused births has reached 1, 10, 100, ... since it was `before`."""
+    level = 1
+    while level <= before:
+        level *= 10
+    return after >= level

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesnet_track.adapt.conditions import Inside, apply_test
-from bayesnet_track.adapt.information import Worth, goes_by_worth
 from bayesnet_track.adapt.memory import (
     FOUND,
     LOST,
@@ -20,8 +18,10 @@ from bayesnet_track.adapt.memory import (
     USUAL,
     Baseline,
     RuleMemory,
+    Worth,
+    goes_by_worth,
 )
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.rule_inputs import Inside, Situation, apply_test
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Condition, Level, Lost
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints

@@ -15,20 +15,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
-from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
-from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
-from bayesnet_track.adapt.memory import RuleMemory, Streak
-from bayesnet_track.adapt.on_call import schedule
+from bayesnet_track.adapt.memory import RuleMemory, Streak, Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.rule_columns import RuleColumns, remember
-from bayesnet_track.adapt.situation import (
+from bayesnet_track.adapt.rule_inputs import (
+    Reading,
     Situation,
+    Tested,
+    apply_test,
     count_left_out,
     quiet_level,
+    read_level,
     read_ud,
     read_ud_beside_more,
 )
-from bayesnet_track.adapt.status import judge_status
+from bayesnet_track.adapt.status import give_up_on_missing, judge_status, readmit, schedule
 from bayesnet_track.graph.spec import Adapt, Condition, Level
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from statistics import median
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.on_call import on_call_rule
-from bayesnet_track.adapt.situation import count_left_out
+from bayesnet_track.adapt.rule_inputs import count_left_out
+from bayesnet_track.adapt.status import on_call_rule
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
 from bayesnet_track.journal.net.net import Decision

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.backoff import quarantine
-from bayesnet_track.adapt.measures import Call
+from bayesnet_track.adapt.rule_inputs import Call
+from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import (
     Belief,
     Evaluate,

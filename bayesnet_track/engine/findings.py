@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.belief.contract import Step
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.scoring.score import Scored

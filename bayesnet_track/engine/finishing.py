@@ -11,11 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.contract import estimate
 from bayesnet_track.belief.particles.belief import find_maps
 from bayesnet_track.engine.filtering import Filtered

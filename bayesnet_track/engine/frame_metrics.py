@@ -7,7 +7,7 @@ from typing import TypeVar, overload
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.rule_inputs import Measures
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork

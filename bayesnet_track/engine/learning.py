@@ -8,8 +8,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from bayesnet_track.adapt.backoff import quarantine
-from bayesnet_track.adapt.situation import Situation, quiet_level
+from bayesnet_track.adapt.rule_inputs import Situation, quiet_level
+from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered

@@ -9,11 +9,9 @@ from collections.abc import Callable, Collection
 
 import numpy as np
 
-from bayesnet_track.adapt.conditions import Reading, read_level
-from bayesnet_track.adapt.measures import Call
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.on_call import is_due, on_call_rule
-from bayesnet_track.adapt.situation import quiet_level
+from bayesnet_track.adapt.rule_inputs import Call, Reading, quiet_level, read_level
+from bayesnet_track.adapt.status import is_due, on_call_rule
 from bayesnet_track.belief.contract import Posterior, Step, estimate, hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState, plan_for

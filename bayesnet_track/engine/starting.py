@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from bayesnet_track.adapt.backoff import next_try, quarantine
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.rule_inputs import Situation
+from bayesnet_track.adapt.status import next_try, quarantine
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate

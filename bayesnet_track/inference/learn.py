@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.conditions import scale_of
+from bayesnet_track.adapt.rule_inputs import scale_of
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.asking import check_reference, fault_of, follow
 from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability

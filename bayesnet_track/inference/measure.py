@@ -7,8 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.adapt.conditions import Inside
-from bayesnet_track.adapt.measures import Measures, PartMeasure
+from bayesnet_track.adapt.rule_inputs import Inside, Measures, PartMeasure
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan

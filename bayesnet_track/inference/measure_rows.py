@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.rule_inputs import Measures
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import PartMeasure, PartStatus
+from bayesnet_track.adapt.rule_inputs import PartMeasure, PartStatus
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Learn, Lost

@@ -182,7 +182,7 @@ class MeasuringCue(Protocol):
 
 
 OBSERVED = "observed"
-"""Name, in a reference, of what is remembered of the detections a target was given; see `adapt.observed`."""
+"""Name, in a reference, of what is remembered of the detections a target was given; see `adapt.association`."""
 
 OWN_DETECTION = "claim"
 """Name, in a reference, of the detection that the target was given for this frame; see `AssociatingCue`."""

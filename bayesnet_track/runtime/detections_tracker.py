@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Never
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.passes import overlapping_pairs
+from bayesnet_track.adapt.association import overlapping_pairs
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import check_starts, start_targets
 from bayesnet_track.engine.step import make_engine, step

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
 

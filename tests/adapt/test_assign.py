@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2, multivariate_normal
 
-from bayesnet_track.adapt.assign import assign, gated_gains
+from bayesnet_track.adapt.association import assign, gated_gains
 from bayesnet_track.observation.cue import AssociationRule
 
 RULE = AssociationRule(sd_place=0.1, sd_size=0.05, gate=0.99, min_overlap=0.3, appearance=0.0)

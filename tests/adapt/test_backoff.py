@@ -2,10 +2,9 @@
 
 import pytest
 
-from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
+from bayesnet_track.adapt.status import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.net.target_net import Fault, TargetNet
 

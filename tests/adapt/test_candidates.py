@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesnet_track.adapt.candidates import is_refusal_notable
+from bayesnet_track.adapt.lifecycle import is_refusal_notable
 
 
 def test_refusals_are_told_at_powers_of_ten():

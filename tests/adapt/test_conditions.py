@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from bayesnet_track.adapt.conditions import Inside, apply_test
+from bayesnet_track.adapt.rule_inputs import Inside, apply_test
 from bayesnet_track.graph.spec import Concentrated
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.causes import Concentration

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.duplicates import belief_overlap, near_pairs
+from bayesnet_track.adapt.lifecycle import belief_overlap, near_pairs
 from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
 
 

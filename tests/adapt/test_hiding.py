@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.hiding import (
+from bayesnet_track.adapt.joins import (
     HIDDEN,
     LASTS,
     detection_of,

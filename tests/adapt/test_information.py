@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
+from bayesnet_track.adapt.memory import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.graph.spec import Information
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.target_net import TargetNet

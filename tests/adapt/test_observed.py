@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.observed import (
+from bayesnet_track.adapt.association import (
     COUNT,
     GAP,
     LAST,

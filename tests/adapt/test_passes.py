@@ -5,10 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.assign import assign_total
-from bayesnet_track.adapt.association import NOBODY
-from bayesnet_track.adapt.observed import first_observed, observe
-from bayesnet_track.adapt.passes import share_by_overlap, share_in_passes
+from bayesnet_track.adapt.association import (
+    NOBODY,
+    assign_total,
+    first_observed,
+    observe,
+    share_by_overlap,
+    share_in_passes,
+)
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.cue import AssociationRule
 

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import BASELINE_MINIMUM, BASELINE_WINDOW, Baseline, RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.adapt.rule_inputs import read_level
 from bayesnet_track.graph.spec import Level
 from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
 from bayesnet_track.journal.events.statuses import StatusChanged

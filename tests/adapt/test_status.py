@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.causes import HiddenCause, ScoreCause
 from bayesnet_track.journal.net.net import Net, apply

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population, Prospects
+from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.lifecycle.confirming import with_belief
 from bayesnet_track.engine.lifecycle.detecting import Found

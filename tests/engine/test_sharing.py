@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.association import NOBODY
-from bayesnet_track.adapt.observed import GAP, Layout, first_observed
+from bayesnet_track.adapt.association import GAP, NOBODY, Layout, first_observed
 from bayesnet_track.engine.lifecycle.assigning import TENTATIVE, name_owners
 from bayesnet_track.engine.lifecycle.sharing import (
     Predict,

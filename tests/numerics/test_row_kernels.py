@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.assign import assign, assign_pairs, gated_gains
+from bayesnet_track.adapt.association import assign, assign_pairs, gated_gains
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion

@@ -8,12 +8,17 @@ from functools import partial
 
 import numpy as np
 
-from bayesnet_track.adapt.assign import assign, gated_gains
-from bayesnet_track.adapt.association import NOBODY, Owners
-from bayesnet_track.adapt.candidates import Candidate
-from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.adapt.observed import first_observed, remembered
-from bayesnet_track.adapt.passes import share_by_overlap, share_in_passes
+from bayesnet_track.adapt.association import (
+    NOBODY,
+    Owners,
+    assign,
+    first_observed,
+    gated_gains,
+    remembered,
+    share_by_overlap,
+    share_in_passes,
+)
+from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate

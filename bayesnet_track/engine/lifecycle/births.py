@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesnet_track.adapt.association import NOBODY, alike, associate
-from bayesnet_track.adapt.candidates import Candidate, feed, is_confirmed, keep_best
+from bayesnet_track.adapt.lifecycle import Candidate, feed, is_confirmed, keep_best
 from bayesnet_track.engine.lifecycle.confirming import (
     TESTED,
     Births,

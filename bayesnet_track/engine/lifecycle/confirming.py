@@ -9,8 +9,7 @@ from functools import partial
 import numpy as np
 
 from bayesnet_track.adapt.association import alike
-from bayesnet_track.adapt.candidates import Candidate, is_refusal_notable
-from bayesnet_track.adapt.lifecycle import AppearanceMemory, TrackRecord
+from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackRecord, is_refusal_notable
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found

@@ -9,9 +9,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.backoff import next_try
-from bayesnet_track.adapt.candidates import is_refusal_notable
-from bayesnet_track.adapt.lifecycle import TrackHistory
+from bayesnet_track.adapt.lifecycle import TrackHistory, is_refusal_notable
+from bayesnet_track.adapt.status import next_try
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.births import MOST_DETECTIONS, DetectionsCut, DetectorFailed

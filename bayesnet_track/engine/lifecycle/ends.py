@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bayesnet_track.adapt.duplicates import overlapping
-from bayesnet_track.adapt.lifecycle import AppearanceMemory
+from bayesnet_track.adapt.lifecycle import AppearanceMemory, overlapping
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.graph.settings.lifecycle import LifeRules
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied

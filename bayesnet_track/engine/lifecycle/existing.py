@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.assign import assign_pairs
-from bayesnet_track.adapt.association import NOBODY
+from bayesnet_track.adapt.association import NOBODY, assign_pairs
 from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, Shared, share
-from bayesnet_track.adapt.hiding import detection_of, expect_hidden, learn_hidden, share_hidden
+from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.prospects import (
     CrowdRule,

@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Pairs, Population, Prospects, Shared
+from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined

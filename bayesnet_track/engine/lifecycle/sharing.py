@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.adapt.association import NOBODY, Owners
-from bayesnet_track.adapt.candidates import Candidate, look_again
-from bayesnet_track.adapt.observed import GAP, LAST, Layout, first_observed, observe
+from bayesnet_track.adapt.association import GAP, LAST, NOBODY, Layout, Owners, first_observed, observe
+from bayesnet_track.adapt.lifecycle import Candidate, look_again
 from bayesnet_track.graph.settings.lifecycle import Confirm
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociationRule

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.adapt.backoff import next_try
-from bayesnet_track.adapt.conditions import Reading, read_level
+from bayesnet_track.adapt.rule_inputs import Reading, read_level
+from bayesnet_track.adapt.status import next_try
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Influences, compose_motion, inflation_factor, kinematics_of

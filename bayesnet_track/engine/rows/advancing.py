@@ -13,11 +13,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.assign import assign_pairs
-from bayesnet_track.adapt.association import NOBODY, Owners
-from bayesnet_track.adapt.candidates import Candidate
+from bayesnet_track.adapt.association import (
+    NOBODY,
+    Owners,
+    Pass,
+    assign_pairs,
+    share_by_overlap,
+    share_in_passes,
+)
 from bayesnet_track.adapt.existence import Population
-from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
+from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.engine.frame_metrics import WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
@@ -251,7 +256,7 @@ def held_rows(rows: Rows, plate: str) -> list[str]:
 
 
 def share_out(rule: RowRule, expected: Tracks, seen: Found) -> Owners:
-    """(T,) the detection of each target, or `NOBODY`; see `adapt.assign` and `adapt.passes`."""
+    """(T,) the detection of each target, or `NOBODY`; see `adapt.association` and `adapt.association`."""
     mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
     if rule.association.similarity == "iou":
         return share_by_overlap(rule.association, mean[:, :4], expected.observed, boxes, seen.scores)

@@ -10,9 +10,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.association import first_observed, remembered
 from bayesnet_track.adapt.lifecycle import TrackRecord
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.rows.stacks import stack
@@ -33,7 +33,7 @@ class Columns:
         covariance: (T, D, D).
         size: (T,) hypotheses.
         own: (T, 5) the detection that it was given: centre box and score.
-        observed: (T, H) what is remembered of its detections (`adapt.observed`).
+        observed: (T, H) what is remembered of its detections (`adapt.association`).
         given: (T,) whether there was one: `NEVER_ASKED`, `GIVEN_NONE` or `GIVEN`.
         memory: what the rules remember.
         is_lost: (T,) whether the status is lost.

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
+from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.columns import GIVEN, Columns, Rows
 from bayesnet_track.engine.rows.row_metrics import RowMeasures

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.adapt.on_call import on_call_rule
+from bayesnet_track.adapt.status import on_call_rule
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion, draws_twice, propagate_rows

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesnet_track.adapt.memory import USUAL, RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns, remember
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.rule_inputs import Situation
 from bayesnet_track.belief.contract import estimate
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.findings import Heard, Learnt, Measured, TargetResult, heard

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.rule_inputs import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.engine.scoring.encounters import (
     BEFORE,

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.rule_inputs import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.engine.scoring.encounters import Encounter, Place
 from bayesnet_track.graph.spec import Localization, Logistic

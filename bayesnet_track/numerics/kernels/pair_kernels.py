@@ -1,6 +1,6 @@
 """Compiled kernels that share detections out among targets: the gate, and the plain part of an assignment.
 
-They follow `adapt.assign` in a fixed order of arithmetic that no linear algebra library decides.
+They follow `adapt.association` in a fixed order of arithmetic that no linear algebra library decides.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def gate_rows(
     """Which of the detections (N, 4) may be whose, of targets predicted with (T, D) and (T, D, D).
 
     Rows, columns and gains (P,) of the pairs within the gate d^2 <= `limit` that overlap enough: the numbers
-    of `adapt.assign.gated_gains`. Looked at are the detections `order[starts[t]:ends[t]]`.
+    of `adapt.association.gated_gains`. Looked at are the detections `order[starts[t]:ends[t]]`.
     """
     count = mean.shape[0]
     room = 0

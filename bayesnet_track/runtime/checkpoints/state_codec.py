@@ -17,12 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population, Prospects
-from bayesnet_track.adapt.information import Worth
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
-from bayesnet_track.adapt.lifecycle import AppearanceMemory, TrackHistory, TrackRecord
-from bayesnet_track.adapt.memory import Baseline, Layout, RuleMemory
+from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
+from bayesnet_track.adapt.memory import Baseline, Layout, RuleMemory, Worth
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
