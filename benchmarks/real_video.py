@@ -20,8 +20,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.evaluate.scores import score
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.self_checks import SelfStopped
-from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated, SelfStopped
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 SWITCHES = (Activated, Deactivated, SelfStopped)

@@ -10,8 +10,7 @@ from typing import Literal
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Concentrated, Level
-from bayesnet_track.journal.net.causes import Cause, Concentration, HiddenCause
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.net.target_net import Cause, Concentration, HiddenCause, TargetNet
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import vouched_share
 

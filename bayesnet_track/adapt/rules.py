@@ -31,8 +31,7 @@ from bayesnet_track.adapt.rule_inputs import (
 from bayesnet_track.adapt.status import give_up_on_missing, judge_status, readmit, schedule
 from bayesnet_track.graph.spec import Adapt, Condition, Level
 from bayesnet_track.journal.events.faults import Readmitted
-from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
-from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.records import changed
 

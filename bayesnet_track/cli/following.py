@@ -110,7 +110,7 @@ class Narrator:
 
     def event(self, event: Event) -> None:
         """One sentence."""
-        from bayesnet_track.journal.text.naming import kinds_of, narrate
+        from bayesnet_track.journal.text.explain import kinds_of, narrate
 
         self._kinds |= kinds_of([event])
         complain(narrate(event, self._kinds, True))

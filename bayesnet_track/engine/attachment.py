@@ -17,7 +17,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.joins import Attachment
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged
+from bayesnet_track.journal.events.joins import AttachmentChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.inference.availability import Availability
-from bayesnet_track.journal.events.by_hand import InputRefused, Released, Toggled
+from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import AgentMissed
-from bayesnet_track.journal.events.inputs import Input
-from bayesnet_track.journal.events.load import LateFrame, SpareTime
+from bayesnet_track.journal.events.load import InputRefused, LateFrame, Released, SpareTime, Toggled
 from bayesnet_track.journal.net.net import Net
 
 ByHand = Toggled | Released

@@ -13,8 +13,8 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import Judged, Watched
-from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.statuses import DistractorSeen
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet

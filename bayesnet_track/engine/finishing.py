@@ -38,12 +38,10 @@ from bayesnet_track.graph.spec import Distractors, InferenceNode
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
-from bayesnet_track.journal.events.beliefs import DegenerateBelief
-from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
+from bayesnet_track.journal.events.beliefs import DegenerateBelief, Reappeared
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
-from bayesnet_track.journal.events.jumps import Reappeared
-from bayesnet_track.journal.events.statuses import FoundAgain
+from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, MotionFlawed
+from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded, FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats

@@ -12,8 +12,7 @@ from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.journal.boxed import Boxed
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import Boxed, FrameMetrics
 from bayesnet_track.numerics.streams import moment_of
 
 

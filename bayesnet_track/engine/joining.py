@@ -34,8 +34,8 @@ from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Edge, Member, Pair
 from bayesnet_track.inference.pair_factors import PairFlaw, pair_factor
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.flaws import PairFactorChanged
-from bayesnet_track.journal.events.joint_beliefs import RingChanged
+from bayesnet_track.journal.events.faults import PairFactorChanged
+from bayesnet_track.journal.events.joins import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

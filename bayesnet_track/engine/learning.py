@@ -30,7 +30,7 @@ from bayesnet_track.inference.learn import (
 )
 from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.faults import Quarantined
-from bayesnet_track.journal.events.self_checks import LocallyAdapted
+from bayesnet_track.journal.events.switches import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import ANGLE

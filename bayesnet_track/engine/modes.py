@@ -8,9 +8,9 @@ import numpy as np
 
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.modes import Modes, mode_probabilities
-from bayesnet_track.journal.events.modes import ModeChanged
+from bayesnet_track.journal.events.beliefs import ModeChanged
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import HiddenCause
+from bayesnet_track.journal.net.target_net import HiddenCause
 from bayesnet_track.numerics.arrays import Floats
 
 LEAST = 1e-12

@@ -11,7 +11,7 @@ from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.inference.factors import log_seen
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.joint_beliefs import OcclusionChanged
+from bayesnet_track.journal.events.joins import OcclusionChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 
 HIDDEN, SEEN = 0.5, 0.3

@@ -19,8 +19,7 @@ from bayesnet_track.engine.rows.particle_table import ParticleStates
 from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, recompile
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net, apply_decisions

@@ -24,8 +24,8 @@ from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
 from bayesnet_track.inference.learn import Lesson, learn_first
 from bayesnet_track.inference.parts import nominal_boxes
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet

@@ -15,8 +15,8 @@ from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
+from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import Quarantined
-from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache

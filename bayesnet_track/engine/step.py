@@ -38,8 +38,7 @@ from bayesnet_track.engine.scoring.scene_cuts import cut_level, find_cuts
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import apply_decisions

@@ -16,7 +16,7 @@ from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.inference.learn import Lesson, blend_reference
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.references import ReferenceGuarded
+from bayesnet_track.journal.events.switches import ReferenceGuarded
 from bayesnet_track.observation.cue import Cue, Hypotheses, Reference, context_of
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import region_of_boxes

@@ -18,8 +18,7 @@ from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from bayesnet_track.journal.encoder import NON_FINITE, JournalError, key_of, members_encoder, short
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 

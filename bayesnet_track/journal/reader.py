@@ -11,8 +11,7 @@ from typing import Any
 
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
 from bayesnet_track.journal.encoder import short
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.frame_file import FrameFile
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 

@@ -1,19 +1,18 @@
-"""Writing the journal: whole lines only, flushed at every frame."""
+"""Writing: the journal in whole lines, small files whole or not at all."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.metrics import FrameMetrics
 
 
@@ -181,3 +180,31 @@ def output_error(path: Path, error: OSError) -> OutputError:
     return OutputError(
         error.errno, f"cannot write: {error.strerror or os.strerror(error.errno or 0)}", str(path)
     )
+
+
+PART = ".part"
+"""What the name of a file that is not whole yet ends in."""
+
+
+def write_atomically(path: Path, data: bytes, previous: Path | None = None) -> None:
+    """Write beside `path`, let the disk have it, and give it its name; the old file gets the name `previous`.
+
+    After a crash at any moment the old file is there, under one of its names, or the new one, and perhaps a
+    part that nobody reads.
+
+    Raises:
+        OutputError: it cannot be written; the old file is as it was.
+    """
+    part = path.with_name(path.name + PART)
+    try:
+        with closing(disk.open_raw(part, "wb")) as file:
+            disk.write_whole(file, data)
+            disk.sync(file)
+        if previous is not None and path.exists():
+            disk.replace(path, previous)
+        disk.replace(part, path)
+        disk.sync_folder(path.parent)
+    except OSError as error:
+        with suppress(OSError):
+            disk.unlink(part)
+        raise output_error(path, error) from error

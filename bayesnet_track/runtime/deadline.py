@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.net.net import Net
 

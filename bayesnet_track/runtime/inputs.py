@@ -7,8 +7,8 @@ from os import PathLike
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from bayesnet_track.journal.events.by_hand import Released, Toggled
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Input
+from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.reader import Notice, read_inputs
 
 InputsAt = Callable[[int], Sequence[Input]]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run

@@ -8,8 +8,7 @@ from contextlib import ExitStack
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import LineFile, writing
+from bayesnet_track.journal.writer import LineFile, write_atomically, writing
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoints
 from bayesnet_track.runtime.checkpoints.recipe import Recipe

@@ -18,13 +18,17 @@ from bayesnet_track.engine.forecasting import Forecast
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.starts import Start, StartError
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
-from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.jumps import Reappeared
-from bayesnet_track.journal.events.reidentification import Reacquired, Recognition, Returned
+from bayesnet_track.journal.events.lives import (
+    CandidateConfirmed,
+    Reacquired,
+    Recognition,
+    Returned,
+    TargetStarted,
+)
 from bayesnet_track.journal.events.runs import RunStarted
-from bayesnet_track.journal.events.statuses import FoundAgain
+from bayesnet_track.journal.events.statuses import DistractorSeen, FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import Detections

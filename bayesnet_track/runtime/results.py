@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.findings import Heard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.faults import Quarantined
-from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.journal.text.wording import plural

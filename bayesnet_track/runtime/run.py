@@ -20,8 +20,7 @@ from bayesnet_track.engine.starts import (
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
-from bayesnet_track.journal.events.sources import FrameSizeChanged
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION, FrameSizeChanged, RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame

@@ -20,9 +20,8 @@ from bayesnet_track.engine.step import Engine, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import Boxed, FrameMetrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins

@@ -22,7 +22,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.sources import (
+from bayesnet_track.journal.events.runs import (
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,

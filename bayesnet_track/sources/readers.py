@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.sources import OUTDATED
+from bayesnet_track.journal.events.runs import OUTDATED
 from bayesnet_track.observation.depth import Depth
 
 Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]

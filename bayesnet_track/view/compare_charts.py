@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.compare import Comparison, Distance, RunRecord
-from bayesnet_track.journal.compare_moments import Moment
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.compare_text import whose_text

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.view.page_tables import event_rows, plates, short_floats

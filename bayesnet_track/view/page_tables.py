@@ -18,19 +18,21 @@ from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level, Lost
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.by_hand import Released, Toggled
-from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import Joined, Parted
-from bayesnet_track.journal.events.reidentification import Reacquired, Returned
+from bayesnet_track.journal.events.lives import (
+    DuplicateEnded,
+    Reacquired,
+    Returned,
+    TargetDied,
+    TargetStarted,
+)
+from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
-from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.switches import turns_on
-from bayesnet_track.journal.text.folding import CallsFolded, fold
-from bayesnet_track.journal.text.naming import kinds_of, name_targets
-from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.net.net import Switch, turns_on
+from bayesnet_track.journal.text.explain import explain, kinds_of, name_targets
+from bayesnet_track.journal.text.story import CallsFolded, fold
 from bayesnet_track.view.graph_layout import MARGIN, lay_out
 
 KEPT_BITS = 14

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause
-from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.net.net import Switch, turns_on
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.numerics.boxes import corner_from_centre
 
 UP, DOWN, LOST = "#c43d2f", "#1e8a53", "#f1b4ab"

@@ -6,15 +6,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause
-from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.net.net import Switch, turns_on
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.view.svg import decades, document, element, stretches, text_of, ticks
 

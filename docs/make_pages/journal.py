@@ -14,12 +14,11 @@ from typing import Any, get_args
 
 from bayesnet_track.journal.codec import event_name, field_names, type_hints
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
-from bayesnet_track.journal.events.reidentification import Recognition
+from bayesnet_track.journal.events.event import Event, Input
+from bayesnet_track.journal.events.lives import Recognition
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
-from bayesnet_track.journal.net.causes import Cause, Concentration
+from bayesnet_track.journal.net.target_net import Cause, Concentration
 
 _FIELD = re.compile(r"^    (\w+): (.*)$")
 

@@ -8,7 +8,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.causes import Concentration
+from bayesnet_track.journal.net.target_net import Concentration
 from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import two_squares

@@ -8,13 +8,13 @@ from itertools import pairwise
 import pytest
 
 from bayesnet_track.inference.learn import over_frames
-from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import Net as LiveNets
 from bayesnet_track.journal.net.net import apply
 from bayesnet_track.journal.net.target_net import TargetNet
-from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.text.explain import explain
 
 ADAPT = {
     "activate": {"above": {"ud_px2": 60.0}},

@@ -18,9 +18,8 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
 )
 from bayesnet_track.graph.spec import Join
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.endings import TargetDied
 from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.events.lives import TargetDied, TargetStarted
 from bayesnet_track.journal.net.net import Net, apply, replay
 
 NEAR = Join.model_validate({"exclusion": {}, "when": {"overlap": 0.1, "apart_frames": 3}})

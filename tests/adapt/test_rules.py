@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import read_level
 from bayesnet_track.graph.spec import Level
-from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.causes import Cause, FitCause
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
+from bayesnet_track.journal.net.target_net import Cause, FitCause, TargetNet
 from bayesnet_track.journal.text.explain import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}

@@ -11,7 +11,7 @@ from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.jumps import Jumping, Places, Search, Within
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.numerics.log_weights import LogWeights
 
 WIDTH, HEIGHT = 121, 91

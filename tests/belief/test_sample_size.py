@@ -20,8 +20,8 @@ from bayesnet_track.belief.particles.sample_size import (
     find_turning,
 )
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.sample_sizes import ParticlesResized
-from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.events.beliefs import ParticlesResized
+from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.numerics import sample_size
 from bayesnet_track.numerics.log_weights import LogWeights
 

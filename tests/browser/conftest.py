@@ -16,12 +16,12 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.view.page_data import run_data
 from bayesnet_track.view.run_page import Pictures, one_file, room_for_pictures
 

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track.cli.ending import SHOWN_NOTICES, as_sentence, say_end, say_next
 from bayesnet_track.cli.following import follow
 from bayesnet_track.journal.events.faults import Quarantined
-from bayesnet_track.journal.events.sources import FramesMissing
+from bayesnet_track.journal.events.runs import FramesMissing
 from bayesnet_track.runtime.results import Summary
 from bayesnet_track.runtime.stop import StopRequest
 

@@ -6,7 +6,7 @@ import pytest
 from bayesnet_track import Tracker
 from bayesnet_track.engine.moving.elsewhere import APART_BOX, CORNERS
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.observation.planes import Frame, FramePair

@@ -10,7 +10,7 @@ from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.events.births import BirthsRefused, TargetStarted
+from bayesnet_track.journal.events.lives import BirthsRefused, TargetStarted
 from bayesnet_track.observation.detector import NOTHING, Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector, file_detector

@@ -16,7 +16,7 @@ from bayesnet_track.engine.scoring.score import Scored, most
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
-from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.statuses import DistractorSeen
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene
 

@@ -13,8 +13,8 @@ from bayesnet_track.engine.scoring.confidences import log_odds
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined
-from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.observation.cue import Measurement
 
 BOX = (40.0, 50.0, 10.0, 10.0)

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 
 from bayesnet_track.engine.step import State, start_target, step
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.faults import Quarantined
-from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.causes import FitCause
+from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
 from bayesnet_track.journal.net.net import replay
+from bayesnet_track.journal.net.target_net import FitCause
 from bayesnet_track.observation.planes import region_of_boxes
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}

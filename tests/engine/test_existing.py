@@ -18,8 +18,7 @@ from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.births import CandidateConfirmed
-from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame

@@ -11,9 +11,8 @@ from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.flaws import PairFactorChanged
-from bayesnet_track.journal.events.joins import Joined, Parted
-from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged
+from bayesnet_track.journal.events.faults import PairFactorChanged
+from bayesnet_track.journal.events.joins import AttachmentChanged, Joined, OcclusionChanged, Parted
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame

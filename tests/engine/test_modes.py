@@ -14,7 +14,7 @@ from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.modes import ModeChanged
+from bayesnet_track.journal.events.beliefs import ModeChanged
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.sources.scenes import make_scene
 

@@ -9,8 +9,8 @@ import pytest
 
 from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.step import make_engine, start_target, step
-from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import apply
 from bayesnet_track.journal.net.target_net import Turn

@@ -13,7 +13,7 @@ from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.shifted import ShiftedMotion
 from bayesnet_track.engine.moving.predicting import MotionContext, predict_motion, start_motion_context
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 

@@ -20,9 +20,8 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.births import CandidateConfirmed
-from bayesnet_track.journal.events.by_hand import Released, Toggled
-from bayesnet_track.journal.events.load import LateFrame
+from bayesnet_track.journal.events.lives import CandidateConfirmed
+from bayesnet_track.journal.events.load import LateFrame, Released, Toggled
 from bayesnet_track.journal.frame_columns import columns_of
 from bayesnet_track.journal.frame_file import record
 from bayesnet_track.observation.detector import Detections

@@ -106,7 +106,7 @@ def test_the_scene_is_stored_with_the_state(cut):
 
 
 def test_a_replayed_net_is_lost_in_the_frame_of_the_cut():
-    from bayesnet_track.journal.events.births import TargetStarted
+    from bayesnet_track.journal.events.lives import TargetStarted
 
     started = TargetStarted(0, "1", "target", (1.0, 1.0, 2.0, 2.0), ("color",))
     cut = SceneCut(5, "1", 0.8, 0.25, 0.8, 0.8)

@@ -18,8 +18,7 @@ from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import make_engine, step
 from bayesnet_track.graph.settings.lifecycle import Confirm
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.births import CandidateConfirmed
-from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied
 from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule
 from bayesnet_track.observation.detector import NOTHING, Detections
 from bayesnet_track.observation.planes import Frame

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.engine.moving.sudden import CELL_BOX
 from bayesnet_track.engine.step import step
-from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.observation.planes import Frame
 
 BOX = (40.0, 50.0, 10.0, 10.0)

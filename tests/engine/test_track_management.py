@@ -11,15 +11,17 @@ import pytest
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, start_target, step
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.journal.events.births import (
+from bayesnet_track.journal.events.lives import (
     BirthsRefused,
     CandidateConfirmed,
     DetectionsCut,
     DetectorFailed,
+    DuplicateEnded,
+    Reacquired,
+    Returned,
+    TargetDied,
     TargetStarted,
 )
-from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
-from bayesnet_track.journal.events.reidentification import Reacquired, Returned
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters

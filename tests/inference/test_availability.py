@@ -9,8 +9,8 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.step import step
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
+from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 

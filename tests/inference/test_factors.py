@@ -18,7 +18,7 @@ from bayesnet_track.inference.compile import describe_plan
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
-from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
+from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
 

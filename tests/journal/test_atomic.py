@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import OutputError
+from bayesnet_track.journal.writer import OutputError, write_atomically
 
 
 @pytest.mark.parametrize(("code", "is_written"), [(errno.EINVAL, True), (errno.EIO, False)])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.boxed import GONE
-from bayesnet_track.journal.metrics import PartMetrics
+from bayesnet_track.journal.metrics import GONE, PartMetrics
 
 
 @pytest.fixture

@@ -21,13 +21,12 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.encoder import FLOAT_DIGITS, members_encoder, written
-from bayesnet_track.journal.events.endings import TargetDied
-from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
-from bayesnet_track.journal.events.sources import SourceDamaged
+from bayesnet_track.journal.events.lives import TargetDied
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted, SourceDamaged
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.target_net import Cause
 
 SIMPLE = {
     float: st.floats(),

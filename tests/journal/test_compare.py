@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from bayesnet_track.journal.compare import compare, total_evidence
-from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
+from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.text.compare_text import compare_text
 
 BOX = (50.0, 40.0, 20.0, 10.0)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bayesnet_track.journal.compare_moments import SHIFT, Moment, find_moments
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.compare import SHIFT, Moment, find_moments
+from bayesnet_track.journal.events.lives import TargetDied, TargetStarted
 
 
 def died(frame, target):

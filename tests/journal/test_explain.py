@@ -13,42 +13,79 @@ from bayesnet_track.journal.events.beliefs import (
     BeliefReset,
     DegenerateBelief,
     MeasurementGated,
+    ModeChanged,
+    ParticlesResized,
+    Reappeared,
+    SecondPass,
 )
-from bayesnet_track.journal.events.births import (
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.faults import (
+    AgentMissed,
+    FactorFlawed,
+    FlawEnded,
+    MotionFlawed,
+    PairFactorChanged,
+    Quarantined,
+    Readmitted,
+    VerifierFailed,
+)
+from bayesnet_track.journal.events.joins import (
+    AttachmentChanged,
+    Joined,
+    OcclusionChanged,
+    Parted,
+    RingChanged,
+)
+from bayesnet_track.journal.events.lives import (
     BirthsRefused,
     CandidateConfirmed,
     DetectionsCut,
     DetectorFailed,
+    DuplicateEnded,
+    Reacquired,
+    Recognition,
+    Returned,
+    TargetDied,
     TargetStarted,
 )
-from bayesnet_track.journal.events.by_hand import InputRefused, Released, Toggled
-from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
-from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted, VerifierFailed
-from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed, PairFactorChanged
-from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
-from bayesnet_track.journal.events.joins import Joined, Parted
-from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged, RingChanged
-from bayesnet_track.journal.events.jumps import Reappeared
-from bayesnet_track.journal.events.load import ParticlesLimited, Shed, TakenBack
-from bayesnet_track.journal.events.modes import ModeChanged
-from bayesnet_track.journal.events.references import ReferenceGuarded
-from bayesnet_track.journal.events.reidentification import Reacquired, Recognition, Returned
-from bayesnet_track.journal.events.runs import MachineChanged, RunEnded, RunStarted
-from bayesnet_track.journal.events.sample_sizes import ParticlesResized, SecondPass
-from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
-from bayesnet_track.journal.events.sources import (
+from bayesnet_track.journal.events.load import (
+    InputRefused,
+    ParticlesLimited,
+    Released,
+    Shed,
+    TakenBack,
+    Toggled,
+)
+from bayesnet_track.journal.events.runs import (
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,
+    MachineChanged,
+    RunEnded,
+    RunStarted,
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
+from bayesnet_track.journal.events.statuses import (
+    AlarmEnded,
+    AlarmRaised,
+    AssuranceChanged,
+    DistractorSeen,
+    DoubtEnded,
+    FoundAgain,
+    SceneCut,
+    StatusChanged,
+)
+from bayesnet_track.journal.events.switches import (
+    Activated,
+    Deactivated,
+    LocallyAdapted,
+    ReferenceGuarded,
+    Scheduled,
+    SelfStopped,
+)
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause, HiddenCause
+from bayesnet_track.journal.net.target_net import Cause, HiddenCause
 from bayesnet_track.journal.text.explain import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)

@@ -7,8 +7,7 @@ import sys
 import pytest
 
 from bayesnet_track.journal.codec import JournalError
-from bayesnet_track.journal.events.runs import RunEnded
-from bayesnet_track.journal.events.sources import FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.runs import FramesMissing, RunEnded, SourceDamaged
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import JournalWriter, LineFile, OutputError
 

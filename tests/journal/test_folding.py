@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.switches import Activated, Scheduled
-from bayesnet_track.journal.net.causes import Cause
-from bayesnet_track.journal.text.folding import CallsFolded, fold, narrate_all
-from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.journal.text.story import describe_life
+from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.story import CallsFolded, describe_life, fold, narrate_all
 from bayesnet_track.view.page_tables import event_rows
 
 UD = Cause("ud_px2", 60.0, 81.2, 1, 81.2, 81.2, 1.0)

@@ -8,15 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.by_hand import Released, Toggled
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
-from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.lives import TargetStarted
+from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
 from bayesnet_track.journal.net.net import Net, apply, replay
-from bayesnet_track.journal.net.target_net import Fault, TargetNet
+from bayesnet_track.journal.net.target_net import Cause, Fault, TargetNet
 
 CAUSE = Cause("ud_px2", 200.0, 212.0, 3, 210.0, 212.0, 1.0)
 BOX = (10.0, 20.0, 5.0, 6.0)

@@ -4,19 +4,22 @@ import pytest
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import JournalError
-from bayesnet_track.journal.events.beliefs import MeasurementGated
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
-from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.beliefs import MeasurementGated, Reappeared
 from bayesnet_track.journal.events.faults import VerifierFailed
-from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
-from bayesnet_track.journal.events.jumps import Reappeared
-from bayesnet_track.journal.events.self_checks import LocallyAdapted
-from bayesnet_track.journal.events.statuses import FoundAgain, StatusChanged
-from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.events.lives import TargetDied, TargetStarted
+from bayesnet_track.journal.events.statuses import (
+    AlarmEnded,
+    AlarmRaised,
+    AssuranceChanged,
+    DistractorSeen,
+    DoubtEnded,
+    FoundAgain,
+    StatusChanged,
+)
+from bayesnet_track.journal.events.switches import Activated, LocallyAdapted
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.reader import MOST, check_line
-from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away
 

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-from bayesnet_track.journal.events.sources import FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.runs import FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.sources import open_source

@@ -26,7 +26,7 @@ from hypothesis.stateful import (
 )
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.events.by_hand import Released, Toggled
+from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import resume

@@ -6,8 +6,7 @@ import av
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.runs import RunEnded
-from bayesnet_track.journal.events.sources import SourceDamaged
+from bayesnet_track.journal.events.runs import RunEnded, SourceDamaged
 from bayesnet_track.journal.reader import read_events
 
 pytestmark = pytest.mark.reliability

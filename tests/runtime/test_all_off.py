@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.by_hand import Toggled
+from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource

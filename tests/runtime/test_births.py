@@ -12,7 +12,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import write_graph
-from bayesnet_track.journal.events.births import CandidateConfirmed
+from bayesnet_track.journal.events.lives import CandidateConfirmed
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.detector import DetectorError

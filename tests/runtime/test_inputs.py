@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.journal.events.by_hand import InputRefused, Released, Toggled
+from bayesnet_track.journal.events.load import InputRefused, Released, Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import replay
 from bayesnet_track.journal.reader import read_events, read_inputs

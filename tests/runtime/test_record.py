@@ -10,7 +10,7 @@ import av
 import pytest
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import LineFile, OutputError

@@ -6,8 +6,8 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.recording.rerun_sink import RerunError, RerunSink, rerun_sinks

@@ -23,10 +23,9 @@ from bayesnet_track.cli.options.sources import add_size_option
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.jumps import Reappeared
-from bayesnet_track.journal.events.reidentification import Recognition
+from bayesnet_track.journal.events.lives import Recognition, TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.observation.depth import RightEye

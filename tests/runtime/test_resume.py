@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.events.by_hand import Toggled
+from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime import preparation
 from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError

@@ -13,9 +13,14 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.runs import RunEnded, RunStarted
-from bayesnet_track.journal.events.sources import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.lives import TargetStarted
+from bayesnet_track.journal.events.runs import (
+    FrameSizeChanged,
+    FramesMissing,
+    RunEnded,
+    RunStarted,
+    SourceDamaged,
+)
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics

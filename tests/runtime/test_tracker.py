@@ -15,7 +15,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.lives import TargetDied
 from bayesnet_track.runtime import tracker as module
 from bayesnet_track.sources.scenes import make_scene
 

@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.sources import (
+from bayesnet_track.journal.events.runs import (
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,

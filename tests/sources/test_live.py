@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.sources import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
+from bayesnet_track.journal.events.runs import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.live import LiveReader, _Drops

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binom
 
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.sources import FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.runs import FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.readers import Damage, Picture

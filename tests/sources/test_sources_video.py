@@ -7,7 +7,7 @@ import av
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.sources import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.runs import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.sources import SourceError, open_source
 from bayesnet_track.sources.timing import Timing, timing_of

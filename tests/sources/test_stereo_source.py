@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.sources import SourceDamaged
+from bayesnet_track.journal.events.runs import SourceDamaged
 from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import Source

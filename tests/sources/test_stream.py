@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.sources import FramesMissing, SourceStalled
+from bayesnet_track.journal.events.runs import FramesMissing, SourceStalled
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.session import track

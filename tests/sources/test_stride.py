@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.sources import FramesMissing
+from bayesnet_track.journal.events.runs import FramesMissing
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.reopen import reopen
 from bayesnet_track.sources.sources import SourceError, open_source

@@ -6,7 +6,7 @@ import pytest
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
-from bayesnet_track.journal.events.sample_sizes import ParticlesResized, SecondPass
+from bayesnet_track.journal.events.beliefs import ParticlesResized, SecondPass
 from bayesnet_track.journal.events.switches import Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Start

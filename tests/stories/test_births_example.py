@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.reidentification import Reacquired
+from bayesnet_track.journal.events.lives import Reacquired, TargetStarted
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.text.story import describe_life

@@ -10,11 +10,10 @@ import pytest
 
 from bayesnet_track import GraphSpec, Start, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.sample_sizes import ParticlesResized
+from bayesnet_track.journal.events.beliefs import ParticlesResized
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
-from bayesnet_track.journal.text.explain import why
-from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.text.explain import explain, why
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.events.self_checks import SelfStopped
+from bayesnet_track.journal.events.switches import SelfStopped
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes.occluder import occluder

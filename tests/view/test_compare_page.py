@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import pytest
 
 from bayesnet_track.journal.compare import compare
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
 from bayesnet_track.view.compare_page import compare_page
 

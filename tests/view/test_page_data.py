@@ -14,14 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
-from bayesnet_track.journal.events.load import Shed, TakenBack
+from bayesnet_track.journal.events.lives import TargetStarted
+from bayesnet_track.journal.events.load import Shed, TakenBack, Toggled
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
 from bayesnet_track.view.page_tables import event_row, event_rows, pack, plates, short_floats, unpack
 from bayesnet_track.view.run_page import Pictures, gather, one_file, whole, with_folder

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed, TakenBack
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.view import plots
 
 

@@ -12,7 +12,7 @@ from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic

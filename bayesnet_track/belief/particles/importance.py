@@ -40,7 +40,7 @@ from bayesnet_track.graph.settings.proposals import (
     PriorEditing,
     SecondPassProposal,
 )
-from bayesnet_track.journal.events.sample_sizes import SecondPass
+from bayesnet_track.journal.events.beliefs import SecondPass
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights, kl

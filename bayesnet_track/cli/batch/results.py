@@ -11,7 +11,7 @@ from bayesnet_track.cli.batch.jobs import Job
 from bayesnet_track.cli.batch.places import Progress
 from bayesnet_track.cli.batch.table import csv_text, read_table
 from bayesnet_track.cli.batch.work import Row
-from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.writer import write_atomically
 
 EVERY_S = 1.0
 """Seconds after which the table is written again while it grows."""

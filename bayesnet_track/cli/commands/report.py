@@ -131,7 +131,7 @@ def _write_folder(out: Path, data: Data, found: Found) -> None:
 
 
 def _write(out: Path, pieces: Iterable[str]) -> None:
-    from bayesnet_track.journal.atomic import PART
+    from bayesnet_track.journal.writer import PART
 
     part = out.resolve().with_name(out.resolve().name + PART)
     with writing(out):

@@ -23,10 +23,8 @@ def log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.reader import read_events
-    from bayesnet_track.journal.text.explain import has_several_targets, why
-    from bayesnet_track.journal.text.folding import narrate_all
-    from bayesnet_track.journal.text.naming import kinds_of, name_targets, narrate
-    from bayesnet_track.journal.text.story import check_target, describe_life
+    from bayesnet_track.journal.text.explain import has_several_targets, kinds_of, name_targets, narrate, why
+    from bayesnet_track.journal.text.story import check_target, describe_life, narrate_all
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)

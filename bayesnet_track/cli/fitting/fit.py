@@ -159,7 +159,7 @@ def _calibration_data(
 
 def _write(path: Path, text: str) -> None:
     """The whole file or none of it."""
-    from bayesnet_track.journal.atomic import write_atomically
+    from bayesnet_track.journal.writer import write_atomically
 
     write_atomically(path, text.encode("utf-8"))
 

@@ -25,7 +25,7 @@ from bayesnet_track.engine.lifecycle.existing import Crowd, divide
 from bayesnet_track.engine.lifecycle.prospects import CrowdRule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
-from bayesnet_track.journal.events.births import DetectionsCut, DetectorFailed
+from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
 from bayesnet_track.numerics.arrays import Floats
 
 

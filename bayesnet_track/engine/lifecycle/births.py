@@ -23,7 +23,7 @@ from bayesnet_track.engine.lifecycle.prospects import CrowdRule, confirmed, firs
 from bayesnet_track.engine.lifecycle.sharing import start_tentative
 from bayesnet_track.engine.starting import restart
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.journal.events.reidentification import Reacquired
+from bayesnet_track.journal.events.lives import Reacquired
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.numerics.streams import birth_key

@@ -19,8 +19,7 @@ from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
-from bayesnet_track.journal.events.births import BirthsRefused, CandidateConfirmed
-from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Returned
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import OBSERVED

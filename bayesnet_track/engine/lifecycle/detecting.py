@@ -13,7 +13,7 @@ from bayesnet_track.adapt.lifecycle import TrackHistory, is_refusal_notable
 from bayesnet_track.adapt.status import next_try
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.journal.events.births import MOST_DETECTIONS, DetectionsCut, DetectorFailed
+from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import changed

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, overlapping
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.graph.settings.lifecycle import LifeRules
-from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 

@@ -28,7 +28,7 @@ import numpy as np
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.graph.settings.lifecycle import Reidentify
-from bayesnet_track.journal.events.reidentification import Recognition
+from bayesnet_track.journal.events.lives import Recognition
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
 

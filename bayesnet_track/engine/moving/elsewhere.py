@@ -22,7 +22,7 @@ from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.graph.settings.jumps import Relocalize
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.observe import Observer, Question, ask_agents
-from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
 from bayesnet_track.numerics.records import changed

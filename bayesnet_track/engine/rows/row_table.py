@@ -18,8 +18,8 @@ from bayesnet_track.engine.rows.fitting import nets_fit, states_fit
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Death
-from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.graph.settings.scores import Alarm, Guarantee
-from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
+from bayesnet_track.journal.events.statuses import AlarmEnded, AlarmRaised, AssuranceChanged
 from bayesnet_track.numerics.arrays import Floats
 
 SHIFT_NATS = 1.0

@@ -19,7 +19,7 @@ from bayesnet_track.engine.scoring.encounters import (
 )
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.graph.settings.scores import Distractors
-from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
+from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded
 from bayesnet_track.numerics.records import changed
 
 

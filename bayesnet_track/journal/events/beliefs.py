@@ -1,4 +1,4 @@
-"""What happens to beliefs: degenerate, reset, gated."""
+"""Events of beliefs: degenerate, reset, gated, jumps, modes and numbers of hypotheses."""
 
 from __future__ import annotations
 
@@ -106,4 +106,222 @@ class MeasurementGated:
         )
 
 
-Events = DegenerateBelief | BeliefReset | MeasurementGated
+@dataclass(frozen=True)
+class Reappeared:
+    """The target reappeared elsewhere.
+
+    Hypotheses that jumped hold most of the belief; beside a Gaussian, agents found it more probable there.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        by: what proposed the places: uniform, agents, or a detector's name; or the agents that looked there.
+        hypotheses: how many jumped; 0 beside a Gaussian belief, where agents looked elsewhere.
+        held: their share of the belief, or the probability of the other place against the belief's own.
+        level: share above which this is reported.
+        share: prior probability of reappearing in this frame.
+        turning: largest prior probability with which they would hold no more than `level`.
+        x: mean column of those hypotheses, or of what was seen there, px.
+        y: the same, row.
+        moved_px: how far that is from the last frame's mean.
+        ud_px2: UD of the last frame.
+        above_px2: threshold of UD above which reappearing is likely, in px^2; 0 when it is not known yet, or
+            only a target that is lost, or long uncertain, is searched for.
+        within_px: how far from the box that held it last they searched; None for the whole frame.
+        fit: likelihood of the best hypothesis before they searched, as a share of the usual one; None unless
+            that called for the search.
+        below_fit: share below which it does.
+    """
+
+    frame: int
+    target: str
+    by: str
+    hypotheses: int
+    held: float
+    level: float
+    share: float
+    turning: float
+    x: float
+    y: float
+    moved_px: float
+    ud_px2: float
+    above_px2: float
+    within_px: float | None = None
+    fit: float | None = None
+    below_fit: float | None = None
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        held, level = distinct_texts(self.held, self.level)
+        ud, above = distinct_texts(self.ud_px2, self.above_px2)
+        unsure = ""
+        if self.above_px2 > 0:
+            unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {above}; "
+        if self.fit is not None and self.below_fit is not None:
+            fit, below = distinct_texts(self.fit, self.below_fit)
+            unsure = f"fit {fit} < {below} of the usual one; "
+        turning = round_away(self.turning, decimals(self.turning, self.share), up=False)
+        how = "evenly" if self.by == "uniform" else f"by {self.by}"
+        where = "the whole frame"
+        if self.within_px is not None:
+            where = f"up to {self.within_px:.0f} px around its last place"
+        found = f"{self.by} searched {where} and found the target with probability {held} > {level}"
+        if self.hypotheses > 0:
+            who = f"{self.hypotheses} hypotheses searched {where}, {how}"
+            found = f"{who}, and hold {held} > {level} of the belief"
+        return (
+            f"{unsure}{found} → target {self.target} reappears at "
+            f"{self.x:.4g}, {self.y:.4g}, {self.moved_px:.3g} px away; would not have at share ≤ {turning}"
+        )
+
+
+@dataclass(frozen=True)
+class ModeChanged:
+    """Another mode is the most probable one.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        mode: the mode that is most probable from this frame on.
+        before: the one that was.
+        probability: of `mode`, by all evidence so far.
+        predicted: of `mode` before the evidence of this frame.
+        nats: log of how much likelier the frame's evidence is in `mode` than in `before`.
+        turning: nats up to which `before` would have stayed more probable.
+        hidden: probability that the target cannot be seen; None where it always can.
+    """
+
+    frame: int
+    target: str
+    mode: str
+    before: str
+    probability: float
+    predicted: float
+    nats: float
+    turning: float
+    hidden: float | None = None
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        side = "higher" if self.nats >= 0 else "lower"
+        turning = round_away(self.turning, decimals(self.turning, self.nats), up=False)
+        hidden = "" if self.hidden is None else f"; hidden with probability {self.hidden:.2f}"
+        return (
+            f"the frame's evidence is {abs(self.nats):.3g} nats {side} in mode {self.mode} than in "
+            f"{self.before} → target {self.target} in mode {self.mode} with probability "
+            f"{self.probability:.2f}, predicted {self.predicted:.2g}{hidden}; would have stayed in "
+            f"{self.before} at ≤ {turning} nats"
+        )
+
+
+@dataclass(frozen=True)
+class ParticlesResized:
+    """The number of hypotheses of an adaptive size is now a quarter above or below the one last reported.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        particles: the number of this frame.
+        before: the number last reported, or the one at the start.
+        method: kld, kld_revised, kld_revised_simplified, asymptotic_normal or likelihood_sum.
+        need: the number that the method asked for, before rounding and bounds.
+        limit: what kept the number away from the need: max, min, or ess (too few effective hypotheses to
+            save any); empty when nothing did. With `early`, max may hold one half of the hypotheses only.
+        early: true when this frame's own evidence asked for more than the last frame's: more were drawn in
+            the same frame.
+        field: the field that asked for the most; empty for likelihood_sum.
+        ess: effective hypotheses of the sample that asked.
+        bins: occupied bins of the field, where the method counts them.
+        bin_px: width of a bin.
+        worth: hypotheses that are worth one drawn from the posterior; absent for likelihood_sum.
+        sd_px: sd of the field in the posterior, for asymptotic_normal.
+        setting: the setting that the number depends on: error, error_px, error_sd or threshold.
+        level: its value.
+        turning: its value at which nothing would have been reported; null when there is none.
+    """
+
+    frame: int
+    target: str
+    particles: int
+    before: int
+    method: str
+    need: float
+    limit: str
+    early: bool
+    field: str
+    ess: float
+    bins: int | None
+    bin_px: float | None
+    worth: float | None
+    sd_px: float | None
+    setting: str
+    level: float
+    turning: float | None
+
+    def describe(self) -> str:
+        """How many hypotheses are asked for, and why."""
+        settings = f"{self.method}, {self.setting} {self.level:g}"
+        by = "this frame's evidence" if self.early else "the last frame's evidence"
+        asked = f"{_why_so_many(self)}: {by} asks for {self.need:.0f} hypotheses ({settings})"
+        held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to reduce it"}
+        number = f"{self.particles}{held.get(self.limit, '')}, {self.before} before"
+        return f"{asked} → {number}{_not_resized(self)}"
+
+
+@dataclass(frozen=True)
+class SecondPass:
+    """A frame surprised the belief: further hypotheses were drawn where the first ones found the target.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        method: second_pass or iterated.
+        kl: KL(posterior || prior) of the first pass, nats; the larger one of its two halves.
+        above_kl: threshold above which a second pass is made.
+        first: hypotheses of the first pass.
+        particles: hypotheses drawn in addition.
+        ess_first: effective hypotheses of the first pass.
+        ess: effective hypotheses with the second pass.
+    """
+
+    frame: int
+    target: str
+    method: str
+    kl: float
+    above_kl: float
+    first: int
+    particles: int
+    ess_first: float
+    ess: float
+
+    def describe(self) -> str:
+        """Hypotheses drawn a second time."""
+        found, level = distinct_texts(self.kl, self.above_kl)
+        how = "" if self.method == "second_pass" else f", by {self.method}"
+        turning = round_away(self.kl, decimals(self.kl, self.above_kl), up=True)
+        return (
+            f"KL(posterior, prior) {found} nats > {level} → second pass of {self.particles} hypotheses{how}, "
+            f"{self.ess_first:.0f} effective before, {self.ess:.0f} after; "
+            f"no second pass at above_kl ≥ {turning}"
+        )
+
+
+def _why_so_many(event: ParticlesResized) -> str:
+    """The numbers that the need was computed from."""
+    parts = []
+    if event.bins is not None and event.bin_px is not None:
+        parts.append(f"{event.field} spans {plural(event.bins, 'bin')} of {event.bin_px:g} px")
+    if event.sd_px is not None:
+        parts.append(f"{event.field} has an sd of {event.sd_px:.3g} px")
+    if event.worth is not None and event.method != "kld":
+        parts.append(f"{event.worth:.3g} hypotheses are worth one drawn from the posterior")
+    return ", ".join([*parts, f"{event.ess:.0f} effective"])
+
+
+def _not_resized(event: ParticlesResized) -> str:
+    """What would have prevented it: a larger error asks for fewer, a larger threshold for more."""
+    if event.turning is None:
+        return ""
+    up = (event.particles > event.before) == (event.setting != "threshold")
+    turning = round_away(event.turning, decimals(event.turning, event.level), up)
+    return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"

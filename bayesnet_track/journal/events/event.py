@@ -1,52 +1,80 @@
-"""Every event of the journal. The docstrings of their classes are the documentation of the file format.
+"""Every event of the journal, and every input from outside.
 
 A line of ``journal.jsonl`` is ``{"event": <snake_case class name>, <field>: <value>, ...}``, keys in the
 order of the class. Each module of this folder has the events of one subject. An event has its sentence, as
 `describe`; a decision has what it does to the net of its target, as `change`; a switch has its word for a
-summary, as `shorten`. mypy names a class of the union that lacks one.
+summary, as `shorten`. A test names a class with a sentence that is not listed here; mypy names a listed class
+without one.
+
+A run is a function of graph, source, starts, seed and the lines of ``inputs.jsonl``. Each has the frame with
+which the engine is given it, so that the same lines give the same run again.
 """
 
 from __future__ import annotations
 
-from bayesnet_track.journal.events import (
-    beliefs,
-    births,
-    by_hand,
-    distractors,
-    faults,
-    flaws,
-    guarantees,
-    joint_beliefs,
-    jumps,
-    modes,
-    references,
-    runs,
-    sample_sizes,
-    sources,
-    statuses,
-)
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.events import beliefs, faults, joins, lives, load, runs, statuses, switches
+from bayesnet_track.journal.events.faults import AgentMissed
+from bayesnet_track.journal.events.load import LateFrame, Released, SpareTime, Toggled
+
+Input = Toggled | Released | AgentMissed | LateFrame | SpareTime
+"""A line of ``inputs.jsonl``."""
 
 Event = (
     runs.RunStarted
-    | sources.FramesMissing
-    | sources.FrameSizeChanged
-    | sources.SourceDamaged
+    | runs.FramesMissing
+    | runs.FrameSizeChanged
+    | runs.SourceDamaged
     | runs.MachineChanged
-    | sources.Events
-    | beliefs.Events
-    | sample_sizes.Events
-    | jumps.Events
-    | modes.Events
-    | references.Events
-    | distractors.Events
-    | guarantees.Events
+    | runs.FramesDropped
+    | runs.SourceStalled
+    | beliefs.DegenerateBelief
+    | beliefs.BeliefReset
+    | beliefs.MeasurementGated
+    | beliefs.ParticlesResized
+    | beliefs.SecondPass
+    | beliefs.Reappeared
+    | beliefs.ModeChanged
+    | switches.ReferenceGuarded
+    | statuses.DistractorSeen
+    | statuses.DoubtEnded
+    | statuses.AssuranceChanged
+    | statuses.AlarmRaised
+    | statuses.AlarmEnded
     | statuses.FoundAgain
-    | births.Events
-    | faults.Events
-    | by_hand.Events
-    | flaws.Events
-    | joint_beliefs.Events
-    | runs.Events
-    | Decision
+    | lives.TargetStarted
+    | lives.CandidateConfirmed
+    | lives.BirthsRefused
+    | lives.DetectorFailed
+    | lives.DetectionsCut
+    | faults.Quarantined
+    | faults.Readmitted
+    | faults.AgentMissed
+    | faults.VerifierFailed
+    | load.Toggled
+    | load.Released
+    | load.InputRefused
+    | faults.FactorFlawed
+    | faults.MotionFlawed
+    | faults.FlawEnded
+    | faults.PairFactorChanged
+    | joins.OcclusionChanged
+    | joins.AttachmentChanged
+    | joins.RingChanged
+    | runs.RunEnded
+    | switches.Activated
+    | switches.Deactivated
+    | switches.Scheduled
+    | switches.LocallyAdapted
+    | switches.SelfStopped
+    | load.Shed
+    | load.TakenBack
+    | load.ParticlesLimited
+    | statuses.StatusChanged
+    | statuses.SceneCut
+    | lives.Returned
+    | lives.Reacquired
+    | lives.TargetDied
+    | lives.DuplicateEnded
+    | joins.Joined
+    | joins.Parted
 )

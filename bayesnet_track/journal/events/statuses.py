@@ -1,11 +1,10 @@
-"""What is said of a target: tracking, uncertain or lost."""
+"""Events of a target's status: tracking, uncertain or lost, look-alikes, and the guarantee."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bayesnet_track.journal.net.causes import Cause, FitCause, HiddenCause, ScoreCause
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.net.target_net import Cause, FitCause, HiddenCause, ScoreCause, TargetNet
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 from bayesnet_track.numerics.records import changed
 
@@ -135,10 +134,6 @@ class SceneCut:
         return changed(net, status="lost")
 
 
-Decisions = StatusChanged | SceneCut
-Events = Decisions | FoundAgain
-
-
 def _by_fit(cause: FitCause, result: str) -> str:
     fit, level = distinct_texts(cause.fit, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
@@ -176,3 +171,166 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     else:
         otherwise = f"would have stayed tracked at {key} ≤ {turning}"
     return f"{found} → target {event.target} {status}; {otherwise}"
+
+
+@dataclass(frozen=True)
+class DistractorSeen:
+    """Something else is nearly as likely to be the target: the net may follow either from now on.
+
+    Reported when the doubt begins; a distractor that is seen while it lasts prolongs it.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        x: centre of the distractor's best hypothesis, px.
+        y: the same, row.
+        away_box: how far that is from the most probable hypothesis, roots of the estimate's area.
+        behind_nats: how much less likely it is, nats.
+        within_nats: difference below which it counts as a distractor.
+        fit: how well the best hypothesis of all fits.
+        hold: frames for which the score is at most one half, unless motion shows which is followed.
+        turning_nats: the largest `behind_nats` of the frames in a row that raised the doubt; None in a
+            journal that does not say.
+    """
+
+    frame: int
+    target: str
+    x: float
+    y: float
+    away_box: float
+    behind_nats: float
+    within_nats: float
+    fit: float
+    hold: int
+    turning_nats: float | None = field(default=None, metadata={"left_out_when_empty": True})
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        behind, within = distinct_texts(self.behind_nats, self.within_nats)
+        likely = f"only {behind} < {within} nats less likely than the target"
+        if self.behind_nats < 0.0:
+            likely = f"{behind.removeprefix('-')} nats more likely than the target"
+        turning = self.behind_nats if self.turning_nats is None else self.turning_nats
+        level = round_away(turning, decimals(turning, self.within_nats), up=False)
+        ignored = f"ignored with within_nats ≤ {level}" if float(level) > 0.0 else "no within_nats ignores it"
+        hold = plural(self.hold, "frame")
+        return (
+            f"look-alike at {self.x:.4g}, {self.y:.4g}, {self.away_box:.2g} box sides away, {likely} → score "
+            f"at most 0.5 for {hold}, or until motion shows which is followed; {ignored}"
+        )
+
+
+@dataclass(frozen=True)
+class DoubtEnded:
+    """Motion shows that it is the target that is followed, not the distractor: the score is not limited.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        own_box: how far the estimate is from where the target was heading, roots of its area.
+        other_box: the same, from where the distractor was heading.
+        nearer: share of `other_box` below which `own_box` has to be.
+        left: frames for which the score would have stayed limited.
+    """
+
+    frame: int
+    target: str
+    own_box: float
+    other_box: float
+    nearer: float
+    left: int
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        level = self.nearer * self.other_box
+        own = distinct_texts(self.own_box, level)[0]
+        least = round_away(level, decimals(self.own_box, level), up=True)
+        left = plural(self.left, "frame")
+        return (
+            f"target is {own} box sides from where it was heading, and {self.other_box:.3g} from where the "
+            f"look-alike was heading → score no longer limited; at {least} it would have stayed so for {left}"
+        )
+
+
+@dataclass(frozen=True)
+class AssuranceChanged:
+    """From now on the status is at most uncertain, or may be tracking again, as `guarantee` asks.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        assured: whether the status may be tracking.
+        mean: mean score of the last frames.
+        above: level that it has to exceed.
+        frames: of how many frames the mean is.
+        share: share of frames, on average over videos, that may be called tracking while off target.
+    """
+
+    frame: int
+    target: str
+    assured: bool
+    mean: float
+    above: float
+    frames: int
+    share: float
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        mean, above = distinct_texts(self.mean, self.above)
+        sign = ">" if self.assured else "≤"
+        found = f"mean score of {plural(self.frames, 'frame')} {mean} {sign} {above}"
+        turning = round_away(self.mean, decimals(self.mean, self.above), up=self.assured)
+        if self.assured:
+            again = f"target {self.target} may be called tracking again"
+            return f"{found} → {again}; not at guarantee.above {turning}"
+        return (
+            f"{found} → target {self.target} at most uncertain, for the guarantee of {100 * self.share:.3g} "
+            f"%; would have stayed at guarantee.above < {turning}"
+        )
+
+
+@dataclass(frozen=True)
+class AlarmRaised:
+    """The evidence that the target is not held has become too large to be chance.
+
+    Attributes:
+        frame: frame whose score caused it.
+        target: target id.
+        e_value: the evidence: over a whole video in which the target is held, its largest value has an
+            expectation of 1 at most.
+        share: probability of a false alarm in a whole video; it is raised at 1 / share.
+        since: frame since which the scores were mostly low.
+        videos: videos that calibrated it.
+    """
+
+    frame: int
+    target: str
+    e_value: float
+    share: float
+    since: int
+    videos: int
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return (
+            f"e-value {self.e_value:.3g} ≥ {1.0 / self.share:.3g}, scores low since frame {self.since} → "
+            f"alarm: target {self.target} is no longer held; false in at most {100 * self.share:.3g} % of "
+            f"videos like the {self.videos} calibrated on"
+        )
+
+
+@dataclass(frozen=True)
+class AlarmEnded:
+    """The evidence that the target is not held is gone.
+
+    Attributes:
+        frame: frame whose score caused it.
+        target: target id.
+    """
+
+    frame: int
+    target: str
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"scores are high again → alarm for target {self.target} ends"

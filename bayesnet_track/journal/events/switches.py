@@ -1,4 +1,4 @@
-"""Agents that a rule switches on and off, or that it lets run when they are due."""
+"""Events of agents: switched by rules, run when due, tuned or stopped by their own checks."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from bayesnet_track.journal.net.causes import Cause, Concentration
-from bayesnet_track.journal.net.target_net import TargetNet, Turn
-from bayesnet_track.journal.text.wording import distinct_texts, held, plural, round_away, show_turn
+from bayesnet_track.journal.net.target_net import Cause, Concentration, TargetNet, Turn
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 
 
 @dataclass(frozen=True)
@@ -163,10 +162,6 @@ class Scheduled:
         return replace(net, turn=Turn(self.due, self.gap) if self.gap > 1 else None)
 
 
-Decisions = Activated | Deactivated | Scheduled
-Switches = Activated | Deactivated
-
-
 def _expected_most(event: Activated) -> str:
     """Why this agent and not another: what is expected of it against the runner-up."""
     own = event.expected[event.node]
@@ -231,3 +226,111 @@ def _chosen_among(event: Deactivated) -> str:
     second = (min if not largest else max)(others, key=lambda name: others[name])
     what = event.drop.replace("_", " ").replace("kl", "KL")
     return f" ({what} {own:.2f} against {second} {others[second]:.2f})"
+
+
+@dataclass(frozen=True)
+class LocallyAdapted:
+    """An agent whose own likelihood was too wide sharpened it instead of stopping.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        node: the agent.
+        attempt: how often it has tried in this episode, from 1.
+        cause: the numbers (the agent's own UD).
+    """
+
+    frame: int
+    target: str
+    node: str
+    attempt: int
+    cause: Cause
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"{self.node}: its own {held(self.cause, '>')} → adapted itself, attempt {self.attempt}"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return net
+
+
+@dataclass(frozen=True)
+class SelfStopped:
+    """An agent whose own likelihood stayed too wide stopped itself.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        node: the agent.
+        cause: the numbers (the agent's own UD).
+        rests_until: first frame at which it may be switched on again.
+    """
+
+    frame: int
+    target: str
+    node: str
+    cause: Cause
+    rests_until: int
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return (
+            f"{self.node}: its own {held(self.cause, '>')} → stopped itself; may be switched on again "
+            f"from frame {self.rests_until}; would have continued at self_check ≥ "
+            f"{show_turn(self.cause, up=True)}"
+        )
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "stopped itself"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(
+            net,
+            active=net.active - {self.node},
+            rests_until={**net.rests_until, self.node: self.rests_until},
+            rest_count={**net.rest_count, self.node: net.rest_count.get(self.node, 0) + 1},
+        )
+
+
+@dataclass(frozen=True)
+class ReferenceGuarded:
+    """An agent's reference and its slow one diverged, or agree again: learning stopped, or goes on.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        node: the agent.
+        parted: true when they diverged in this frame, false when they agree again.
+        own: log-likelihood of the estimate by the agent's own reference, nats.
+        slow: the same by its slow reference.
+        apart_nats: difference from which on they count as diverged.
+        pull: share of the slow reference that is mixed into the agent's own per frame while they differ.
+        frames: for how many learning frames they had diverged; 0 when they diverge.
+    """
+
+    frame: int
+    target: str
+    node: str
+    parted: bool
+    own: float
+    slow: float
+    apart_nats: float
+    pull: float
+    frames: int
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        gap, level = distinct_texts(self.own - self.slow, self.apart_nats)
+        own, slow = f"{self.own:.2f} nats by its reference", f"{self.slow:.2f} by its slow one"
+        scored = f"{self.node}: the estimate scores {own}, {slow}"
+        if not self.parted:
+            lasted = plural(self.frames, "frame")
+            return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
+        turning = round_away(self.own - self.slow, decimals(self.own - self.slow, self.apart_nats), up=True)
+        return (
+            f"{scored}: {gap} > {level} apart → stops learning, pulled back by {self.pull:g} a frame; "
+            f"would have learnt at apart_nats ≥ {turning}"
+        )

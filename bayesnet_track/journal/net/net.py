@@ -1,4 +1,4 @@
-"""The net of all targets and the decisions that change it. Decisions are the journal's entries.
+"""The net of all targets, and the decisions that change it.
 
 `apply` is pure; folding it over the decisions of a journal rebuilds the net of any frame. A decision made
 while frame n is processed takes effect on frame n + 1.
@@ -10,38 +10,53 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from bayesnet_track.journal.events import (
-    births,
-    by_hand,
-    endings,
-    faults,
-    joins,
-    load,
-    reidentification,
-    self_checks,
-    statuses,
-    switches,
-)
+from bayesnet_track.journal.events import faults, joins, lives, load, statuses, switches
+from bayesnet_track.journal.events.faults import Readmitted
+from bayesnet_track.journal.events.load import TakenBack, Toggled
+from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.target_net import TargetNet
 
 Decision = (
-    births.Decisions
-    | switches.Decisions
-    | self_checks.Decisions
-    | faults.Decisions
-    | by_hand.Decisions
-    | load.Decisions
-    | statuses.Decisions
-    | reidentification.Decisions
-    | endings.Decisions
-    | joins.Decisions
+    lives.TargetStarted
+    | switches.Activated
+    | switches.Deactivated
+    | switches.Scheduled
+    | switches.LocallyAdapted
+    | switches.SelfStopped
+    | faults.Quarantined
+    | faults.Readmitted
+    | load.Toggled
+    | load.Released
+    | load.Shed
+    | load.TakenBack
+    | load.ParticlesLimited
+    | statuses.StatusChanged
+    | statuses.SceneCut
+    | lives.Returned
+    | lives.Reacquired
+    | lives.TargetDied
+    | lives.DuplicateEnded
+    | joins.Joined
+    | joins.Parted
 )
 
-Switch = switches.Switches | self_checks.Switches | faults.Switches | by_hand.Switches | load.Switches
+Switch = (
+    switches.Activated
+    | switches.Deactivated
+    | switches.SelfStopped
+    | faults.Quarantined
+    | faults.Readmitted
+    | load.Toggled
+    | load.Shed
+    | load.TakenBack
+)
 """A decision that switches an agent."""
 
-STARTS = (births.TargetStarted, reidentification.Returned)
+STARTS = (lives.TargetStarted, lives.Returned)
 """Decisions that a net starts with."""
+
+ENDS = (lives.TargetDied, lives.DuplicateEnded)
+"""Decisions that a net ends with."""
 
 BEFORE_ITS_FRAME = (*STARTS, statuses.SceneCut)
 """Decisions that hold in their own frame."""
@@ -80,11 +95,11 @@ def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:
         return net
     targets, joined = dict(net.targets), dict(net.joins)
     for decision in decisions:
-        if isinstance(decision, endings.Decisions):
+        if isinstance(decision, ENDS):
             del targets[decision.target]
             for pair in [pair for pair in joined if decision.target in pair]:
                 del joined[pair]
-        elif isinstance(decision, joins.Decisions):
+        elif isinstance(decision, joins.Joined | joins.Parted):
             _join(targets, joined, decision)
         elif isinstance(decision, STARTS):
             targets[decision.target] = TargetNet(decision.template, frozenset(decision.active))
@@ -113,7 +128,9 @@ def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net
 
 
 def _join(
-    targets: Mapping[str, TargetNet], joined: dict[tuple[str, str], joins.Joined], decision: joins.Decisions
+    targets: Mapping[str, TargetNet],
+    joined: dict[tuple[str, str], joins.Joined],
+    decision: joins.Joined | joins.Parted,
 ) -> None:
     pair = (decision.target, decision.other)
     for target in pair:
@@ -131,3 +148,14 @@ def _without_vain_samples(net: TargetNet) -> TargetNet:
     out = (net.active, net.quarantined, net.by_hand, net.shed)
     sampled = {a: every for a, every in net.sampled.items() if not any(a in agents for agents in out)}
     return net if len(sampled) == len(net.sampled) else replace(net, sampled=sampled)
+
+
+def turns_on(event: Switch) -> bool:
+    """Whether the agent is on after it.
+
+    >>> turns_on(Toggled(3, "1", "motion", False))
+    False
+    """
+    if isinstance(event, Toggled | Readmitted):
+        return event.on
+    return isinstance(event, Activated | TakenBack)

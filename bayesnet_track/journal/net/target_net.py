@@ -1,4 +1,4 @@
-"""The live net of one target: what decisions change."""
+"""The live net of one target, and the numbers that change it."""
 
 from __future__ import annotations
 
@@ -85,3 +85,112 @@ class TargetNet:
     def shed_without(self, agent: str) -> tuple[str, ...]:
         """The agents that are shed, but for one."""
         return tuple(one for one in self.shed if one != agent)
+
+
+@dataclass(frozen=True)
+class Cause:
+    """The numbers that made a threshold rule fire.
+
+    Attributes:
+        unit: the threshold's unit: ud_px2, ud_box or ud_baseline.
+        level: the threshold in that unit.
+        value: UD at this frame in that unit.
+        frames: how many consecutive frames it had to hold.
+        turning: the threshold, in that unit, at which the rule would not have fired.
+        ud_px2: UD at this frame in px^2.
+        scale_px2: px^2 per unit (1, the estimate's area, or the baseline).
+    """
+
+    unit: str
+    level: float
+    value: float
+    frames: int
+    turning: float
+    ud_px2: float
+    scale_px2: float
+
+
+@dataclass(frozen=True)
+class ScoreCause:
+    """The numbers that made a threshold of the score fire.
+
+    Attributes:
+        level: the threshold, a probability of being on target.
+        score: the score at this frame.
+        frames: how many consecutive frames it had to be below, or not to be below.
+        turning: the threshold at which the status would have stayed: at or below it when the score fell,
+            above it when it rose.
+        fell: whether the score fell below the level.
+        of: what was compared instead of the score: `existence`, the probability that the target exists.
+        key: the key of `lost` that holds the threshold; left out in a journal that does not say.
+        before: the status until now; left out likewise.
+    """
+
+    level: float
+    score: float
+    frames: int
+    turning: float
+    fell: bool
+    of: str = field(default="", metadata={"left_out_when_empty": True})
+    key: str = field(default="", metadata={"left_out_when_empty": True})
+    before: str = field(default="", metadata={"left_out_when_empty": True})
+
+
+@dataclass(frozen=True)
+class FitCause:
+    """The numbers by which a target was lost because no hypothesis fitted it.
+
+    Attributes:
+        level: the threshold, `fit_below`: a likelihood as a share of that of a perfect match.
+        fit: the best hypothesis' likelihood at this frame, as such a share.
+        frames: how many consecutive frames it had to be below (UD too high counts as well).
+        turning: the threshold at or below which it would not have been lost; None when UD alone said so, too.
+    """
+
+    level: float
+    fit: float
+    frames: int
+    turning: float | None
+
+
+@dataclass(frozen=True)
+class HiddenCause:
+    """The numbers that made a target be lost because it probably cannot be seen.
+
+    Attributes:
+        level: the level, `lost_above`.
+        hidden: probability that it is in a mode in which it cannot be seen.
+    """
+
+    level: float
+    hidden: float
+
+
+@dataclass(frozen=True)
+class Concentration:
+    """The numbers of the test whether a belief lies around one mode: a one-sided binomial test.
+
+    Attributes:
+        share: share of the belief that has to lie inside the window.
+        within_box: radius of the window, in sqrt(w h) of the most probable state.
+        confidence: confidence of the test.
+        inside: share that lies inside at this frame.
+        trials: effective hypotheses, the trials of the test; infinite when the share is exact.
+        vouched: largest `share` at which the test would say at this frame that the belief is concentrated.
+        frames: how many consecutive frames it had to say so, or not to say so.
+        turning: the `share` at which the rule would not have fired: at or below it for one that switches on,
+            above it for one that switches off.
+        radius_px: radius of the window.
+        ud_px2: UD at this frame.
+    """
+
+    share: float
+    within_box: float
+    confidence: float
+    inside: float
+    trials: float
+    vouched: float
+    frames: int
+    turning: float
+    radius_px: float
+    ud_px2: float

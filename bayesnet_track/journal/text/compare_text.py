@@ -7,12 +7,10 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import islice, takewhile
 
-from bayesnet_track.journal.compare import Comparison, RunRecord, Total
-from bayesnet_track.journal.compare_moments import Moment
+from bayesnet_track.journal.compare import Comparison, Moment, RunRecord, Total
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.journal.text.explain import explain
-from bayesnet_track.journal.text.naming import kinds_of, name_targets
+from bayesnet_track.journal.text.explain import explain, kinds_of, name_targets
 from bayesnet_track.journal.text.wording import plural
 
 SHOWN_MOMENTS = 5

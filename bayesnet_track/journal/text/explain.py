@@ -1,7 +1,8 @@
-"""Looking back at a run: events as sentences, which of them to show, and a longer account of one frame."""
+"""Events as sentences, their targets by name, and a longer account of one frame."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -10,18 +11,65 @@ from types import MappingProxyType
 from typing import get_args
 
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events.births import TargetStarted
-from bayesnet_track.journal.events.distractors import DistractorSeen, DoubtEnded
+from bayesnet_track.journal.events import runs
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.self_checks import SelfStopped
-from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
+from bayesnet_track.journal.events.lives import Returned, TargetStarted
+from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded, StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled, SelfStopped
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause, Concentration, FitCause, ScoreCause
 from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.text.naming import kinds_of
-from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.net.target_net import Cause, Concentration, FitCause, ScoreCause
 from bayesnet_track.journal.text.wording import UNIT
+
+
+def explain(event: Event, name_target: bool = False) -> str:
+    """One sentence for an event.
+
+    UD stands in the unit of its threshold, with px² beside it where that is another unit. "Would have" names
+    the threshold, rounded away from the one that was set, at which the rule would not have fired.
+    `name_target` says whose net it was, for runs of several targets.
+
+    >>> from bayesnet_track.journal.net.target_net import Cause
+    >>> from bayesnet_track.journal.events.switches import Activated
+    >>> cause = Cause("ud_px2", 200.0, 212.4, 3, 212.4, 212.4, 1.0)
+    >>> explain(Activated(29, "1", "motion", "square", cause))
+    'frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at activate ≥ 213'
+    """
+    sentence = event.describe()
+    if isinstance(event, runs.RunStarted | runs.RunEnded):
+        return sentence
+    target = getattr(event, "target", None)
+    whose = f", target {target}" if name_target and target and f"target {target}" not in sentence else ""
+    return f"frame {event.frame}{whose}: {sentence}"
+
+
+_STARTS = re.compile(r"\btarget (\d+) starts as \w+, ")
+_TARGET = re.compile(r"\btarget (\d+)\b")
+
+
+def kinds_of(events: Iterable[Event]) -> dict[str, str]:
+    """Target id -> its type, the name of its class of targets in the graph."""
+    return {event.target: event.template for event in events if isinstance(event, TargetStarted | Returned)}
+
+
+def name_targets(text: str, kinds: Mapping[str, str]) -> str:
+    """The text with the type of each target in place of the word target, where it is known.
+
+    >>> name_targets("frame 9: target 1 lost", {"1": "ball"})
+    'frame 9: ball 1 lost'
+    """
+
+    def name(number: str) -> str:
+        return f"{kinds.get(number, 'target')} {number}"
+
+    text = _STARTS.sub(lambda found: f"{name(found[1])} starts, ", text)
+    return _TARGET.sub(lambda found: name(found[1]), text)
+
+
+def narrate(event: Event, kinds: Mapping[str, str], name_target: bool = False) -> str:
+    """The sentence of an event, its targets by type and number."""
+    return name_targets(explain(event, name_target), kinds)
+
 
 __all__ = ["Filter", "explain", "has_several_targets", "why"]
 

@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import LineFile, OutputError
+from bayesnet_track.journal.writer import LineFile, OutputError, write_atomically
 from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, read_answer
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.names import describe_mended, mend_names

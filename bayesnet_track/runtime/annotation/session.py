@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.engine.starts import Start, StartError, check_box
-from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import LineFile, output_error
+from bayesnet_track.journal.writer import LineFile, output_error, write_atomically
 from bayesnet_track.runtime.annotation.answers import (
     UNDO,
     Answer,

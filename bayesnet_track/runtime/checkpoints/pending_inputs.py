@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.reader import read_inputs
+from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 

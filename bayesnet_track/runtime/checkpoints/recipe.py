@@ -22,8 +22,8 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graph.text.write import graph_sha256
-from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.codec import describe_other
+from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation.cue_files import GivenCue, file_of
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import AnyMask, Mask, read_mask

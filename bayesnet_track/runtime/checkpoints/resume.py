@@ -13,10 +13,9 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import check_depth
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.atomic import PART
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.reader import Notice
-from bayesnet_track.journal.writer import OutputError
+from bayesnet_track.journal.writer import PART, OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Frame

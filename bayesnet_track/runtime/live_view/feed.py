@@ -15,7 +15,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.text.naming import kinds_of
+from bayesnet_track.journal.text.explain import kinds_of
 from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.results import Result

@@ -11,8 +11,7 @@ from typing import Any, Self
 
 from bayesnet_track.engine.starts import Start, check_given
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.live_view.controls import POLL_S, Controls, GiveUp, never

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.journal.atomic import PART
+from bayesnet_track.journal.writer import PART
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.resampling import systematic

@@ -14,8 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.atomic import PART, write_atomically
-from bayesnet_track.journal.writer import OutputError, Position, read_position, writing
+from bayesnet_track.journal.writer import (
+    PART,
+    OutputError,
+    Position,
+    read_position,
+    write_atomically,
+    writing,
+)
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 

@@ -13,8 +13,7 @@ from typing import Self
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.frame_columns import lines_of
 from bayesnet_track.journal.frame_file import FrameFile, FrameWriter
 from bayesnet_track.journal.metrics import FrameMetrics

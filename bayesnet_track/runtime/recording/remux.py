@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.atomic import PART
+from bayesnet_track.journal.writer import PART
 
 CHANGED = "something else changed it while it was being written"
 

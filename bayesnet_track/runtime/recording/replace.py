@@ -16,8 +16,7 @@ from contextlib import closing
 from pathlib import Path
 
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.atomic import PART, write_atomically
-from bayesnet_track.journal.writer import writing
+from bayesnet_track.journal.writer import PART, write_atomically, writing
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, REPLACING, STAGED, RunDirectory
 

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.journal.codec import JournalError
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Self
 
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.atomic import PART
 from bayesnet_track.journal.codec import JournalError, check_version
+from bayesnet_track.journal.writer import PART
 
 MOST_FIRST_LINE = 1 << 24
 """Bytes of a journal's first line that are looked at."""

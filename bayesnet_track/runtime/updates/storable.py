@@ -12,7 +12,7 @@ from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.runtime.updates.standing import Standing
 from bayesnet_track.runtime.updates.storing import StoredError, check_storable, pack, unpack

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import output_error
+from bayesnet_track.journal.writer import output_error, write_atomically
 from bayesnet_track.runtime.annotation.answers import Answer
 from bayesnet_track.runtime.annotation.formats.archives import annotations_in, unpacked
 from bayesnet_track.runtime.annotation.formats.coco import as_coco, read_coco
