@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
-from concurrent.futures import Future
+import sys
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import av
 import numpy as np
@@ -52,33 +50,16 @@ def write(path, codec, options, frames=FRAMES):
     return path
 
 
-class AtOnce:
-    """In place of the thread that writes checkpoints: a step has the same number in every run."""
-
-    def __init__(self, *_: object) -> None:
-        pass
-
-    def submit(self, call: Callable[..., None], *arguments: Any) -> Future[None]:
-        done: Future[None] = Future()
-        try:
-            done.set_result(call(*arguments))
-        except OSError as error:
-            done.set_exception(error)
-        return done
-
-    def shutdown(self) -> None:
-        pass
-
-
 @pytest.fixture(scope="session")
-def at_once():
+def at_once(steps):
     """The class `AtOnce`."""
-    return AtOnce
+    return steps.AtOnce
 
 
 def load(name):
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
 

@@ -1,25 +1,32 @@
-"""Runs in processes of their own that can be killed: all is loaded once, and every run is a fork.
+"""Runs in processes that can be killed: all is loaded once, and every run is a fork of a clean process.
 
-Its arguments are the folder of `prepare` and an executor; every run draws its video. It reads lines
-``begin FOLDER DELAY`` and ``resume FOLDER DELAY``. After DELAY seconds the fork is killed (kill -9); 0 lets
-it end. It writes a line for each: how it ended, and for how many seconds it ran.
+A fork of the process of the tests would inherit what earlier tests left: locks that are held, encoders whose
+threads are not there. `Nursery` starts this file as a script, which reads a list of `Job` as JSON a line.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import av  # noqa: F401
 import cv2
 import numpy as np
 
 from bayesnet_track import Start, track
+from bayesnet_track.cli.main import main
+from bayesnet_track.runtime.checkpoints import checkpoint
 from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.sources import open_source
 
 FRAMES, SIDE = 36, 10
@@ -90,36 +97,122 @@ def go_on(folder: Path, every_s: float = EVERY_S, executor: str = "serial") -> N
         pass
 
 
-def forked(work: str, given: Path, folder: Path, delay: float, executor: str) -> str:
+@dataclass(frozen=True)
+class Job:
+    """A run in a process of its own; with `kill_after_s` it is killed, with `crash_at` it ends itself.
+
+    Attributes:
+        work: "begin", "resume", or "command" with `arguments` of the command line.
+        folder: the run directory.
+        kill_after_s: seconds until kill -9; 0 lets it end.
+        crash_at: number of the change of the disk at which the process ends, as `steps.Counted` counts them;
+            0 for none, "close" for the end of the video.
+        start_at_s: time of the clock at which the work begins.
+    """
+
+    work: str
+    folder: str
+    given: str = ""
+    arguments: tuple[str, ...] = ()
+    kill_after_s: float = 0.0
+    crash_at: int | str = 0
+    start_at_s: float = 0.0
+    every_s: float = EVERY_S
+    video: bool | str = True
+    executor: str = "serial"
+
+    @property
+    def text_file(self) -> Path:
+        """Where a command prints, and the error of other work stands."""
+        return Path(f"{self.folder}.text")
+
+
+def crash() -> None:
+    os._exit(137)
+
+
+def do(job: Job) -> int:
+    """The exit code of the work."""
+    # A child that waits for what never comes ends with -14 in place of the patience of whoever reads this.
+    signal.alarm(300)
+    import steps
+
+    if job.crash_at:
+        checkpoint.ThreadPoolExecutor = steps.AtOnce  # type: ignore[misc,assignment]
+    if job.crash_at == "close":
+        VideoWriter.close = VideoWriter.finish = lambda _: crash()  # type: ignore[method-assign,assignment,misc]
+    elif job.crash_at:
+        steps.Counted(int(job.crash_at), crash).install()
+    folder = Path(job.folder)
+    time.sleep(max(0.0, job.start_at_s - time.time()))
+    if job.work == "command":
+        with job.text_file.open("w", buffering=1) as text, redirect_stdout(text), redirect_stderr(text):
+            return main(list(job.arguments))
+    if job.work == "begin":
+        begin(Path(job.given), folder, job.every_s, job.video, job.executor)
+    else:
+        go_on(folder, job.every_s, job.executor)
+    return 0
+
+
+def forked(job: Job) -> int:
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            if work == "begin":
-                begin(given, folder, video=True, executor=executor)
-            else:
-                go_on(folder, executor=executor)
-            code = 0
-        except Exception as error:
-            (folder.parent / f"{folder.name}.error").write_text(f"{type(error).__name__}: {error}")
-        os._exit(code)
-    began = time.perf_counter()
-    if delay:
-        time.sleep(delay)
-        os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
-    return f"{os.waitstatus_to_exitcode(status)} {time.perf_counter() - began:.4f}"
+            code = do(job)
+        except BaseException as error:
+            job.text_file.write_text(f"{type(error).__name__}: {error}")
+        finally:
+            os._exit(code)
+    return child
+
+
+def serve(given: Path) -> None:
+    """Load all that a run needs, then fork the jobs of each line and answer with how they ended."""
+    # A child inherits locks and objects of threads, but no thread: here are none. An encoder is one of those.
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as loads:
+        begin(given, Path(loads) / "run")
+    print("ready", flush=True)
+    for line in sys.stdin:
+        jobs = [Job(**job) for job in json.loads(line)]
+        began = time.perf_counter()
+        children = [forked(job) for job in jobs]
+        if delay := jobs[0].kill_after_s:
+            time.sleep(delay)
+            os.kill(children[0], signal.SIGKILL)
+        codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
+        print(json.dumps([codes, time.perf_counter() - began]), flush=True)
+
+
+class Nursery:
+    """A process without threads that forks runs; to be closed."""
+
+    def __init__(self, given: Path) -> None:
+        pipe = subprocess.PIPE
+        command = [sys.executable, __file__, str(given)]
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+        assert self._read() == "ready\n"
+
+    def ask(self, *jobs: Job) -> tuple[list[int], float]:
+        """Exit codes of jobs that are started together, -9 when killed, and the seconds that they took."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps([asdict(job) for job in jobs]) + "\n")
+        self._process.stdin.flush()
+        codes, seconds = json.loads(self._read())
+        return codes, seconds
+
+    def _read(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline()
+
+    def close(self) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait(10)
+        self._process.stdout.close()
 
 
 if __name__ == "__main__":
-    # A fork has no threads but its own.
-    cv2.setNumThreads(1)
-    given, executor = Path(sys.argv[1]), sys.argv[2]
-    with tempfile.TemporaryDirectory() as loads:
-        begin(given, Path(loads) / "run")
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
-    for line in sys.stdin:
-        word, where, seconds = line.split()
-        sys.stdout.write(forked(word, given, Path(where), float(seconds), executor) + "\n")
-        sys.stdout.flush()
+    serve(Path(sys.argv[1]))

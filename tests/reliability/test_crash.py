@@ -6,14 +6,13 @@ import errno
 import hashlib
 import os
 import shutil
-import signal
 import sys
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-import cv2
 import pytest
 
 from bayesnet_track import Start, track
@@ -23,12 +22,11 @@ from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6
 Work = Callable[[Path], None]
-Forked = Callable[[Work, Path, int], int]
+Crashed = Callable[[str, Path, int | str], int]
 
 pytestmark = [
     pytest.mark.reliability,
@@ -42,19 +40,34 @@ def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module", params=["mkv", "mp4"])
-def begin(
-    request: pytest.FixtureRequest, nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory
-) -> Work:
-    # Forks have no threads but their own.
-    cv2.setNumThreads(1)
+def job(request: pytest.FixtureRequest, nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A job that begins a run of a few frames, but for its folder."""
     given = tmp_path_factory.mktemp("given")
     nursery.prepare(given, FRAMES)
-    return lambda folder: nursery.begin(given, folder, EVERY_S, video=request.param)
+    return nursery.Job("begin", "", given=str(given), every_s=EVERY_S, video=request.param)
+
+
+@pytest.fixture(scope="module")
+def begin(nursery: ModuleType, job: Any) -> Work:
+    return lambda folder: nursery.begin(Path(job.given), folder, EVERY_S, video=job.video)
 
 
 @pytest.fixture(scope="module")
 def go_on(nursery: ModuleType) -> Work:
     return lambda folder: nursery.go_on(folder, EVERY_S)
+
+
+@pytest.fixture(scope="module")
+def crashed(nursery: ModuleType, job: Any) -> Iterator[Crashed]:
+    """The exit code of work in a process that ends at a change of the disk; 137 when it did."""
+    process = nursery.Nursery(Path(job.given))
+
+    def call(work: str, folder: Path, at: int | str) -> int:
+        (code,), _ = process.ask(replace(job, work=work, folder=str(folder), crash_at=at))
+        return code
+
+    yield call
+    process.close()
 
 
 @pytest.fixture(scope="module")
@@ -72,60 +85,14 @@ def files(folder: Path) -> dict[str, str]:
     }
 
 
-def dies() -> None:
-    os._exit(137)
-
-
-@pytest.fixture(scope="module")
-def forked(steps: ModuleType) -> Forked:
-    """The exit code of work in a process that dies at its call number `at`; 137 when it did."""
-
-    def call(work: Work, folder: Path, at: int) -> int:
-        kept = folder.with_name(f"{folder.name} before")
-        if folder.exists():
-            shutil.copytree(folder, kept)
-        for _ in range(3):
-            # A fork of a process with threads may inherit a lock that nobody opens: it says nothing of a run.
-            if (code := once(work, folder, at)) is not None:
-                break
-            shutil.rmtree(folder, ignore_errors=True)
-            if kept.exists():
-                shutil.copytree(kept, folder)
-        assert code is not None, "three forks in a row did not end within 60 s"
-        shutil.rmtree(kept, ignore_errors=True)
-        return code
-
-    def once(work: Work, folder: Path, at: int) -> int | None:
-        child = os.fork()
-        if child == 0:
-            code = 1
-            try:
-                steps.Counted(at, dies).install()
-                work(folder)
-                code = 0
-            finally:
-                os._exit(code)
-        end = time.monotonic() + 60.0
-        while time.monotonic() < end:
-            done, status = os.waitpid(child, os.WNOHANG)
-            if done:
-                return os.waitstatus_to_exitcode(status)
-            time.sleep(0.002)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        return None
-
-    return call
-
-
 def test_a_crash_at_every_step_of_a_run(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], forked: Forked
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], crashed: Crashed
 ) -> None:
     refused, at = 0, 0
     while True:
         at += 1
         folder = tmp_path / str(at)
-        code = forked(begin, folder, at)
+        code = crashed("begin", folder, at)
         assert code in (0, 137), at
         try:
             is_finished = standing(folder).is_finished
@@ -143,33 +110,25 @@ def test_a_crash_at_every_step_of_a_run(
 
 
 def test_a_kill_before_the_video_is_closed(
-    tmp_path: Path,
-    begin: Work,
-    go_on: Work,
-    whole: dict[str, str],
-    forked: Forked,
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, go_on: Work, whole: dict[str, str], crashed: Crashed
 ) -> None:
     """The journal has its last line then, and the video lacks its own last part."""
     folder = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        for name in ("close", "finish"):
-            patch.setattr(VideoWriter, name, lambda _: dies(), raising=False)
-        assert forked(begin, folder, 0) == 137
+    assert crashed("begin", folder, "close") == 137
     assert '"run_ended"' in (folder / "journal.jsonl").read_text()
     go_on(folder)
     assert files(folder) == whole
 
 
 def test_a_crash_at_every_step_of_going_on(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], forked: Forked
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], crashed: Crashed
 ) -> None:
-    assert forked(begin, tmp_path / "broken", 30) == 137
+    assert crashed("begin", tmp_path / "broken", 30) == 137
     at = 0
     while True:
         at += 1
         folder = shutil.copytree(tmp_path / "broken", tmp_path / str(at))
-        code = forked(go_on, folder, at)
+        code = crashed("resume", folder, at)
         assert code in (0, 137), at
         go_on(folder)
         assert files(folder) == whole, at
@@ -180,7 +139,7 @@ def test_a_crash_at_every_step_of_going_on(
 
 
 def test_a_crash_at_every_step_of_an_overwrite(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], forked: Forked
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], crashed: Crashed
 ) -> None:
     """Until a step it is the earlier run, untouched; from there on the new one, which goes on."""
     source = SceneSource.named("two_squares", 0, 2)
@@ -189,7 +148,7 @@ def test_a_crash_at_every_step_of_an_overwrite(
     while True:
         at += 1
         folder = shutil.copytree(tmp_path / "old", tmp_path / str(at))
-        code = forked(begin, folder, at)
+        code = crashed("begin", folder, at)
         assert code in (0, 137), at
         found = verify(folder)
         if found.status == "verified" and "truth.txt" in found.outputs:

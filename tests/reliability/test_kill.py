@@ -8,8 +8,10 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,6 @@ from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.standing import standing
 
 SIDE_BY_SIDE = 2
-SCRIPT = Path(__file__).with_name("nursery.py")
 
 
 @pytest.fixture
@@ -28,35 +29,6 @@ def given(tmp_path: Path, nursery: ModuleType) -> Path:
     folder.mkdir()
     nursery.prepare(folder)
     return folder
-
-
-class Nursery:
-    """A process that forks runs and kills them."""
-
-    def __init__(self, given: Path, executor: str) -> None:
-        pipe = subprocess.PIPE
-        self._process = subprocess.Popen(
-            [sys.executable, SCRIPT, given, executor], stdin=pipe, stdout=pipe, text=True
-        )
-        assert self._answer() == ["ready"]
-
-    def ask(self, work: str, folder: Path, delay: float = 0.0) -> tuple[int, float]:
-        """The exit code, -9 when it was killed, and the seconds that it took."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{work} {folder} {delay:.6f}\n")
-        self._process.stdin.flush()
-        code, seconds = self._answer()
-        return int(code), float(seconds)
-
-    def _answer(self) -> list[str]:
-        assert self._process.stdout is not None
-        return self._process.stdout.readline().split()
-
-    def close(self) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait(10)
-        self._process.stdout.close()
 
 
 def files(folder: Path) -> dict[str, str]:
@@ -69,15 +41,15 @@ def files(folder: Path) -> dict[str, str]:
     }
 
 
-def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict[str, str]) -> str:
+def killed(number: int, process: Any, job: Any, took: float, whole: dict[str, str]) -> str:
     """What came of one run that is killed once or more and resumed; "" when all is as it should be."""
     rng = np.random.Generator(np.random.Philox(number))
-    work, kills = "begin", 0
+    work, kills, folder = "begin", 0, Path(job.folder)
     while True:
         # The first kill falls anywhere in a run; every other run is killed again while it is resumed.
         is_killed = kills == 0 or (number % 2 == 0 and kills < 3)
         delay = float(rng.uniform(0.0, 1.1 * took)) if is_killed else 0.0
-        code, _ = nursery.ask(work, folder, delay)
+        (code,), _ = process.ask(replace(job, work=work, kill_after_s=delay))
         kills += code == -9
         if code == 0 and kills == 0:
             # It was done before the kill.
@@ -86,8 +58,7 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
         if code == 0:
             break
         if code != -9:
-            error_file = folder.with_name(f"{folder.name}.error")
-            return f"{number}: {error_file.read_text() if error_file.exists() else f'exit code {code}'}"
+            return f"{number}: {job.text_file.read_text() if job.text_file.exists() else f'exit code {code}'}"
         try:
             standing(folder)
             work = "resume"
@@ -108,13 +79,17 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
 @pytest.mark.parametrize("executor", ["serial", "processes"])
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no fork and no kill -9")
 def test_kills_leave_the_bytes_of_unbroken_runs(
-    tmp_path: Path, given: Path, executor: str, kills: int
+    tmp_path: Path, given: Path, nursery: ModuleType, executor: str, kills: int
 ) -> None:
     """Half of the runs are killed again while they are resumed; the video is one of the files."""
-    nurseries = [Nursery(given, executor) for _ in range(SIDE_BY_SIDE)]
+    processes = [nursery.Nursery(given) for _ in range(SIDE_BY_SIDE)]
+
+    def job(folder: Path) -> Any:
+        return nursery.Job("begin", str(folder), given=str(given), executor=executor)
+
     try:
-        nurseries[0].ask("begin", tmp_path / "whole")
-        _, took = nurseries[1].ask("begin", tmp_path / "again")
+        processes[0].ask(job(tmp_path / "whole"))
+        _, took = processes[1].ask(job(tmp_path / "again"))
         whole = files(tmp_path / "whole")
         switched = (tmp_path / "whole" / "journal.jsonl").read_text().count("activated")
         assert switched >= 4
@@ -128,14 +103,14 @@ def test_kills_leave_the_bytes_of_unbroken_runs(
             numbers = range(which, kills, SIDE_BY_SIDE)
             at = tmp_path / f"side{which}"
             at.mkdir()
-            return [killed(n, nurseries[which], at / "run", took, whole) for n in numbers]
+            return [killed(n, processes[which], job(at / "run"), took, whole) for n in numbers]
 
         with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
             wrong = [line for lines in pool.map(half, range(SIDE_BY_SIDE)) for line in lines if line]
         assert wrong == []
     finally:
-        for nursery in nurseries:
-            nursery.close()
+        for process in processes:
+            process.close()
 
 
 @pytest.mark.reliability

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import random
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 
-import cv2
 import pytest
 
 from bayesnet_track.cli.main import main
@@ -25,11 +23,32 @@ PAIRS = [pytest.param(20, marks=pytest.mark.reliability), pytest.param(400, mark
 
 @pytest.fixture(scope="module")
 def given(nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    # Forks have no threads but their own.
-    cv2.setNumThreads(1)
     folder = tmp_path_factory.mktemp("given")
     nursery.prepare(folder, FRAMES)
     return folder
+
+
+Started = Callable[..., list[tuple[int, str]]]
+
+
+@pytest.fixture(scope="module")
+def started(nursery: ModuleType, given: Path) -> Iterator[Started]:
+    """Exit code and texts of commands, started together, or one after the other by `apart_s` seconds."""
+    process = nursery.Nursery(given)
+
+    def call(commands: Sequence[Sequence[str]], texts: Path, apart_s: float = 0.0) -> list[tuple[int, str]]:
+        start = time.time() + FORKED_S
+        jobs = [
+            nursery.Job(
+                "command", str(texts / f"{n}"), arguments=tuple(arguments), start_at_s=start + n * apart_s
+            )
+            for n, arguments in enumerate(commands)
+        ]
+        codes, _ = process.ask(*jobs)
+        return [(code, job.text_file.read_text()) for code, job in zip(codes, jobs, strict=True)]
+
+    yield call
+    process.close()
 
 
 def command(given: Path, out: Path, *more: str) -> list[str]:
@@ -40,28 +59,6 @@ def command(given: Path, out: Path, *more: str) -> list[str]:
 
 FORKED_S = 0.15
 """Seconds in which both processes are forked on a busy machine, so that they start at one moment."""
-
-
-def at_once(commands: Sequence[Sequence[str]], texts: Path, apart_s: float = 0.0) -> list[tuple[int, str]]:
-    """Exit code and errors of each, started together, or one after the other by `apart_s` seconds."""
-    start = time.time() + FORKED_S
-    children = []
-    for number, arguments in enumerate(commands):
-        said = texts / f"said{number}"
-        child = os.fork()
-        if child == 0:
-            code = 1
-            try:
-                sys.stdout = sys.stderr = said.open("w", buffering=1)
-                time.sleep(max(0.0, start + number * apart_s - time.time()))
-                code = main(arguments)
-                sys.stderr.flush()
-            finally:
-                os._exit(code)
-        children.append((child, said))
-    return [
-        (os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said.read_text()) for child, said in children
-    ]
 
 
 def files(folder: Path) -> dict[str, str]:
@@ -75,7 +72,7 @@ def files(folder: Path) -> dict[str, str]:
 @pytest.mark.parametrize("pairs", PAIRS)
 @pytest.mark.parametrize("more", [(), ("--overwrite",)], ids=["new", "overwrite"])
 def test_pairs_of_starts_with_one_folder(
-    tmp_path: Path, given: Path, pairs: int, more: tuple[str, ...]
+    tmp_path: Path, given: Path, started: Started, pairs: int, more: tuple[str, ...]
 ) -> None:
     """Exactly one of two new runs is done; of two that overwrite, at least one. Nothing is ever mixed."""
     assert main(command(given, tmp_path / "whole")) == 0
@@ -85,7 +82,7 @@ def test_pairs_of_starts_with_one_folder(
         out = tmp_path / "run"
         if more:
             shutil.copytree(tmp_path / "whole", out)
-        ended = at_once(
+        ended = started(
             [command(given, out, *more)] * 2, tmp_path, apart.choice((0.0, apart.uniform(0, 0.03)))
         )
         codes = sorted(code for code, _ in ended)
@@ -102,13 +99,13 @@ def test_pairs_of_starts_with_one_folder(
 
 
 @pytest.mark.reliability
-def test_a_run_and_a_resume_of_it_at_once(tmp_path: Path, given: Path) -> None:
+def test_a_run_and_a_resume_of_it_at_once(tmp_path: Path, given: Path, started: Started) -> None:
     assert main(command(given, tmp_path / "whole")) == 0
     whole = files(tmp_path / "whole")
     for number in range(10):
         out = tmp_path / "run"
         both = [command(given, out), ["resume", str(out), "--quiet"]]
-        (began, _), (went_on, said) = at_once(both, tmp_path, 0.01 * number)
+        (began, _), (went_on, said) = started(both, tmp_path, 0.01 * number)
         assert began == 0 and went_on in (0, 4, 6), said
         assert files(out) == whole
         shutil.rmtree(out)
