@@ -20,8 +20,7 @@ import numpy as np
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track.engine.step import State, make_engine, start_target, step
-from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import load_graph, read_graph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.planes import Frame
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.settings.existence import Existence
+from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.association import marginalise
 from bayesnet_track.numerics.records import changed

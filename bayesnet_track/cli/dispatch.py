@@ -15,7 +15,7 @@ from bayesnet_track.cli.commands.answer import (
     words,
 )
 from bayesnet_track.cli.parser import COMMANDS as DECLARED
-from bayesnet_track.graph.text.excerpt import describe_error
+from bayesnet_track.graph.text.explain import describe_error
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH
 

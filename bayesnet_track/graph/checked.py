@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from bayesnet_track.graph.display import html_of
 from bayesnet_track.graph.expressions.terms import Term
-from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
+from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target, html_of
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
 from bayesnet_track.observation.masks import Mask
 

@@ -8,11 +8,11 @@ Every model is frozen and refuses unknown keys. A *choice* (`Fuse`, `Motion`, ..
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from importlib import import_module
+from typing import Any, Literal
 
 from pydantic import Field
 
-from bayesnet_track.graph.display import html_of
 from bayesnet_track.graph.settings.adapt import (
     Activate,
     Adapt,
@@ -27,22 +27,30 @@ from bayesnet_track.graph.settings.adapt import (
     SelfCheck,
 )
 from bayesnet_track.graph.settings.base import AgentChoice, Choice, Empty, Model, Name, Number
-from bayesnet_track.graph.settings.existence import Existence
-from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
-from bayesnet_track.graph.settings.grid import Grid, Reset
+from bayesnet_track.graph.settings.beliefs import (
+    AdaptiveSize,
+    BinnedSize,
+    EssBelow,
+    Gaussian,
+    Grid,
+    LikelihoodSize,
+    NormalSize,
+    Particles,
+    Reset,
+    Unscented,
+)
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
-from bayesnet_track.graph.settings.jumps import LookedFor, Probes, Relocalize, Sudden
 from bayesnet_track.graph.settings.lifecycle import (
     Birth,
     Confirm,
     Death,
     DetectorChoice,
+    Existence,
     MergeDuplicates,
     MergeOrNever,
     Reidentify,
     ReidentifyOrNever,
 )
-from bayesnet_track.graph.settings.modes import Hidden, Mode
 from bayesnet_track.graph.settings.motion import (
     BoxSd,
     BoxVelocity,
@@ -51,40 +59,36 @@ from bayesnet_track.graph.settings.motion import (
     ConstantVelocity,
     DampedVelocity,
     HeavyTail,
+    Hidden,
     Inflate,
     LogSd,
+    LookedFor,
+    Mode,
     Motion,
     Moving,
     Noise,
     OwnField,
     PixelSd,
+    Probes,
     RandomWalk,
+    Relocalize,
     SizeReversion,
+    Sudden,
 )
 from bayesnet_track.graph.settings.net import (
     AgentNode,
-    FactorNode,
-    InferenceNode,
-    Node,
-)
-from bayesnet_track.graph.settings.nodes import (
     Belief,
     Estimate,
+    FactorNode,
     Fuse,
     Given,
+    InferenceNode,
     Latent,
     Nearest,
+    Node,
     OffsetBox,
     SizeBox,
     Window,
-)
-from bayesnet_track.graph.settings.particles import (
-    AdaptiveSize,
-    BinnedSize,
-    EssBelow,
-    LikelihoodSize,
-    NormalSize,
-    Particles,
 )
 from bayesnet_track.graph.settings.scores import (
     Alarm,
@@ -95,6 +99,14 @@ from bayesnet_track.graph.settings.scores import (
     Score,
     Verifier,
 )
+
+_DRAWN_BY = "bayesnet_track.view.notebook"
+
+
+def html_of(thing: Any, how: str) -> str:
+    """HTML of a thing by the function `how` of the room that draws."""
+    return str(getattr(import_module(_DRAWN_BY), how)(thing))
+
 
 LANGUAGE_VERSION = 1
 

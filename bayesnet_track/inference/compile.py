@@ -9,9 +9,9 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
-from bayesnet_track.graph.expressions.write import text_of
-from bayesnet_track.graph.latent_forms import Form, form_of, is_latent
-from bayesnet_track.graph.settings.nodes import pool_exponents
+from bayesnet_track.graph.checks.latent import Form, form_of, is_latent
+from bayesnet_track.graph.expressions.parse import text_of
+from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.plane_words import plane_words

@@ -10,8 +10,7 @@ import numpy as np
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.graph.expressions.evaluate import log_values
-from bayesnet_track.graph.expressions.terms import Term
-from bayesnet_track.graph.expressions.vocabulary import MASK, PARENT
+from bayesnet_track.graph.expressions.terms import MASK, PARENT, Term
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.masks import Mask

@@ -15,8 +15,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.evaluate import log_values, values_of
-from bayesnet_track.graph.expressions.terms import DRAWN, Call, Term, Variable
-from bayesnet_track.graph.expressions.vocabulary import PARENT
+from bayesnet_track.graph.expressions.terms import DRAWN, PARENT, Call, Term, Variable
 from bayesnet_track.numerics.arrays import Floats
 
 Names = Mapping[str, Floats | float]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence
 from bayesnet_track.belief.motion.modes import FIELD, Modes
-from bayesnet_track.graph.settings.modes import Hidden
+from bayesnet_track.graph.settings.motion import Hidden
 from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.messages import join_messages

@@ -6,7 +6,7 @@ from collections.abc import Set
 from dataclasses import dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.settings.nodes import pool_exponents
+from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, FactorNode
 
 MARGIN = 28.0

@@ -15,22 +15,25 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from bayesnet_track.graph.checks.cues import CUE_CHECKS
-from bayesnet_track.graph.checks.evidence import evidence_counts_once
-from bayesnet_track.graph.checks.existence import EXISTENCE_CHECKS
+from bayesnet_track.graph.checks.cues import CUE_CHECKS, evidence_counts_once
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
-from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
-from bayesnet_track.graph.checks.joins import JOIN_CHECKS
-from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
-from bayesnet_track.graph.checks.motion import gaussians_are_looked_for
-from bayesnet_track.graph.checks.trees import TREE_CHECKS
-from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
-from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS, MAX_NESTING, MAX_TERMS
-from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, FUNCTIONS, PARENT, STATE_NAMES
+from bayesnet_track.graph.checks.latent import TREE_CHECKS
+from bayesnet_track.graph.checks.lifecycle import EXISTENCE_CHECKS, JOIN_CHECKS, LIFE_CHECKS
+from bayesnet_track.graph.checks.motion import FORMULA_JOIN_CHECKS, gaussians_are_looked_for
+from bayesnet_track.graph.checks.run import RULE_CHECKS, VALUE_CHECKS
+from bayesnet_track.graph.expressions.terms import (
+    FRAME_NAMES,
+    FUNCTIONS,
+    MAX_CHARACTERS,
+    MAX_NESTING,
+    MAX_TERMS,
+    PARENT,
+    STATE_NAMES,
+)
 from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
-from bayesnet_track.graph.text.shapes import expects, shape_of
+from bayesnet_track.graph.text.hints import expects, shape_of
 from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 

@@ -13,7 +13,7 @@ import yaml
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.observation import cue_files, plugins
 

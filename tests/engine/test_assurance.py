@@ -23,7 +23,7 @@ from bayesnet_track.engine.scoring.assurance import (
 )
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.graph.settings.scores import Alarm, Guarantee
-from bayesnet_track.graph.text.edit import set_value
+from bayesnet_track.graph.text.change import set_value
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.statuses import AlarmEnded, AlarmRaised, AssuranceChanged
 from bayesnet_track.sources.scenes import make_scene

@@ -6,7 +6,7 @@ from scipy import stats
 
 from bayesnet_track.engine.simulating import Simulation, simulate
 from bayesnet_track.graph.checks.run import check
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 
 GRAPH = """\
 bayesnet: 1

@@ -13,7 +13,7 @@ from bayesnet_track.evaluate.motion.fit import ERRORS, fit_motion
 from bayesnet_track.evaluate.motion.parameters import MotionFitError, parameters_of, with_value
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.spec import Motion
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 
 GRAPH = """\
 bayesnet: 1

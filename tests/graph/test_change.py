@@ -3,9 +3,9 @@
 import pytest
 
 from bayesnet_track.graph.text.change import ChangeError, change_graph
-from bayesnet_track.graph.text.differences import differences
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graph.text.write import differences
 
 TEXT = load_graph("two_squares").text
 

@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.checks.run import check
-from bayesnet_track.graph.text.document import MAX_BYTES, MAX_NODES, read_document
+from bayesnet_track.graph.text.document import MAX_BYTES, MAX_NODES, plain_scalar, read_document
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.graph.text.read import read_graph
-from bayesnet_track.graph.text.scalars import plain_scalar
 
 PLACED = re.compile(r"(g\.yaml:[1-9]\d*:[1-9]\d*: \S.*: .|g\.yaml: and more errors$)")
 

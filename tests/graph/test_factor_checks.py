@@ -7,7 +7,7 @@ import pytest
 from bayesnet_track.graph.checks.factors import names_at
 from bayesnet_track.graph.checks.plates import Plate
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES
+from bayesnet_track.graph.expressions.terms import FRAME_NAMES
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.messages import GraphError, Positions
 

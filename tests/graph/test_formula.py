@@ -6,7 +6,6 @@ import pytest
 
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text import formula_modes
 from bayesnet_track.graph.text.formula import (
     Integral,
     Likelihood,
@@ -15,8 +14,13 @@ from bayesnet_track.graph.text.formula import (
     formula_latex,
     formula_text,
 )
-from bayesnet_track.graph.text.formula_motion import latex_lines, lines
-from bayesnet_track.graph.text.formula_states import latent_nodes, moves
+from bayesnet_track.graph.text.formula_parts import (
+    latent_nodes,
+    latex_motion_lines,
+    mode_lines,
+    motion_lines,
+    moves,
+)
 from bayesnet_track.graph.text.load import load_graph
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
@@ -59,7 +63,7 @@ def test_the_noise_of_velocities_is_told(target):
     nodes["s"]["motion"] = {"constant_velocity": {"sd_px": {"x": 2}, "sd_velocity_px": 1.5}}
     expected = "p(s_t | s_t-1): constant velocity, sd x 2 px, sd velocity 1.5 px/frame"
     assert formula_text(target(nodes)).splitlines()[-1] == expected
-    assert lines(target(nodes)) == latex_lines(target(nodes)) == []
+    assert motion_lines(target(nodes)) == latex_motion_lines(target(nodes)) == []
 
 
 def test_a_motion_by_expressions_is_an_equation_for_each_field(target):
@@ -227,7 +231,7 @@ def test_a_factor_of_a_latent_node_is_inside_the_integral(target):
 
 
 def test_modes_are_said_with_how_long_they_last_and_what_follows():
-    assert formula_modes.lines(load_graph("kalman_ball").targets["ball"], str) == []
+    assert mode_lines(load_graph("kalman_ball").targets["ball"], str) == []
     lines = formula_text(load_graph("bouncing_square").targets["square"]).splitlines()
     assert [line for line in lines if line.startswith("mode ")] == [
         "mode straight: moves so, 60 frames on average, then bounce 0.667, behind 0.333",

@@ -3,10 +3,10 @@
 import pytest
 
 from bayesnet_track.graph.checks.factors import names_at
-from bayesnet_track.graph.checks.formulas import drift_of, sds_of
+from bayesnet_track.graph.checks.motion import drift_of, sds_of
 from bayesnet_track.graph.checks.plates import Plate
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.expressions.write import text_of
+from bayesnet_track.graph.expressions.parse import text_of
 from bayesnet_track.graph.spec import ByExpressions, GraphSpec
 from bayesnet_track.graph.text.messages import GraphError, Positions
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayesnet_track.graph.settings.joins import Join
-from bayesnet_track.graph.text.formula_joins import join_latex, join_text
+from bayesnet_track.graph.text.formula import join_latex, join_text
 
 CARRIED = Join.model_validate(
     {"between": ["person", "box"], "occlusion": {"stay": 0.9}, "exclusion": {"nats": 2}, "attachment": {}}

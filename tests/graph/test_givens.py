@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bayesnet_track.graph.checks.givens import is_drawn
-from bayesnet_track.graph.checks.measures import MEASURE_CHECKS
+from bayesnet_track.graph.checks.factors import MEASURE_CHECKS, is_drawn
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.text.formula_given import latex_lines, lines
+from bayesnet_track.graph.text.formula_parts import given_lines, latex_given_lines
 from bayesnet_track.graph.text.load import load_graph
 
 
@@ -20,12 +19,12 @@ def test_a_distribution_is_read_with_the_constants_that_it_uses(cues):
     graph = check_graph({"name": "g", "constants": constants, "targets": {"t": {"nodes": nodes}}}, cues)
     found = graph.targets["t"].givens["n"]
     assert [is_drawn(term) for term in found.fields.values()] == [True, False]
-    assert list(lines(found, "n_t")) == [
+    assert list(given_lines(found, "n_t")) == [
         "x of n_t ~ laplace(parent.x + lean, 3)",
         "w of n_t = parent.w / 2",
         "lean = 2",
     ]
-    assert next(latex_lines(found, "n_t")).startswith(r"x(n_t) &\sim \mathrm{Laplace}\left(")
+    assert next(latex_given_lines(found, "n_t")).startswith(r"x(n_t) &\sim \mathrm{Laplace}\left(")
 
 
 def test_measurement_functions_are_read_with_the_constants_that_they_use():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track.graph.checks.latent import form_of
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.latent_forms import form_of
 from bayesnet_track.graph.text.load import load_graph
 
 XY = {"sd_px": {"x": 3, "y": 3}}

@@ -6,8 +6,8 @@ import pytest
 
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.graph.text.read import read_graph
 
 HEAD = """bayesnet: 1
 name: g

@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.graph.settings.base import Positive
 from bayesnet_track.graph.settings.net import node_kind
-from bayesnet_track.graph.text.shapes import expects, shape_of
+from bayesnet_track.graph.text.hints import expects, shape_of
 
 
 def test_annotations_are_taken_apart():

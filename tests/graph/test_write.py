@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import AgentChoice, Fuse, GraphSpec, Motion, Moving, Noise
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import as_plain, graph_sha256, write_graph
 
 LENIENT = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

@@ -7,7 +7,7 @@ from scipy import stats
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.engine.compiled import make_belief, make_plate_motion
 from bayesnet_track.graph.checks.run import check
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.numerics.streams import Streams

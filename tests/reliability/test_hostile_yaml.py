@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import find_graph, graph_names
 
 pytestmark = pytest.mark.reliability

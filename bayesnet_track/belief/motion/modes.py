@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel, Posterior
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.graph.settings.modes import Hidden, Mode
+from bayesnet_track.graph.settings.motion import Hidden, Mode
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import Chain
 

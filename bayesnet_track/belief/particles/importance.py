@@ -33,7 +33,7 @@ from bayesnet_track.belief.particles.proposals import (
 )
 from bayesnet_track.belief.particles.sample_size import FrameSample, WeightedSample, concatenate, prior_of
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.settings.proposals import (
+from bayesnet_track.graph.settings.beliefs import (
     Auxiliary,
     IteratedProposal,
     LikelihoodMixture,

@@ -22,7 +22,7 @@ from bayesnet_track.belief.particles.fitted import (
 )
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.sample_size import WeightedSample, concatenate, prior_of
-from bayesnet_track.graph.settings.proposals import SecondPassProposal
+from bayesnet_track.graph.settings.beliefs import SecondPassProposal
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic

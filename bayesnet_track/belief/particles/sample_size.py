@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Report
-from bayesnet_track.graph.settings.particles import AdaptiveSize, BinnedSize, NormalSize
+from bayesnet_track.graph.settings.beliefs import AdaptiveSize, BinnedSize, NormalSize
 from bayesnet_track.journal.events.beliefs import ParticlesResized
 from bayesnet_track.numerics import sample_size
 from bayesnet_track.numerics.arrays import Floats

@@ -81,7 +81,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     """Print the comparison of two runs, and write its page where --html asks for one."""
     from dataclasses import replace
 
-    from bayesnet_track.graph.text.differences import differences
+    from bayesnet_track.graph.text.write import differences
     from bayesnet_track.journal.compare import compare as compare_runs
     from bayesnet_track.journal.text.compare_text import SHOWN_MOMENTS, compare_text, settings_apart
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def validate(options: argparse.Namespace) -> int:
     """Check graph files; all errors of all files."""
-    from bayesnet_track.graph.text.excerpt import describe_error
+    from bayesnet_track.graph.text.explain import describe_error
     from bayesnet_track.graph.text.load import load_graph
 
     code = OK
@@ -109,7 +109,7 @@ def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> st
 
 def _joins(loaded: CheckedGraph, plates: list[CheckedTarget], options: argparse.Namespace) -> list[str]:
     """The densities of the joins of these plates, where densities are asked for."""
-    from bayesnet_track.graph.text.formula_joins import join_latex, join_text
+    from bayesnet_track.graph.text.formula import join_latex, join_text
 
     if not (options.formula or options.latex):
         return []

@@ -23,7 +23,7 @@ NO_NAMES = frozenset({"null", "true", "false"})
 def init(options: argparse.Namespace) -> int:
     """Copy a graph of the library."""
     from bayesnet_track.graph.checks.run import check
-    from bayesnet_track.graph.text.read import read_graph
+    from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graphs import find_graph
 
     path = Path(options.file)

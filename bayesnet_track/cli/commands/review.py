@@ -101,8 +101,8 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
 def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
     """Type of target -> feature of its score -> coefficient, and `bias`; empty without a graph to read."""
     from bayesnet_track.graph.spec import InferenceNode
+    from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.graph.text.read import read_graph
 
     try:
         targets = read_graph(directory.graph)[0].targets
@@ -118,8 +118,8 @@ def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
 
 def _check_node(directory: RunDirectory, node: str | None) -> None:
     """Refuse a node that the run's graph does not have."""
+    from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import nearest
-    from bayesnet_track.graph.text.read import read_graph
 
     if node is None or not directory.graph.is_file():
         return

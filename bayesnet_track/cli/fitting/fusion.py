@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
     """The graph's text with the `correlation` of every learned pool."""
     from bayesnet_track.evaluate.fusion import fit_correlation, learned_pools, residuals_of
-    from bayesnet_track.graph.settings.nodes import pool_exponents
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.settings.net import pool_exponents
+    from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
     with users_mistake():

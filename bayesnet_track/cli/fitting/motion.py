@@ -93,7 +93,7 @@ def _line(one: Estimate) -> str:
 
 def write_motion(text: str, node: tuple[str, ...], estimates: Sequence[Estimate], from_what: str) -> str:
     """The graph's text with the estimates that the boxes tell, each with its interval as a comment."""
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.change import set_value
 
     for one in estimates:
         if not one.is_known or one.before != one.before:

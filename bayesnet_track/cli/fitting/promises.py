@@ -71,7 +71,7 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
         share_called_afterwards,
     )
     from bayesnet_track.graph.settings.scores import Guarantee
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
     before = plate.inference(plate.root).guarantee
@@ -106,7 +106,7 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
 def _write_alarm(text: str, graph: CheckedGraph, data: Sequence[CalibrationData], share: float) -> str:
     from bayesnet_track.evaluate.calibration_data import by_video
     from bayesnet_track.evaluate.guarantees import total_evidence
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
     videos = list(by_video(data).values())

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def check_text(text: str, name: str) -> CheckedGraph:
     """Check a graph's text, as a run of it would; raises GraphError."""
     from bayesnet_track.graph.checks.run import check
-    from bayesnet_track.graph.text.read import read_graph
+    from bayesnet_track.graph.text.load import read_graph
 
     return check(*read_graph(text, name))
 
@@ -52,7 +52,7 @@ def _shares(inside: tuple[float, float]) -> str:
 
 def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], FittedSd], videos: int) -> str:
     """The graph's text with fitted standard deviations, each agent's with a comment that says from what."""
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
     for agent in dict.fromkeys(agent for agent, _ in fitted):
@@ -106,7 +106,7 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
 
 def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = "") -> str:
     """The graph's text with an activation policy."""
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
     adapt = plate.inference(plate.root).adapt

@@ -44,7 +44,7 @@ def _score_of(graph: CheckedGraph) -> Logistic | None:
 def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
     """The graph's text with what was estimated, each with a comment that says from what."""
     from bayesnet_track.evaluate.calibration import HEAVY_TAIL
-    from bayesnet_track.graph.text.edit import set_value
+    from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
     path = ("targets", name, "nodes", plate.root)

@@ -15,7 +15,7 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.lifecycle.detecting import Found
-from bayesnet_track.graph.settings.existence import Existence
+from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed

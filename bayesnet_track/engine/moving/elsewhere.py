@@ -19,7 +19,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import MotionContext, PredictedMotion
 from bayesnet_track.engine.scoring.confidences import log_odds
 from bayesnet_track.engine.state import TargetState, inside_frame
-from bayesnet_track.graph.settings.jumps import Relocalize
+from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.observe import Observer, Question, ask_agents
 from bayesnet_track.journal.events.beliefs import Reappeared

@@ -16,7 +16,7 @@ from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
-from bayesnet_track.graph.settings.jumps import Relocalize
+from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.lives import DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats

@@ -17,7 +17,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.scoring.reacquisition import usual_fit
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.graph.settings.jumps import Sudden
+from bayesnet_track.graph.settings.motion import Sudden
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import fit_of
 from bayesnet_track.numerics.arrays import Floats

@@ -1,12 +1,15 @@
-"""Checks of adaptation by evidence: tests that agree with each other, settings that have an effect."""
+"""Checks of adaptation by evidence, and of calibration."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from bayesnet_track.graph.checks.cues import declares
 from bayesnet_track.graph.checks.plates import Check, Plate
-from bayesnet_track.graph.settings.adapt import Concentrated, Information
+from bayesnet_track.graph.settings.adapt import Concentrated, Information, Lost
+from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.text.messages import GraphMessage
+from bayesnet_track.observation.cue import CueDeclaration
 
 
 def named_agents_are_governed(plate: Plate) -> Iterator[GraphMessage]:
@@ -147,4 +150,131 @@ ADAPT_CHECKS: tuple[Check, ...] = (
     tests_in_order,
     information_has_effect,
     dispensable_by_levels,
+)
+
+
+def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
+    """`lost.score_below`, `distractors` and the like need a `score`, which is a probability."""
+    for name, node in plate.inference.items():
+        if node.parent is not None or node.score is not None:
+            continue
+        needing: list[tuple[str, ...]] = []
+        if node.lost is not None and node.lost.score_below is not None:
+            needing.append(("lost", "score_below"))
+        if node.localization_error is not None and node.localization_error.lost_sd_box is not None:
+            needing.append(("localization_error", "lost_sd_box"))
+        rules = {"distractors": node.distractors, "guarantee": node.guarantee, "alarm": node.alarm}
+        needing += [(key,) for key, rule in rules.items() if rule is not None]
+        if node.learn is not None and node.learn.score_above is not None:
+            needing.append(("learn", "score_above"))
+        for key in needing:
+            found = f"{'.'.join(key)} without a score that is a probability"
+            yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)
+
+
+def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
+    """`score_below` lies below `uncertain_below`, and one rule decides when a target is lost."""
+    for name, node in plate.inference.items():
+        rule = node.lost
+        if rule is None:
+            continue
+        low, high = rule.score_below, rule.uncertain_below
+        if low is None and high is not None:
+            found = "lost.uncertain_below without lost.score_below"
+            yield plate.message(name, found, "both, or none", key=("lost", "uncertain_below"), on_key=True)
+        elif low is not None and high is not None and high <= low:
+            found = f"lost.uncertain_below is {high:.6g}, not above lost.score_below, {low:.6g}"
+            yield plate.message(name, found, f"above {low:.6g}", key=("lost", "uncertain_below"))
+        if low is None and rule.found_fit is not None:
+            found = "lost.found_fit without lost.score_below"
+            yield plate.message(name, found, "both, or none", key=("lost", "found_fit"), on_key=True)
+        if low is not None and rule.above != Lost().above:
+            found = "lost.above has no effect: with score_below the score alone says when the target is lost"
+            yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)
+
+
+def one_half_is_uncertain(plate: Plate) -> Iterator[GraphMessage]:
+    """`distractors` and `found_fit` limit the score to one half: they need an `uncertain_below` above it."""
+    for name, node in plate.inference.items():
+        high = None if node.lost is None else node.lost.uncertain_below
+        if high is not None and high > 0.5:
+            continue
+        limiting: list[tuple[str, ...]] = []
+        if node.distractors is not None:
+            limiting.append(("distractors",))
+        if node.lost is not None and node.lost.found_fit is not None and node.lost.score_below is not None:
+            limiting.append(("lost", "found_fit"))
+        for key in limiting:
+            verb = "put" if key == ("distractors",) else "puts"
+            effect = f"{'.'.join(key)} {verb} the score at one half"
+            found = f"{effect}, which lost.uncertain_below does not call uncertain"
+            yield plate.message(name, found, "lost.uncertain_below above 0.5", key=key, on_key=True)
+
+
+def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessage]:
+    """`lost_sd_box` is larger than `sd_box`."""
+    for name, node in plate.inference.items():
+        error = node.localization_error
+        if error is not None and error.lost_sd_box is not None and error.lost_sd_box <= error.sd_box:
+            found = (
+                f"localization_error.lost_sd_box is {error.lost_sd_box:.6g}, not above "
+                f"localization_error.sd_box, {error.sd_box:.6g}"
+            )
+            key = ("localization_error", "lost_sd_box")
+            yield plate.message(name, found, f"above {error.sd_box:.6g}", key=key)
+
+
+def alarm_can_be_raised(plate: Plate) -> Iterator[GraphMessage]:
+    """Its e-value stays below the number of calibration videos plus one."""
+    for name, node in plate.inference.items():
+        if node.alarm is not None and (node.alarm.videos + 1) * node.alarm.share < 1.0 + 1e-9:
+            found = (
+                f"alarm of {node.alarm.videos} videos is never raised: its e-value stays below "
+                f"{node.alarm.videos + 1}, and has to reach {1.0 / node.alarm.share:.4g}"
+            )
+            allowed = "more videos, or a larger share"
+            yield plate.message(name, found, allowed, key=("alarm", "videos"))
+
+
+def verifiers_can_be_asked(plate: Plate) -> Iterator[GraphMessage]:
+    """A verifier scores a box by its looks, and has a name that no other feature has."""
+    for name, where, chosen in plate.spec.cue_choices():
+        cue = plate.cues.get(chosen.cue)
+        if where[0] != "score" or cue is None:
+            continue
+        verifier = where[3]
+        if verifier in RESERVED:
+            found = f"a verifier named {verifier!r}, as something else of the score"
+            yield plate.message(name, found, "another name", key=where[:4], on_key=True)
+        why = "measures" if cue.measures else "keeps what cannot be stored" if cue.opaque else ""
+        if not cue.is_appearance and not why:
+            why = "does not go by the target's looks"
+        if why:
+            found = f"verifier {verifier}: {chosen.cue} {why}"
+            yield plate.message(name, found, "a cue that scores boxes by looks", key=(*where, chosen.cue))
+
+
+def confidences_are_given(plate: Plate) -> Iterator[GraphMessage]:
+    """A score goes by the confidence of agents that have one."""
+    able = [name for name, node in plate.agents.items() if declares(plate, node, CueDeclaration.is_sure)]
+    for name, node in plate.inference.items():
+        for agent in {} if node.score is None else node.score.settings.confidence:
+            if agent not in able:
+                found = f"the confidence of {agent!r}, which is no agent that says how sure it is"
+                allowed = able or "an agent such as siamese_box"
+                key = ("score", "logistic", "confidence", agent)
+                yield plate.message(name, found, allowed, key=key, word=agent, on_key=True)
+
+
+RESERVED = frozenset({*FEATURES, "most", "bias"})
+"""Names that a score or its journal uses already."""
+
+SCORE_CHECKS: tuple[Check, ...] = (
+    score_serves_its_users,
+    score_levels_in_order,
+    one_half_is_uncertain,
+    localization_error_is_larger_when_lost,
+    alarm_can_be_raised,
+    verifiers_can_be_asked,
+    confidences_are_given,
 )

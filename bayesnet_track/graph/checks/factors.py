@@ -1,4 +1,4 @@
-"""Checks of factors: expressions of the words and names that there are at their node."""
+"""Checks of expressions at nodes: factors, measurement functions, distributions of latent nodes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,27 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checked import Factor
-from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.joins import GraphCheck
+from bayesnet_track.graph.checked import Conditional, Factor, MeasuredAs
+from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
+from bayesnet_track.graph.checks.lifecycle import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import Call, ExpressionError, names_in, walk
-from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, MASK, PARENT, STATE_NAMES, WORDS
-from bayesnet_track.graph.spec import FactorNode, GraphSpec, InferenceNode
-from bayesnet_track.graph.text.messages import GraphMessage, Positions, nearest
+from bayesnet_track.graph.expressions.terms import (
+    DRAWN,
+    FRAME_NAMES,
+    MASK,
+    PARENT,
+    STATE_NAMES,
+    WORDS,
+    Call,
+    ExpressionError,
+    Term,
+    Variable,
+    names_in,
+    walk,
+)
+from bayesnet_track.graph.spec import AgentNode, FactorNode, Given, GraphSpec, InferenceNode
+from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions, nearest
 from bayesnet_track.graphs import graph_folder
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import Mask, read_mask
@@ -81,11 +93,11 @@ def masks_of(spec: GraphSpec, folder: Path, given: Mapping[str, Mask] | None = N
             name = node.mask if isinstance(node, FactorNode) else None
             if name is None or name in found:
                 continue
-            found[name] = given[name] if given is not None and name in given else _read(name, folder)
+            found[name] = given[name] if given is not None and name in given else _read_mask(name, folder)
     return found
 
 
-def _read(name: str, folder: Path) -> Mask | str:
+def _read_mask(name: str, folder: Path) -> Mask | str:
     here = folder / name
     installed = Path(graph_folder()) / name
     try:
@@ -171,3 +183,166 @@ def _explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> Gr
 
 FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read, masks_can_be_read, agents_find_what_they_read)
 CONSTANT_CHECKS: tuple[GraphCheck, ...] = (constants_have_their_own_names,)
+
+
+def measures_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
+    """Measurement functions are expressions of the state."""
+    for name, node in plate.agents.items():
+        for quantity, text in node.measures.items():
+            try:
+                parse(text, _names(plate, node))
+            except ExpressionError as error:
+                key = ("measures", quantity)
+                message = plate.message(name, error.found, error.allowed, key=key)
+                if error.word:
+                    message = replace(message, nearest=nearest(error.word, error.near))
+                yield plate.at.inside(message, error.at)
+
+
+def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
+    """They are of quantities that the agent measures; each has one, or is a field of the state."""
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None:
+            continue
+        if node.measures and (not declaration.measures or declaration.reads_detection):
+            why = "is assigned detections by its box" if declaration.measures else "scores hypotheses"
+            found = f"measures of {node.agent.cue}, which {why}"
+            yield plate.message(name, found, "an agent such as readings", key=("measures",), on_key=True)
+            continue
+        if declaration.gives is None:
+            continue
+        try:
+            given = declaration.gives(cue_parameters(node.agent, declaration))
+        except ValidationError:
+            continue  # said where parameters are checked
+        state = _names(plate, node)
+        for quantity in given:
+            if quantity not in node.measures and quantity not in state:
+                found = f"{quantity!r} is measured, and nothing says what it would be of a state"
+                allowed = f"measures: {{{quantity}: an expression of {', '.join(state[:4])}, ...}}"
+                yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+        for quantity in node.measures:
+            if quantity not in given:
+                found = f"measures of {quantity!r}, which the agent does not measure"
+                key = ("measures", quantity)
+                yield plate.message(name, found, given, key=key, word=quantity, on_key=True)
+
+
+def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
+    """They are not linear, as the root's filter may have to have them."""
+    belief = plate.inference[plate.roots[0]].belief
+    if belief is None or belief.gaussian is None or belief.gaussian.filter != "kalman":
+        return
+    for name, node in plate.agents.items():
+        if node.measures and latent_above(plate, node.parent) is None:
+            found = "measures beside filter: kalman, which is of linear measurements"
+            yield plate.message(name, found, "filter: extended or unscented", key=("measures",), on_key=True)
+
+
+def _names(plate: Plate, node: AgentNode) -> tuple[str, ...]:
+    """The names of the agent's expressions: of the state whose hypotheses it is asked about."""
+    return tuple(name for name in names_at(plate, node.parent) if not name.startswith(PARENT))
+
+
+def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
+    """The measurement functions of a plate that passed the checks."""
+    found = {}
+    for name, node in plate.agents.items():
+        if node.measures:
+            found[name] = _read_measures(plate, node)
+    return found
+
+
+def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
+    terms = {quantity: parse(text) for quantity, text in node.measures.items()}
+    used = {one for term in terms.values() for one in names_in(term)}
+    return MeasuredAs(terms, {name: value for name, value in plate.constants.items() if name in used})
+
+
+MEASURE_CHECKS: tuple[Check, ...] = (measures_can_be_read, measures_are_measured, measures_fit_the_belief)
+
+
+GIVEN_KEY: KeyPath = ("fuse", "latent", "given")
+OTHERS = ("sd_px", "sd_box", "sd_log", "heavy_tail", "offset_box", "size_box")
+
+
+def givens_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
+    """Distributions are expressions of the parent's box, of own fields before, and of constants."""
+    for node, given in _givens(plate):
+        terms: list[Term] = []
+        for name, text in given.written.items():
+            own = BOX[: BOX.index(name)]
+            names = (*(PARENT + field for field in BOX), *own, "pi", *plate.constants)
+            try:
+                terms.append(parse(text, names, draws=True))
+            except ExpressionError as error:
+                message = plate.message(node, error.found, error.allowed, key=(*GIVEN_KEY, name))
+                yield plate.at.inside(_explain(message, error, name), error.at)
+        if len(terms) == len(given.written) and not any(map(is_drawn, terms)):
+            found = "given without a distribution: the node would have no state of its own"
+            yield plate.message(node, found, "at least one field such as normal(parent.x, 5)", key=GIVEN_KEY)
+
+
+def givens_stand_alone(plate: Plate) -> Iterator[GraphMessage]:
+    """Expressions say all of the distribution, and are held by draws, or by a Gaussian."""
+    for node, given in _givens(plate):
+        for other in (name for name in OTHERS if name in given.model_fields_set):
+            found = f"{other} beside {', '.join(given.written)}, which say the whole distribution"
+            yield plate.message(node, found, "either of them", key=(*GIVEN_KEY, other), on_key=True)
+        belief = plate.inference[node].belief
+        if belief is not None and belief.kind == "grid":
+            found = "grid beside a given by expressions"
+            yield plate.message(node, found, "belief: particles, or gaussian", key=("belief",))
+
+
+def gaussian_givens_are_normal(plate: Plate) -> Iterator[GraphMessage]:
+    """A Gaussian belief about a latent node's state is of normal distributions."""
+    for node, given in _givens(plate):
+        belief = plate.inference[node].belief
+        if belief is None or belief.kind != "gaussian":
+            continue
+        for name, text in given.written.items():
+            try:
+                term = parse(text, draws=True)
+            except ExpressionError:
+                continue  # `givens_can_be_read` says so
+            if is_drawn(term) and isinstance(term, Call) and term.function != "normal":
+                found = f"belief: gaussian, and {name} is drawn from {term.function}"
+                yield plate.message(node, found, "normal, or belief: particles", key=(*GIVEN_KEY, name))
+
+
+def is_drawn(term: Term) -> bool:
+    """Whether it is a distribution, not a value."""
+    return isinstance(term, Call) and term.arguments[:1] == (Variable(DRAWN),)
+
+
+def read_givens(plate: Plate) -> dict[str, Conditional]:
+    """The distributions by expressions of a plate that passed the checks."""
+    found = {}
+    for node, given in _givens(plate):
+        terms = {name: parse(text, draws=True) for name, text in given.written.items()}
+        used = {one for term in terms.values() for one in names_in(term)}
+        constants = {name: value for name, value in plate.constants.items() if name in used}
+        found[node] = Conditional(terms, constants)
+    return found
+
+
+def _explain(message: GraphMessage, error: ExpressionError, field: str) -> GraphMessage:
+    if error.word in BOX:
+        found = f"{error.word!r} in the distribution of {field!r}, which is drawn before it"
+        return replace(message, found=found if error.word != field else f"{field!r} in its own distribution")
+    if error.word in STATE_NAMES:
+        found = f"name {error.word!r}, which a latent node's distribution does not know"
+        return replace(message, found=found)
+    return replace(message, nearest=nearest(error.word, error.near)) if error.word else message
+
+
+def _givens(plate: Plate) -> Iterator[tuple[str, Given]]:
+    for name, node in plate.inference.items():
+        latent = None if node.fuse is None else node.fuse.latent
+        if node.parent is not None and latent is not None and latent.given.written:
+            yield name, latent.given
+
+
+GIVEN_CHECKS: tuple[Check, ...] = (givens_can_be_read, givens_stand_alone, gaussian_givens_are_normal)

@@ -1,11 +1,15 @@
-"""The checks of latent nodes: beliefs below the root, where they can be held, and parts of a target."""
+"""Checks of the tree and of its latent nodes, and the form in which each state is held."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
+from typing import Literal
 
-from bayesnet_track.graph.checks.plates import Plate
-from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.expressions.terms import PARENT, names_in
+from bayesnet_track.graph.settings.motion import Motion, Moving
+from bayesnet_track.graph.settings.net import Given
 from bayesnet_track.graph.spec import InferenceNode, Latent, Noise, PixelSd
 from bayesnet_track.graph.text.messages import GraphMessage
 
@@ -172,3 +176,218 @@ def _noises_above(plate: Plate, name: str) -> Iterator[tuple[str, Noise]]:
         elif node.fuse is not None and node.fuse.latent is not None:
             yield above, node.fuse.latent.given
         above = node.parent
+
+
+Form = Literal["one", "kernel", "gaussian", "grid"]
+
+
+def form_of(target: CheckedTarget, node: str, measuring: Container[str]) -> Form:
+    """How a latent node's own state is held; `measuring` are the agents that say where the target is.
+
+    As `belief` or `draw` say. Without them the integral over the state is exact where it can be: a Gaussian,
+    if all below is measured; a grid, if only x and y are uncertain; else one draw per hypothesis. What moves
+    is a part of the root's state. The belief of a root is about the target, not its own state.
+    """
+    fuse = target.inference(node).fuse
+    assert fuse is not None and fuse.latent is not None
+    is_root = node == target.root
+    if not is_root and target.inference(node).motion is not None:
+        return "one"
+    belief = None if is_root else target.inference(node).belief
+    if belief is not None and belief.kind != "particles":
+        return "gaussian" if belief.kind == "gaussian" else "grid"
+    if belief is not None or fuse.latent.draw is not None:
+        return fuse.latent.draw or "one"
+    if is_root or _asks_for_parent(target, node):
+        return "one"
+    if _is_linear(fuse.latent.given) and _is_measured(target, node, measuring):
+        return "gaussian"
+    return "grid" if _fits_cells(target, node, fuse.latent.given) else "one"
+
+
+def _asks_for_parent(target: CheckedTarget, node: str) -> bool:
+    """Whether a factor weighs pairs of a draw and its parent, which only draws that go together have."""
+    return any(
+        _state_above(target, factor.parent) == node
+        and any(name.startswith(PARENT) for name in names_in(factor.term))
+        for factor in target.factors.values()
+    )
+
+
+def _state_above(target: CheckedTarget, node: str | None) -> str | None:
+    while node is not None and not is_latent(target, node):
+        node = target.parent[node]
+    return node
+
+
+def is_latent(target: CheckedTarget, node: str) -> bool:
+    """Whether an inference node has a state of its own beside the root's."""
+    fuse = target.inference(node).fuse
+    return fuse is not None and fuse.latent is not None
+
+
+def _is_linear(given: Given) -> bool:
+    """Whether the state is the parent's box times a matrix, with Gaussian noise in px."""
+    sized = [part for part in beyond_position(given) if not part.startswith("sd_px")]
+    return not given.written and given.heavy_tail is None and not sized
+
+
+def _is_measured(target: CheckedTarget, node: str, measuring: Container[str]) -> bool:
+    """Whether all that is said of a node's state are linear measurements."""
+    if any(factor.parent == node for factor in target.factors.values()):
+        return False
+    for child in target.children[node]:
+        if child not in target.children:
+            if child not in measuring or child in target.measures:
+                return False
+        elif is_latent(target, child):
+            if form_of(target, child, measuring) != "gaussian":
+                return False
+        elif not _is_measured(target, child, measuring):
+            return False
+    return True
+
+
+def _fits_cells(target: CheckedTarget, node: str, given: Given) -> bool:
+    """Whether a grid over x and y, with one noise for all cells, holds all that is uncertain."""
+    spreads = given.sd_px.x > 0 and given.sd_px.y > 0 and not beyond_position(given)
+    return spreads and all(_keeps_size(target, above) for above in _nodes_above(target, node))
+
+
+def _nodes_above(target: CheckedTarget, node: str) -> Iterator[str]:
+    above: str | None = node
+    while above is not None:
+        yield above
+        above = target.parent[above]
+
+
+def _keeps_size(target: CheckedTarget, node: str) -> bool:
+    """Whether all boxes of a state have one size, if those above it have."""
+    one = target.inference(node)
+    noises: list[object] = []
+    if one.fuse is not None and one.fuse.latent is not None:
+        noises.append(None if one.fuse.latent.given.written else one.fuse.latent.given)
+    if node == target.root and one.motion is not None:
+        noises.append(None if one.motion.box_velocity is not None else one.motion.settings)
+    return all(
+        isinstance(noise, Noise) and all(part.startswith("sd_box") for part in beyond_position(noise))
+        for noise in noises
+    )
+
+
+MAX_LEVELS = 32
+ROOT_ONLY = (
+    *("motion", "modes", "estimate", "learn", "lost", "score", "localization_error", "distractors"),
+    *("guarantee", "alarm"),
+)
+
+
+def parents_exist(plate: Plate) -> Iterator[GraphMessage]:
+    """Every parent is a node of the same target."""
+    for name, node in plate.spec.nodes.items():
+        if node.parent is not None and node.parent not in plate.spec.nodes:
+            found = f"unknown parent {node.parent!r}"
+            yield plate.message(name, found, plate.inference, key=("parent",), word=node.parent)
+
+
+def agents_are_leaves(plate: Plate) -> Iterator[GraphMessage]:
+    """No agent and no factor has children."""
+    for name, node in plate.spec.nodes.items():
+        if node.parent in plate.agents or node.parent in plate.factors:
+            kind = "an agent, and agents" if node.parent in plate.agents else "a factor, and factors"
+            found = f"parent {node.parent!r} is {kind} have no children"
+            yield plate.message(name, found, plate.inference, key=("parent",))
+
+
+def one_root(plate: Plate) -> Iterator[GraphMessage]:
+    """Exactly one inference node has no parent."""
+    if not plate.inference:
+        path = ("targets", plate.name, "nodes")
+        yield plate.at.message(path, "no inference node", "one inference node without a parent: the root")
+    for name in plate.roots[1:]:
+        found = f"a second node without a parent, after {plate.roots[0]!r}"
+        others = [other for other in plate.inference if other != name]
+        yield plate.message(name, found, f"one root; parent: {others[0]}", on_key=True)
+
+
+def no_cycles(plate: Plate) -> Iterator[GraphMessage]:
+    """Following the parents from any node ends at a root."""
+    settled: set[str] = set()
+    for start in plate.spec.nodes:
+        trail: dict[str, int] = {}
+        name: str | None = start
+        while name is not None and name in plate.spec.nodes and name not in settled:
+            if name in trail:
+                cycle = [*list(trail)[trail[name] :], name]
+                shown = " -> ".join(cycle if len(cycle) <= 12 else [*cycle[:11], "...", name])
+                yield plate.message(name, f"parents in a circle: {shown}", "a tree", key=("parent",))
+                break
+            trail[name] = len(trail)
+            name = plate.spec.nodes[name].parent
+        settled |= trail.keys()
+
+
+def not_too_deep(plate: Plate) -> Iterator[GraphMessage]:
+    """A tree has a bounded number of levels."""
+    level: dict[str | None, int] = {None: 0}
+    for name in plate.order:
+        level[name] = level[plate.spec.nodes[name].parent] + 1
+        if level[name] == MAX_LEVELS + 1:
+            yield plate.message(name, f"level {level[name]} of the tree", f"at most {MAX_LEVELS} levels")
+
+
+def inference_has_agents(plate: Plate) -> Iterator[GraphMessage]:
+    """Every inference node has an agent below it."""
+    fed: set[str] = set()
+    for agent in plate.agents.values():
+        name: str | None = agent.parent
+        while name is not None and name not in fed and name in plate.spec.nodes:
+            fed.add(name)
+            name = plate.spec.nodes[name].parent
+    for name in plate.inference:
+        if name not in fed:
+            yield plate.message(name, "no agent below this inference node", "at least one agent", on_key=True)
+
+
+def fusion_is_chosen(plate: Plate) -> Iterator[GraphMessage]:
+    """A node with two or more children says how it joins them."""
+    for name, node in plate.inference.items():
+        children = plate.children[name]
+        if node.fuse is None and len(children) >= 2:
+            found = f"key 'fuse' is missing, and there are {len(children)} children"
+            yield plate.message(name, found, ["product", "pool", "latent"])
+
+
+def root_keys_at_the_root(plate: Plate) -> Iterator[GraphMessage]:
+    """Motion, estimate, learning and loss belong to the root; a latent node may have a motion of its own."""
+    for name, node in plate.inference.items():
+        for key in ROOT_ONLY if node.parent is not None else ():
+            if getattr(node, key) is not None and not (key == "motion" and has_a_state(node)):
+                where = f"only at the root, {plate.roots[0]}" if plate.roots else "only at the root"
+                where += ", or with fuse: latent" if key == "motion" else ""
+                yield plate.message(name, f"key {key!r} below the root", where, key=(key,), on_key=True)
+
+
+def root_moves(plate: Plate) -> Iterator[GraphMessage]:
+    """The root says how the target moves."""
+    for name in plate.roots[:1]:
+        if plate.inference[name].motion is None:
+            motions = tuple(Motion.model_fields)
+            yield plate.message(name, "key 'motion' is missing at the root", motions)
+
+
+TREE_CHECKS: tuple[Check, ...] = (
+    parents_exist,
+    agents_are_leaves,
+    one_root,
+    no_cycles,
+    not_too_deep,
+    inference_has_agents,
+    fusion_is_chosen,
+    root_keys_at_the_root,
+    beliefs_have_a_state,
+    latent_grids_hold_positions,
+    parts_have_a_whole,
+    latent_nodes_move,
+    root_moves,
+)

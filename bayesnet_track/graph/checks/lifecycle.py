@@ -1,15 +1,19 @@
-"""Checks of a plate's life: installed detectors, parameters that these take, rules that can act."""
+"""Checks of the life of targets: births, ends, existence, association, and joins of those that meet."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.graph.checks.modes import modes_are_not_joined
 from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.settings.joins import join_of
+from bayesnet_track.graph.settings.lifecycle import Confirm
+from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.explain import explain
-from bayesnet_track.graph.text.messages import GraphMessage, Path
+from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, detectors_of_graphs
 from bayesnet_track.observation.plugins import why_absent
 
@@ -86,7 +90,7 @@ def tracks_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
 
 def _message(
     plate: Plate,
-    key: Path,
+    key: KeyPath,
     found: str,
     allowed: str | list[str],
     word: str = "",
@@ -102,4 +106,132 @@ LIFE_CHECKS: tuple[Check, ...] = (
     recall_has_a_detector,
     associating_agents_have_births,
     tracks_are_gaussian,
+)
+
+
+def existence_has_detections(plate: Plate) -> Iterator[GraphMessage]:
+    """`existence` stands beside `birth`, without `confirm`, and an agent that measures by detections."""
+    if plate.spec.existence is None:
+        return
+    path = ("targets", plate.name, "existence")
+    birth = plate.spec.birth
+    if birth is None:
+        allowed = "birth, too, or no such key"
+        yield plate.at.message(path, "existence without birth", allowed, on_key=True)
+    if not _measuring(plate):
+        found = "existence without an agent that measures by detections"
+        yield plate.at.message(path, found, "agent: detection in a node, or no such key", on_key=True)
+    if birth is not None and birth.confirm != Confirm():
+        key = ("targets", plate.name, "birth", "confirm")
+        found = "birth.confirm has no effect: existence.confirm says when a target is born"
+        yield plate.at.message(key, found, "one of existence, birth.confirm", on_key=True)
+
+
+def marginal_association_has_mixtures(plate: Plate) -> Iterator[GraphMessage]:
+    """`associate: marginal` needs `existence`, a Gaussian belief, and detections measured at its root."""
+    if plate.spec.associate != "marginal":
+        return
+    path = ("targets", plate.name, "associate")
+    if plate.spec.existence is None:
+        allowed = "existence, too (existence: {}), or associate: assignment"
+        yield plate.at.message(path, "associate: marginal without existence", allowed)
+    for name, node in plate.inference.items():
+        if node.parent is None and (node.belief is None or node.belief.kind != "gaussian"):
+            found = "associate: marginal with a belief that is not Gaussian"
+            allowed = "belief: {gaussian: {filter: kalman}} at the root, or associate: assignment"
+            yield plate.message(name, found, allowed, key=("belief",) if node.belief else ())
+    for name in _measuring(plate):
+        above = plate.agents[name].parent
+        if above not in plate.roots:
+            found = f"associate: marginal with an agent that measures by detections below {above}"
+            yield plate.message(name, found, f"parent: {plate.roots[0]}", key=("parent",))
+
+
+def lost_by_existence_has_existence(plate: Plate) -> Iterator[GraphMessage]:
+    """`lost.existence_below` needs `existence`, lies above `existence.end`, and is the only rule."""
+    rule = plate.spec.existence
+    for name, node in plate.inference.items():
+        level = None if node.lost is None else node.lost.existence_below
+        if node.lost is None or level is None:
+            continue
+        key = ("lost", "existence_below")
+        if rule is None:
+            found = "lost.existence_below without existence"
+            yield plate.message(name, found, "existence for the target, or no such key", key=key, on_key=True)
+        elif level <= rule.end:
+            found = f"lost.existence_below is {level:g}, not above existence.end, {rule.end:g}"
+            yield plate.message(name, found, f"above {rule.end:g}", key=key)
+        others = {"above", "fit_below", "score_below"} & node.lost.model_fields_set
+        for other in sorted(others):
+            found = f"lost.{other} has no effect: with existence_below existence alone says what is lost"
+            allowed = f"one of {other}, existence_below"
+            yield plate.message(name, found, allowed, key=("lost", other), on_key=True)
+
+
+def _measuring(plate: Plate) -> list[str]:
+    """The agents that measure by detections."""
+    declared = {name: plate.cues.get(node.agent.cue) for name, node in plate.agents.items()}
+    return [name for name, one in declared.items() if one is not None and one.reads_detection]
+
+
+EXISTENCE_CHECKS: tuple[Check, ...] = (
+    existence_has_detections,
+    marginal_association_has_mixtures,
+    lost_by_existence_has_existence,
+)
+
+
+GraphCheck = Callable[[GraphSpec, Positions], Iterator[GraphMessage]]
+"""One pass over a whole graph: yields every violation."""
+
+
+def joins_name_kinds(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """Every kind in a join's `between` is a kind of target of the graph."""
+    for number, join in enumerate(spec.joins):
+        for place, kind in enumerate(join.between or ()):
+            if kind not in spec.targets:
+                path = ("joins", number, "between", place)
+                yield at.message(path, f"no kind of target {kind!r}", list(spec.targets), word=kind)
+
+
+def one_join_for_a_pair(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """No pair of kinds has two joins: pixels would be accounted for twice."""
+    kinds = list(spec.targets)
+    for number in range(1, len(spec.joins)):
+        for first in kinds:
+            for second in kinds[kinds.index(first) :]:
+                earlier = join_of(spec.joins[:number], first, second)
+                if earlier is not None and spec.joins[number].holds_between(first, second):
+                    found = f"a second join between {first} and {second}"
+                    yield at.message(("joins", number), found, f"one, as in entry {earlier + 1}")
+
+
+def an_attachment_has_two_kinds(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """An attachment names who carries, then what is carried: two different kinds."""
+    for number, join in enumerate(spec.joins):
+        if join.attachment is not None and len(set(join.between or ())) != 2:
+            path = ("joins", number, "attachment")
+            found = "attachment without a carrier's and a carried kind"
+            yield at.message(path, found, "between: [carrier, carried]", on_key=True)
+
+
+def joined_beliefs_are_particles(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """Targets that are joined hold their beliefs by particles: a joint belief reweights hypotheses."""
+    for number, join in enumerate(spec.joins):
+        for kind in join.between or tuple(spec.targets):
+            target = spec.targets.get(kind)
+            for name, node in () if target is None else target.nodes.items():
+                if not isinstance(node, InferenceNode) or node.parent is not None or node.belief is None:
+                    continue
+                if node.belief.particles is None:
+                    found = f"a join of {kind}, whose node {name} holds a {node.belief.kind} belief"
+                    yield at.message(("joins", number), found, "kinds whose root has belief: particles")
+
+
+JOIN_CHECKS: tuple[GraphCheck, ...] = (
+    joins_name_kinds,
+    one_join_for_a_pair,
+    an_attachment_has_two_kinds,
+    joined_beliefs_are_particles,
+    modes_are_not_joined,
 )

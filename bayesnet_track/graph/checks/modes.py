@@ -6,10 +6,9 @@ from collections.abc import Iterator, Mapping
 from math import isclose
 
 from bayesnet_track.graph.checks.plates import Check, Plate
-from bayesnet_track.graph.settings.modes import Mode
-from bayesnet_track.graph.settings.motion import Motion
+from bayesnet_track.graph.settings.motion import Mode, Motion
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
-from bayesnet_track.graph.text.messages import GraphMessage, Path, Positions
+from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 
 WHOLE_TARGET = ("inflate", "size_reversion", "camera", "relocalize", "sd_angle_deg")
 """Settings of the node's motion that hold in every mode."""
@@ -82,9 +81,9 @@ def modes_differ(plate: Plate) -> Iterator[GraphMessage]:
 def modes_move_plainly(plate: Plate) -> Iterator[GraphMessage]:
     """A mode's motion is noise and kinematics; what else is known of it holds for the whole target."""
     for name, node, modes in _with_modes(plate):
-        motions: dict[Path, Motion | None] = {("motion",): node.motion}
+        motions: dict[KeyPath, Motion | None] = {("motion",): node.motion}
         motions |= {("modes", mode, "motion"): one.motion for mode, one in modes.items()}
-        key: Path
+        key: KeyPath
         for key_of_motion, motion in motions.items():
             if motion is not None and motion.expressions is not None:
                 key = (*key_of_motion, "expressions")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
-from bayesnet_track.graph.text.messages import GraphMessage, Path, Positions
+from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.masks import Mask
 
@@ -111,7 +111,7 @@ class Plate:
         found: str,
         allowed: str | Iterable[str] = "",
         *,
-        key: Path = (),
+        key: KeyPath = (),
         word: str = "",
         on_key: bool = False,
     ) -> GraphMessage:

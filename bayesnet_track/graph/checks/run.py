@@ -1,8 +1,8 @@
-"""Check a graph against every check of the language: named passes, each of which reports all its errors."""
+"""Checks of a whole graph: named passes, each of which reports all its errors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path as FilePath
 from typing import Any
@@ -10,20 +10,37 @@ from typing import Any
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters
-from bayesnet_track.graph.checks.evidence import evidence_counts_once
-from bayesnet_track.graph.checks.existence import EXISTENCE_CHECKS
-from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, masks_of, read_factors
-from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
-from bayesnet_track.graph.checks.givens import GIVEN_CHECKS, read_givens
-from bayesnet_track.graph.checks.joins import JOIN_CHECKS
-from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
-from bayesnet_track.graph.checks.measures import MEASURE_CHECKS, read_measures
-from bayesnet_track.graph.checks.motion import gaussians_are_looked_for
+from bayesnet_track.graph.checks.adapt import ADAPT_CHECKS, SCORE_CHECKS
+from bayesnet_track.graph.checks.beliefs import (
+    PLACE_CHECKS,
+    gaussian_settings_have_effect,
+    grid_holds_the_motion,
+    grid_resets_at_one_level,
+    kalman_moves_linearly,
+    sizes_in_order,
+)
+from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters, evidence_counts_once
+from bayesnet_track.graph.checks.factors import (
+    CONSTANT_CHECKS,
+    FACTOR_CHECKS,
+    GIVEN_CHECKS,
+    MEASURE_CHECKS,
+    masks_of,
+    read_factors,
+    read_givens,
+    read_measures,
+)
+from bayesnet_track.graph.checks.latent import TREE_CHECKS
+from bayesnet_track.graph.checks.lifecycle import EXISTENCE_CHECKS, JOIN_CHECKS, LIFE_CHECKS
+from bayesnet_track.graph.checks.modes import MODE_CHECKS
+from bayesnet_track.graph.checks.motion import (
+    FORMULA_CHECKS,
+    FORMULA_JOIN_CHECKS,
+    MOTION_CHECKS,
+    gaussians_are_looked_for,
+)
 from bayesnet_track.graph.checks.plates import Check, Plate
-from bayesnet_track.graph.checks.trees import TREE_CHECKS
-from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
-from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
@@ -32,6 +49,172 @@ from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, in
 from bayesnet_track.observation.cue_files import GivenCue, own_cues
 from bayesnet_track.observation.masks import Mask
 from bayesnet_track.observation.plugins import given
+
+
+def noise_is_there(plate: Plate) -> Iterator[GraphMessage]:
+    """A random walk has noise, and so has a latent state around its parent's."""
+    allowed = "an sd above 0, such as {sd_px: {x: 20, y: 20}}"
+    for name, node in plate.inference.items():
+        if (
+            node.motion is not None
+            and node.motion.random_walk is not None
+            and _is_still(node.motion.random_walk)
+        ):
+            found = "random_walk without noise: no hypothesis would ever move"
+            yield plate.message(name, found, allowed, key=("motion", "random_walk"))
+        if node.fuse is not None and node.fuse.latent is not None and _is_still(node.fuse.latent.given):
+            is_part = node.fuse.latent.given.is_part
+            own = (
+                "the part would have no state of its own"
+                if is_part
+                else "the latent state would equal its parent's"
+            )
+            found = f"given without noise: {own}"
+            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
+
+
+def _is_still(noise: Noise) -> bool:
+    parts: tuple[Any, ...] = (noise.sd_px, noise.sd_box, noise.sd_log)
+    by_expressions = isinstance(noise, Given) and bool(noise.written)
+    return not by_expressions and not any(
+        getattr(part, field) > 0 for part in parts for field in type(part).model_fields
+    )
+
+
+def weights_name_the_children(plate: Plate) -> Iterator[GraphMessage]:
+    """The weights of a pool name exactly the node's children."""
+    for name, node in plate.inference.items():
+        weights = node.fuse.pool if node.fuse is not None else None
+        if weights is None or isinstance(weights, str):
+            continue
+        children = plate.children[name]
+        for weighted in weights:
+            if weighted not in children:
+                found = f"a weight for {weighted!r}, which is no child of this node"
+                key = ("fuse", "pool", weighted)
+                yield plate.message(name, found, children, key=key, word=weighted, on_key=True)
+        without = [child for child in children if child not in weights]
+        if without:
+            found = f"no weight for {', '.join(without[:12])}"
+            yield plate.message(name, found, "a weight for every child, or equal", key=("fuse", "pool"))
+
+
+def correlations_belong_to_learned_pools(plate: Plate) -> Iterator[GraphMessage]:
+    """A correlation is of the children of a learned pool, which are two at least."""
+    for name, node in plate.inference.items():
+        is_learned = node.fuse is not None and node.fuse.pool == "learned"
+        if node.correlation is not None and not is_learned:
+            found = "key 'correlation' at a node whose pool is not learned"
+            yield plate.message(name, found, "fuse: {pool: learned}", key=("correlation",), on_key=True)
+        below = [child for child in plate.children[name] if child not in plate.factors]
+        if is_learned and len(below) < 2:
+            found = f"pool is learned, and {below[0]!r} is the only child" if below else "pool has no child"
+            yield plate.message(name, found, "two children or more, or no fuse", key=("fuse", "pool"))
+
+
+def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
+    """`deactivate.below` is below `activate.above`, and `learn.below` below `lost.above`, in equal units."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        on = None if adapt is None or adapt.activate is None else adapt.activate.above
+        off = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
+        if on is not None and off is not None:
+            key = ("adapt", "deactivate", "below")
+            yield from _crossing(plate, name, key, off, on, "adapt.activate.above")
+        if node.learn is not None and node.parent is None:
+            lost = node.lost or Lost()
+            if lost.score_below is not None:
+                continue
+            text = "lost.above" if node.lost is not None else "lost.above by default"
+            yield from _crossing(plate, name, ("learn", "below"), node.learn.below, lost.above, text)
+
+
+def _crossing(
+    plate: Plate, name: str, key: tuple[str, ...], low: Level, high: Level, high_name: str
+) -> Iterator[GraphMessage]:
+    if low.kind == high.kind and low.settings >= high.settings:
+        unit = low.kind
+        found = (
+            f"{'.'.join(key)} is {low.settings:.6g} {unit}, not below {high_name}, {high.settings:.6g} {unit}"
+        )
+        yield plate.message(name, found, f"below {high.settings:.6g}", key=(*key, unit))
+
+
+def someone_is_active(plate: Plate) -> Iterator[GraphMessage]:
+    """At least one agent is switched on at the start."""
+    if plate.agents and not any(agent.active for agent in plate.agents.values()):
+        first = next(iter(plate.agents))
+        found = "no agent is switched on at the start"
+        yield plate.message(first, found, "active: true for at least one agent", key=("active",))
+
+
+def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
+    """Every rule governs agents that it could switch."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None:
+            continue
+        agents, count = plate.governed(name), len(plate.left_to(name))
+        if not agents and adapt.agents is not None:
+            continue  # its names are wrong, as another check says
+        if not agents:
+            found = "adapt governs no agent: every agent below has rules of its own nearer by"
+            yield plate.message(name, found, key=("adapt",), on_key=True)
+        elif adapt.on_call is not None:
+            continue
+        elif adapt.activate is None and adapt.deactivate is None:
+            rules = ["activate", "deactivate", "on_call"]
+            yield plate.message(name, "adapt without a rule", rules, key=("adapt",))
+        elif adapt.keep > count:
+            found = f"keep is {adapt.keep}, and {count} agents are governed here"
+            yield plate.message(name, found, f"at most {count}", key=("adapt", "keep"))
+        elif adapt.deactivate is not None and adapt.keep == count:
+            found = f"deactivate can never fire: keep is {adapt.keep} of {count} agents"
+            allowed = "more agents, a smaller keep, or no such rule"
+            yield plate.message(name, found, allowed, key=("adapt", "deactivate"), on_key=True)
+        elif adapt.deactivate is None and all(_stays_on(plate, agent) for agent in agents):
+            found = "activate can never fire: every agent here is on, and nothing switches one off"
+            allowed = "a deactivate rule, a self_check, active: false, or no such rule"
+            yield plate.message(name, found, allowed, key=("adapt", "activate"), on_key=True)
+
+
+def _stays_on(plate: Plate, agent: str) -> bool:
+    return plate.agents[agent].active and plate.agents[agent].self_check is None
+
+
+def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:
+    """An agent's learning rate needs the root's learning rule."""
+    learns = any(plate.inference[root].learn is not None for root in plate.roots)
+    for name, agent in plate.agents.items():
+        if agent.learn_rate_max is not None and not learns:
+            found = "learn_rate_max has no effect: the root has no 'learn'"
+            yield plate.message(name, found, "learn at the root", key=("learn_rate_max",), on_key=True)
+
+
+VALUE_CHECKS: tuple[Check, ...] = (
+    noise_is_there,
+    weights_name_the_children,
+    correlations_belong_to_learned_pools,
+    thresholds_in_order,
+    *ADAPT_CHECKS,
+    *SCORE_CHECKS,
+    someone_is_active,
+    learning_has_a_rule,
+    sizes_in_order,
+    kalman_moves_linearly,
+    gaussian_settings_have_effect,
+    grid_holds_the_motion,
+    grid_resets_at_one_level,
+    *MOTION_CHECKS,
+    *FORMULA_CHECKS,
+    *MODE_CHECKS,
+    *PLACE_CHECKS,
+)
+"""These need no sound tree."""
+
+RULE_CHECKS: tuple[Check, ...] = (rules_can_fire,)
+"""These need a sound tree."""
+
 
 Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
 """All cues that there are, by name; or, beside the installed ones, declarations or files of one's own."""

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.expressions.terms import Call, Number, Term
-from bayesnet_track.graph.expressions.vocabulary import DENSITIES, MASK
+from bayesnet_track.graph.expressions.terms import DENSITIES, MASK, Call, Number, Term
 
 Floats = NDArray[np.float64]
 Value = Any

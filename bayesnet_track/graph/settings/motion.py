@@ -1,4 +1,4 @@
-"""The settings of noise and motion: how hypotheses spread from frame to frame."""
+"""Settings of noise and motion, reappearance, and modes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,96 @@ from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.base import (
     Choice,
+    Empty,
     Model,
     Name,
     NotNegative,
     Number,
     Positive,
     Truth,
+    Whole,
 )
-from bayesnet_track.graph.settings.jumps import Relocalize
+from bayesnet_track.graph.settings.lifecycle import DetectorChoice
+
+
+class Probes(Model):
+    """Boxes of the belief's size on a lattice over the frame, scored by the active agents of the net."""
+
+    max_boxes: Annotated[Whole, Field(ge=16, le=10_000)] = Field(default=400, description="boxes at most")
+
+
+class LookedFor(Choice):
+    """How the places to search are chosen; weights correct for the choice, so it changes no probability."""
+
+    uniform: Empty | None = Field(default=None, description="evenly over the frame")
+    agents: Probes | None = Field(
+        default=None,
+        description="by the net's own agents, at boxes on a lattice",
+    )
+    detector: DetectorChoice | None = Field(
+        default=None, description="by the boxes of a detector; one that learns is given the first box"
+    )
+
+
+class Sudden(Model):
+    """A fast move is found in the same frame: where suddenly nothing fits, a square around it is searched.
+
+    The frame is then filtered again with a wider prior, before the target is lost. Needs
+    `lost: {found_fit}`, by which it is known how well the target usually fits.
+    """
+
+    below_fit: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.15,
+        description="share of the usual fit below which it searches; what it finds has to reach it, and the "
+        "`full_fit` of the score",
+    )
+    reach_box: Annotated[Number, Field(gt=0, le=10)] = Field(
+        default=2.5, description="half the side of the square, in sqrt(w h)"
+    )
+    pan_box: NotNegative = Field(
+        default=0.0,
+        description="only where the whole picture moved at least so far since the last frame, sqrt(w h): a "
+        "fast camera makes targets fast, and what is merely covered is not searched for; 0: always",
+    )
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.5,
+        description="probability, in such a frame, that it is anywhere in the square; and the share of the "
+        "hypotheses that look there",
+    )
+
+
+class Relocalize(Model):
+    """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
+
+    It is then found again after an occlusion, or after leaving the view. Needs particles of a fixed `size`
+    with `proposal: bootstrap`. Beside a Gaussian, agents that say how sure they are look for a target
+    that is lost, or uncertain for as long as it takes to be called lost, and `share` weighs what they say of
+    other places against what they say of its own.
+    """
+
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.1,
+        description="probability per frame interval that it reappears elsewhere, while uncertain or lost",
+    )
+    above: Level = Field(
+        default=Level(ud_box=0.5), description="threshold of UD above which the belief is uncertain"
+    )
+    usual: Annotated[Number, Field(ge=0, lt=1)] = Field(
+        default=0.0, description="the same probability while it is certain"
+    )
+    hypotheses: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.2, description="share of the hypotheses that look for it, in proportion to the probability"
+    )
+    by: LookedFor = Field(default=LookedFor(agents=Probes()), description="where they look")
+    grow_box: Positive | None = Field(
+        default=None,
+        description="only while lost (beside a Gaussian, or as long uncertain), and at first near the place "
+        "where it was last held: in a square around it, half of whose side grows by so many sqrt(w h) per "
+        "frame interval until it covers the frame; default: in the whole frame at once",
+    )
+    sudden: Sudden | None = Field(
+        default=None, description="how a fast move is found before the target is lost; default: not at all"
+    )
 
 
 class PixelSd(Model):
@@ -246,3 +328,59 @@ class Motion(Choice):
     box_velocity: BoxVelocity | None = Field(
         default=None, description="the velocities of the centre and of both sides drift"
     )
+
+
+MOST_MODES = 8
+"""Each mode has hypotheses, or a Gaussian, of its own."""
+
+
+class Hidden(Model):
+    """The target cannot be seen in this mode: what agents say is of the background.
+
+    An agent that gives likelihoods gives every place the same one, `likelihood`. An agent that measures sees
+    nothing, or with probability `mistaken` something else, anywhere in the frame. So nothing is learnt of
+    where the target is, and references stay as they are.
+    """
+
+    likelihood: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.05,
+        description="what an agent says of a place without the target, as a share of a perfect match; its "
+        "temperature and its weight in pools hold for it, too",
+    )
+    mistaken: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.1, description="probability that an agent that measures takes something else for the target"
+    )
+    missed: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.1, description="probability that an agent that measures misses the target in other modes"
+    )
+    lost_above: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.5, description="probability of being hidden above which the target counts as lost"
+    )
+
+
+Row = Annotated[dict[Name, Positive], Field(min_length=1)]
+
+
+class Mode(Model):
+    """One of the discrete states: how the target moves in it, how long it lasts, and what follows.
+
+    Either `mean_frames` with `then`, a chain in continuous time, or `next`, a row of the transition matrix of
+    one frame interval; the same for all modes of a node.
+    """
+
+    motion: Motion | None = Field(default=None, description="how it moves; default: as the node's `motion`")
+    mean_frames: Annotated[Number, Field(ge=1)] | None = Field(
+        default=None, description="mean duration, in frame intervals"
+    )
+    then: Row | None = Field(
+        default=None, description="shares of the modes that follow; default: all others equally"
+    )
+    next: Row | None = Field(
+        default=None, description="probabilities of all modes one frame interval later; they sum to 1"
+    )
+    hidden: Hidden | None = Field(
+        default=None, description="the target cannot be seen in it; default: it can"
+    )
+
+
+Modes = Annotated[dict[Name, Mode], Field(min_length=1, max_length=MOST_MODES)]

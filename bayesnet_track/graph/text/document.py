@@ -1,4 +1,4 @@
-"""A bounded, safe reader of YAML that keeps line and column of every key and value.
+"""Bounded, safe reader of YAML that keeps line and column of every key and value.
 
 Plain data only: mappings with distinct keys, lists, and the scalars of YAML 1.2. Tags, anchors, aliases and
 merge keys are refused. Limits are checked while the text is read, so that a hostile file costs little.
@@ -6,6 +6,7 @@ merge keys are refused. Limits are checked while the text is read, so that a hos
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,12 +34,38 @@ from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
     GraphError,
     GraphMessage,
-    Path,
+    KeyPath,
     Positions,
     shown,
     shown_name,
 )
-from bayesnet_track.graph.text.scalars import plain_scalar
+
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_BOOL = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"([-+]?)\.(inf|Inf|INF)")
+_NAN = frozenset({".nan", ".NaN", ".NAN"})
+
+
+def plain_scalar(text: str) -> str | int | float | bool | None:
+    """The value of an unquoted scalar in the core schema of YAML 1.2.
+
+    >>> [plain_scalar(t) for t in ("on", "1:30", "010", "0x1F", "1e3", "~", "TRUE")]
+    ['on', '1:30', 10, 31, 1000.0, None, True]
+    """
+    if text in _NULL:
+        return None
+    if text in _BOOL:
+        return _BOOL[text]
+    if _INT.fullmatch(text):
+        return int(text, 10 if text[1:2] not in ("o", "x") else 0)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if infinite := _INFINITY.fullmatch(text):
+        return -math.inf if infinite[1] == "-" else math.inf
+    return math.nan if text in _NAN else text
+
 
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 32
@@ -139,9 +166,9 @@ class _Building:
     """One pass over the events of a text."""
 
     file: str
-    keys: dict[Path, tuple[int, int]] = field(default_factory=dict)
-    values: dict[Path, tuple[int, int]] = field(default_factory=dict)
-    texts: dict[Path, int] = field(default_factory=dict)
+    keys: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    values: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    texts: dict[KeyPath, int] = field(default_factory=dict)
     errors: list[GraphMessage] = field(default_factory=list)
     nodes: int = 0
 
@@ -194,7 +221,7 @@ class _Building:
             )
         return value
 
-    def _value(self, events: Any, event: Event, path: Path, depth: int) -> Any:
+    def _value(self, events: Any, event: Event, path: KeyPath, depth: int) -> Any:
         """The data of the node that `event` begins; consumes its events."""
         self._admit(event, path, depth)
         self.values[path] = _place(event)
@@ -209,7 +236,7 @@ class _Building:
             items.append(self._value(events, event, (*path, len(items)), depth + 1))
         return items
 
-    def _mapping(self, events: Any, path: Path, depth: int) -> dict[str, Any]:
+    def _mapping(self, events: Any, path: KeyPath, depth: int) -> dict[str, Any]:
         found: dict[str, Any] = {}
         while not isinstance(event := events.get_event(), MappingEndEvent):
             if not isinstance(event, ScalarEvent):
@@ -235,14 +262,14 @@ class _Building:
             self._skip(events, events.get_event(), inside, depth + 1)
         return found
 
-    def _skip(self, events: Any, event: Event, path: Path, depth: int) -> None:
+    def _skip(self, events: Any, event: Event, path: KeyPath, depth: int) -> None:
         """Consumes a node whose data is not wanted; the limits hold in it too."""
         kept = self.keys, self.values
         self.keys, self.values = {}, {}
         self._value(events, event, path, depth)
         self.keys, self.values = kept
 
-    def _admit(self, event: Event, path: Path, depth: int) -> None:
+    def _admit(self, event: Event, path: KeyPath, depth: int) -> None:
         """Counts a node; refuses tags, anchors and aliases; stops at the limits."""
         self.nodes += 1
         if self.nodes > MAX_NODES:
@@ -259,7 +286,7 @@ class _Building:
         if tag is not None:
             self._refuse(event, path, f"tag {shown_name(tag)}", "values without tags")
 
-    def _scalar(self, event: ScalarEvent, path: Path) -> Any:
+    def _scalar(self, event: ScalarEvent, path: KeyPath) -> Any:
         text = event.value
         if len(text) > MAX_SCALAR:
             found, allowed = f"a value of {len(text)} characters", f"at most {MAX_SCALAR} characters"
@@ -276,9 +303,9 @@ class _Building:
             return None
         return value
 
-    def _refuse(self, event: Event, path: Path, found: str, allowed: str) -> None:
+    def _refuse(self, event: Event, path: KeyPath, found: str, allowed: str) -> None:
         self.errors.append(self._at(event.start_mark, path, found, allowed))
 
-    def _at(self, mark: Any, path: Path, found: str, allowed: str = "") -> GraphMessage:
+    def _at(self, mark: Any, path: KeyPath, found: str, allowed: str = "") -> GraphMessage:
         placed = Positions(self.file, {}, {path: (mark.line + 1, mark.column + 1)})
         return placed.message(path, found, allowed)

@@ -1,9 +1,10 @@
-"""Turns what pydantic says of a graph into messages: where, what was found, what is allowed, nearest name."""
+"""Messages of pydantic in words of the language, and the excerpt of the file that a terminal shows."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
@@ -11,18 +12,27 @@ from pydantic import BaseModel, Tag, ValidationError
 from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
 from bayesnet_track.graph.settings.net import node_kind
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
-from bayesnet_track.graph.text.hints import is_like_node, misplaced, without_nodes
+from bayesnet_track.graph.text.document import MAX_BYTES
+from bayesnet_track.graph.text.hints import (
+    Shape,
+    expects,
+    hint_of,
+    is_like_node,
+    misplaced,
+    shape_of,
+    without_nodes,
+)
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
+    GraphError,
     GraphMessage,
-    Path,
+    KeyPath,
     Positions,
     listed,
     nearest,
     shown,
     shown_name,
 )
-from bayesnet_track.graph.text.shapes import Shape, expects, shape_of
 
 NODES: Mapping[Any, str] = {InferenceNode: "an inference", AgentNode: "an agent", FactorNode: "a factor"}
 MARKED: Mapping[str, type[Model]] = {"agent": AgentNode, "factor": FactorNode}
@@ -31,10 +41,10 @@ MAX_EXPLAINED = 4 * MAX_MESSAGES
 
 
 def explain(
-    error: ValidationError, model: type[BaseModel], data: Any, at: Positions, prefix: Path = ()
+    error: ValidationError, model: type[BaseModel], data: Any, at: Positions, prefix: KeyPath = ()
 ) -> list[GraphMessage]:
     """The messages for what pydantic found wrong in `data`, a value of `model` at the path `prefix`."""
-    messages: dict[tuple[Path, str], GraphMessage] = {}
+    messages: dict[tuple[KeyPath, str], GraphMessage] = {}
     for one in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
         steps = _walk(one["loc"], model, data)
         if one["type"] == "extra_forbidden" and _follows(steps):
@@ -125,7 +135,7 @@ def _inside(kind: Any, part: str | int) -> Shape | None:
     return shape_of(arguments[1]) if len(arguments) == 2 else None
 
 
-def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Path) -> GraphMessage:
+def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: KeyPath) -> GraphMessage:
     last, parent = steps[-1], steps[max(len(steps) - 2, 0)]
     path = prefix + tuple(step.key for step in steps[1:] if step.key is not None and not step.is_key)
     owner = parent.shape.only if parent.shape is not None else None
@@ -174,7 +184,7 @@ def _allowed(steps: list[_Step]) -> str:
     return expects(*_parts(last.shape))
 
 
-def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions) -> GraphMessage:
+def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, at: Positions) -> GraphMessage:
     owner = _meant(parent.value) if owner is InferenceNode else owner
     fields = list(owner.model_fields) if isinstance(owner, type) and issubclass(owner, BaseModel) else []
     near = [*fields, *MARKED] if owner is InferenceNode else fields
@@ -191,7 +201,7 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
     return replace(message, nearest="", hint=hint) if hint else message
 
 
-def _bad_choice(last: _Step, name: str, said: str, path: Path, at: Positions) -> GraphMessage:
+def _bad_choice(last: _Step, name: str, said: str, path: KeyPath, at: Positions) -> GraphMessage:
     kind: Any = last.shape.only if last.shape is not None else None
     if not issubclass(kind, (Choice, PluginChoice)) or not isinstance(last.value, Mapping):
         return at.message(path, f"{name} is {shown(last.value)}", _said(said))
@@ -203,7 +213,7 @@ def _bad_choice(last: _Step, name: str, said: str, path: Path, at: Positions) ->
     return at.message(path, found, f"exactly one of {', '.join(kind.model_fields)}")
 
 
-def _name_of(path: Path) -> str:
+def _name_of(path: KeyPath) -> str:
     if not path:
         return "the graph"
     if isinstance(path[-1], int):
@@ -240,3 +250,48 @@ def _said(said: str) -> str:
 
 def _tag(kind: Any) -> str | None:
     return next((part.tag for part in getattr(kind, "__metadata__", ()) if isinstance(part, Tag)), None)
+
+
+MOST_SHOWN = 10
+"""Errors that are shown at once."""
+WIDTH = 100
+"""Columns of a line that are shown."""
+
+
+def describe_error(error: GraphError) -> str:
+    """The messages of an error, each with what stands in the file at its place, where that can be read."""
+    texts = {message.file: _lines(message.file) for message in error.errors}
+    parts = [part for message in error.errors[:MOST_SHOWN] for part in _describe(message, texts)]
+    left = len(error.errors) - MOST_SHOWN
+    if error.more or left > 0:
+        how_many = "more errors" if error.more else f"{left} more"
+        parts.append(f"{error.errors[0].file}: and {how_many}")
+    return "\n".join(parts)
+
+
+def _describe(message: GraphMessage, texts: Mapping[str, list[str]]) -> list[str]:
+    lines = texts[message.file]
+    parts = [str(message)]
+    if message.line is not None and message.line <= len(lines) and lines[message.line - 1].strip():
+        parts += _excerpt(lines[message.line - 1], message.line, message.column or 1)
+    hint = hint_of(message)
+    return [*parts, f"  hint: {hint}"] if hint else parts
+
+
+def _excerpt(line: str, number: int, column: int) -> list[str]:
+    """The line with its number, and a caret below the column; a tab is as wide as one space."""
+    begin = max(0, column - WIDTH // 2) if len(line) > WIDTH else 0
+    shown = line.replace("\t", " ")[begin : begin + WIDTH]
+    head = f"  {number} | "
+    return [f"{head}{shown}".rstrip(), f"{' ' * (len(head) - 2)}| {' ' * (column - 1 - begin)}^"]
+
+
+def _lines(file: str) -> list[str]:
+    """Of a file that can be read; none of any other, such as an installed graph."""
+    path = Path(file)
+    try:
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:
+            return []
+        return path.read_text(encoding="utf-8", errors="replace").removeprefix("\ufeff").splitlines()
+    except (OSError, ValueError):
+        return []

@@ -1,4 +1,4 @@
-"""The density that a net stands for, as text and as LaTeX.
+"""Density that a net stands for, as text and as LaTeX.
 
 The posterior of the root is its prediction times the messages of its children. A product multiplies them, a
 pool raises them to weights over the active children, a latent node integrates over its own state. The states
@@ -13,15 +13,23 @@ from fractions import Fraction
 
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
-from bayesnet_track.graph.expressions.write import latex_of, text_of
-from bayesnet_track.graph.settings.nodes import pool_exponents
+from bayesnet_track.graph.expressions.parse import latex_of, parse, text_of
+from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import Given, Motion
-from bayesnet_track.graph.text import formula_given, formula_modes, formula_motion
-from bayesnet_track.graph.text.formula_states import (
+from bayesnet_track.graph.text.formula_parts import (
     describe_held,
     escape,
+    given_lines,
     latent_nodes,
+    latex_given_lines,
+    latex_mode_lines,
+    latex_motion_lines,
     latex_state,
+    measured_latex_lines,
+    measured_lines,
+    mode_lines,
+    motion_lines,
     moves,
     noise,
     own_state,
@@ -87,15 +95,15 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         f"{predicted} = ∫ p({whole} | {before}) p({before} | e_1:t-1) d {before}",
         *([f"p({whole} | {before}) = {' · '.join([f'p({root} | {root}-1)', *steps])}"] if steps else ()),
         f"p({root} | {root}-1): {_motion(target.inference(target.root).motion)}",
-        *formula_motion.lines(target),
-        *formula_modes.lines(target, _motion),
+        *motion_lines(target),
+        *mode_lines(target, _motion),
     ]
     for name, given, law_of in latent_nodes(target):
         lines.append(_law(target, name, given, law_of))
         if name in target.givens:
-            lines += formula_given.lines(target.givens[name], text_state(name))
+            lines += given_lines(target.givens[name], text_state(name))
     lines += [f"{name}({text_state(at)}) = {_expression(one)}" for name, at, one in _weights(target)]
-    lines += formula_given.measured_lines(target)
+    lines += measured_lines(target)
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
@@ -112,18 +120,18 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
         rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
         rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
     ]
-    rows = [*formula_motion.latex_lines(target), *formula_modes.latex_lines(target, root, before)]
-    comments = [f"% {line}" for line in formula_modes.lines(target, _motion)]
+    rows = [*latex_motion_lines(target), *latex_mode_lines(target, root, before)]
+    comments = [f"% {line}" for line in mode_lines(target, _motion)]
     for name, given, law_of in latent_nodes(target):
         if name in target.givens:
-            rows += formula_given.latex_lines(target.givens[name], latex_state(name))
+            rows += latex_given_lines(target.givens[name], latex_state(name))
         else:
             comments.append(f"% {_law(target, name, given, law_of)}")
     rows += [
         rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}"
         for name, at, one in _weights(target)
     ]
-    for row in (*rows, *formula_given.measured_latex_lines(target)):
+    for row in (*rows, *measured_latex_lines(target)):
         lines[-1] += r" \\"
         lines.append(row)
     lines += [r"\end{align*}", *comments]
@@ -275,3 +283,77 @@ def _motion(motion: Motion | None) -> str:
 def _list_left_out(target: CheckedTarget, active: Iterable[str] | None) -> list[str]:
     working = set(target.agents if active is None else active)
     return [agent for agent in target.agents if agent not in working]
+
+
+_SHARED = "o_t: which one is in front; S_i: evidence of the pixels of box i that the other does not hide"
+
+
+def join_text(join: Join) -> str:
+    """What the joint belief of a pair is while its nets are joined, one equation a line."""
+    first, second = _states(join)
+    together = f"{first}_t, {second}_t"
+    near = f"while the beliefs of {first} and {second} overlap by {join.when.overlap:g} or more:"
+    lines = [near if join.when.overlap else f"of every {first} and {second}:"]
+    if join.factor is not None:
+        lines.append(f"p({together} | e_1:t) ∝ p({first}_t | e_1:t) · p({second}_t | e_1:t) · f({together})")
+        lines.append(f"f(a, b) = {text_of(parse(join.factor))}")
+    if join.shares_pixels:
+        against = f" · e^(-{join.nats:g} c({together}))" if join.nats else ""
+        lines.append(
+            f"p({together} | e_1:t) ∝ p({first}_t | e_1:t-1) · p({second}_t | e_1:t-1) · "
+            f"Σ_o p(o_t) · p(S_{first} | {together}, o_t) · p(S_{second} | {together}, o_t){against}"
+        )
+        lines.append(_SHARED)
+        lines.append(f"p(o_t): {_order(join)}")
+        lines += ["c: overlap as a share of the smaller box"] if join.nats else []
+    if join.attachment is not None:
+        one = join.attachment
+        lines.append(
+            f"p({second}_t | {second}_t-1, {first}_t): with {first}, sd {one.sd_px:g} px, while it is "
+            f"carried (picked up with probability {one.start:g} a frame, stays carried with {one.stay:g})"
+        )
+    return "\n".join(lines)
+
+
+def join_latex(join: Join) -> str:
+    """The same as LaTeX (amsmath's `align*`), what is said in words as comments."""
+    comments = [f"% {line}" for line in join_text(join).split("\n")]
+    if join.factor is not None:
+        one, other = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
+        each = r" \, ".join(rf"p({name} \mid e_{{1:t}})" for name in (one, other))
+        return "\n".join(
+            [
+                comments[0],
+                r"\begin{align*}",
+                rf"p({one}, {other} \mid e_{{1:t}}) &\propto {each} \, f({one}, {other}) \\",
+                rf"f(a, b) &= {latex_of(parse(join.factor))}",
+                r"\end{align*}",
+            ]
+        )
+    if not join.shares_pixels:
+        return "\n".join(comments)
+    first, second = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
+    pixels = [rf"p(S_{k} \mid {first}, {second}, o_t)" for k in (1, 2)]
+    against = rf" \, e^{{-{join.nats:g} \, c({first}, {second})}}" if join.nats else ""
+    priors = r" \, ".join(rf"p({one} \mid e_{{1:t-1}})" for one in (first, second))
+    return "\n".join(
+        [
+            comments[0],
+            r"\begin{align*}",
+            rf"p({first}, {second} \mid e_{{1:t}}) &\propto {priors} \sum_{{o_t}} p(o_t) \, "
+            rf"{pixels[0]} \, {pixels[1]}{against}",
+            r"\end{align*}",
+            *comments[2:],
+        ]
+    )
+
+
+def _states(join: Join) -> tuple[str, str]:
+    kinds = join.between or ("target",)
+    return (kinds[0], kinds[1]) if len(set(kinds)) == 2 else (kinds[0], f"other_{kinds[0]}")
+
+
+def _order(join: Join) -> str:
+    if join.occlusion is None:
+        return "1/2 each, anew in every frame"
+    return f"that of the last frame with probability {join.stay:g}"

@@ -1,22 +1,211 @@
-"""Load a graph, however it is named: an installed name, a path, or a graph written in Python."""
+"""Graphs read and checked, however they are named: installed, by path, or written in Python."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from copy import deepcopy
 from dataclasses import replace
+from importlib.resources.abc import Traversable
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import Cues, check, check_graph, mapped_cues
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.document import read_document
-from bayesnet_track.graph.text.mended import errors_behind
-from bayesnet_track.graph.text.messages import GraphError, GraphMessage, nearest
-from bayesnet_track.graph.text.read import bytes_of, read_graph, specify
+from bayesnet_track.graph.text.document import MAX_BYTES, Document, read_document
+from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.messages import (
+    GraphError,
+    GraphMessage,
+    KeyPath,
+    Positions,
+    nearest,
+    shown_name,
+)
 from bayesnet_track.graphs import find_graph, graph_names
+from bayesnet_track.observation.capabilities import CueError
 from bayesnet_track.observation.cue import CueDeclaration
+
+ROUNDS = 6
+"""How often what was found is mended, and the rest is checked again."""
+
+NODE = 4
+"""Keys from the top to a node: targets, its type, nodes, its name."""
+
+TREE = frozenset({"parent", "agent", "factor", "fuse", "given"})
+"""Keys of a node that say where it stands in the tree, and what its parent needs."""
+
+
+def errors_behind(
+    value: Any, first: Iterable[GraphMessage], find: Callable[[Any], object]
+) -> list[GraphMessage]:
+    """What `find` reports of `value` (plain data) once the `first` errors are mended; it raises GraphError.
+
+    What may follow from a guess is left out: what concerns the same node, what stands below a guessed key, or
+    any node of a type of target from which one was taken out.
+    """
+    value, found, newest = deepcopy(value), list[GraphMessage](), list(first)
+    touched = set[KeyPath]()
+    for _ in range(ROUNDS):
+        touched |= {place for message in reversed(newest) for place in _mend(value, message)}
+        try:
+            find(value)
+        except CueError:
+            break
+        except GraphError as error:
+            newest = [one for one in error.errors if not _follows(one, touched)]
+        else:
+            break
+        if not newest:
+            break
+        found += newest
+    return found
+
+
+def _follows(message: GraphMessage, touched: set[KeyPath]) -> bool:
+    """Whether a message may be due to what was mended."""
+    path = message.path
+    return any(path[: len(place)] == place or place[: len(path)] == path for place in touched)
+
+
+def _mend(value: Any, message: GraphMessage) -> list[KeyPath]:
+    """Put right what a message is about, in place, or take it out; the places that this was a guess for.
+
+    A name is replaced by the nearest one, a missing parent by the only root. What else is wrong is taken out,
+    with its whole node where that cannot do without it.
+    """
+    path = _written(value, message.path)
+    node = path[:NODE]
+    if not path:
+        return [()]
+    inside, key, word = _at(value, path[:-1]), path[-1], message.nearest
+    # What makes a node a child, or a child of another one, concerns the whole tree.
+    concerned = [path[:2], ("joins",)] if TREE & {*path[NODE:]} else [node]
+    if word and isinstance(inside, dict) and repr(key) in message.found and word not in inside:
+        inside[word] = inside.pop(key)
+        return [(*path[:-1], word)] if message.found.startswith("unknown key") else concerned
+    if word and isinstance(inside[key], str) and repr(inside[key]) in message.found:
+        inside[key] = word
+        return [] if key == "fuse" else concerned
+    if len(node) == NODE and message.found.startswith("key 'parent'"):
+        roots = [
+            name
+            for name, one in _at(value, node[:-1]).items()
+            if isinstance(one, dict) and not {"agent", "parent"} & one.keys()
+        ]
+        if len(roots) == 1:
+            _at(value, node)["parent"] = roots[0]
+            return [path[:2], ("joins",)]
+    if len(path) > NODE and key != "parent" and "missing" not in message.found:
+        del inside[key]
+        return concerned
+    del _at(value, node[:-1])[node[-1]]
+    # A node that stands outside all targets may belong to any of them.
+    return [()] if message.hint and len(path) < 3 else [path[:2], ("joins",)]
+
+
+def _written(value: Any, path: KeyPath) -> KeyPath:
+    """As much of a path as leads through values that are there."""
+    for length, key in enumerate(path):
+        try:
+            value = value[key]
+        except (KeyError, IndexError, TypeError):
+            return path[:length]
+    return path
+
+
+def _at(value: Any, path: KeyPath) -> Any:
+    for key in path:
+        value = value[key]
+    return value
+
+
+def read_graph(
+    source: str | bytes | PathLike[str] | Traversable, file: str = "<text>"
+) -> tuple[GraphSpec, Positions]:
+    """The specification in a YAML text (str or bytes) or file (a path), and where each part of it stands.
+
+    `file` names a text in messages; a path names itself.
+
+    Raises:
+        GraphError: every error of the file, each with file, line and column.
+    """
+    if not isinstance(source, (str, bytes)):
+        file = source.name if not isinstance(source, PathLike) else str(source)
+        source = bytes_of(source, file)
+    document = read_document(source, file)
+    return specify(document), document.at
+
+
+def specify(document: Document) -> GraphSpec:
+    """The specification in a document; raises GraphError with everything that is wrong with its form."""
+    errors = list(_only_in_python(document))
+    try:
+        spec = GraphSpec.model_validate(document.value)
+    except ValidationError as error:
+        empty = {message.path for message in errors}
+        explained = explain(error, GraphSpec, document.value, document.at)
+        errors += [message for message in explained if message.path not in empty]
+    if errors:
+        raise GraphError(errors)
+    return spec
+
+
+def bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
+    """The content of a file, up to the limit of a graph; raises GraphError where it cannot be read."""
+    path = Path(source) if isinstance(source, PathLike) else source
+    try:
+        with path.open("rb") as stream:
+            content: bytes = stream.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        found = f"cannot be read: {reason}"
+        raise GraphError([GraphMessage(file, 1, 1, (), "graph", found, nearest=_beside(path))]) from None
+    return content
+
+
+def _beside(path: Path | Traversable) -> str:
+    """The graph file in the same folder whose name is nearest; empty where there is none."""
+    if not isinstance(path, Path):
+        return ""
+    try:
+        near = nearest(path.name, [one.name for one in path.parent.glob("*.y*ml")])
+    except OSError:  # a folder that cannot be read, or whose name is too long
+        return ""
+    return str(path.parent / near) if near else ""
+
+
+def _only_in_python(document: Document) -> Iterator[GraphMessage]:
+    """What the specification takes from Python but a file does not say: None, `cue:`, `detector:`."""
+    waiting: list[tuple[KeyPath, Any]] = [((), document.value)]
+    while waiting:
+        path, value = waiting.pop()
+        name = path[-1] if path else "graph"
+        if value is None:
+            yield document.at.message(path, f"{shown_name(name)} is empty", "a value, or no such key")
+        elif len(path) == 4 and isinstance(value, dict) and "factor" in value:
+            for key in (key for key, inside in value.items() if inside is None):
+                found, allowed = "factor is cut at a comma", "quotes around the expression"
+                yield document.at.message((*path, key), found, allowed, on_key=True)
+        elif name == "agent" and len(path) == 5 and isinstance(value, dict):
+            if "cue" in value:
+                yield document.at.message(
+                    (*path, "cue"), "unknown cue 'cue'", "a cue, or one cue with its parameters", on_key=True
+                )
+        elif name == "detector" and len(path) == 4 and isinstance(value, dict) and "detector" in value:
+            yield document.at.message(
+                (*path, "detector"),
+                "unknown detector 'detector'",
+                "a detector, or one detector with its parameters",
+                on_key=True,
+            )
+        elif isinstance(value, dict):
+            waiting += [((*path, key), inside) for key, inside in value.items()]
+        elif isinstance(value, list):
+            waiting += [((*path, index), inside) for index, inside in enumerate(value)]
 
 
 def load_graph(

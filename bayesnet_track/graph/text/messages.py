@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Any
 
-Path = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """Keys (and indices of lists) from the top of the file to a value."""
 
 MAX_MESSAGES = 50
@@ -36,7 +36,7 @@ class GraphMessage:
     file: str
     line: int | None
     column: int | None
-    path: Path
+    path: KeyPath
     node: str
     found: str
     allowed: str = ""
@@ -94,9 +94,9 @@ class Positions:
     """
 
     file: str = "<python>"
-    keys: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
-    values: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
-    texts: Mapping[Path, int] = field(default_factory=dict)
+    keys: Mapping[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    values: Mapping[KeyPath, tuple[int, int]] = field(default_factory=dict)
+    texts: Mapping[KeyPath, int] = field(default_factory=dict)
 
     def inside(self, message: GraphMessage, character: int) -> GraphMessage:
         """The message at a character of the text that it is about.
@@ -109,7 +109,7 @@ class Positions:
 
     def message(
         self,
-        path: Path,
+        path: KeyPath,
         found: str,
         allowed: str | Iterable[str] = "",
         *,
@@ -135,7 +135,7 @@ class Positions:
             nearest(word, names if near is None else near) if word else "",
         )
 
-    def _place(self, path: Path, on_key: bool) -> tuple[int | None, int | None]:
+    def _place(self, path: KeyPath, on_key: bool) -> tuple[int | None, int | None]:
         if not self.values:
             return (None, None)
         if on_key and path in self.keys:
@@ -145,7 +145,7 @@ class Positions:
         return self.values.get(path, (1, 1))
 
 
-def node_of(path: Path) -> str:
+def node_of(path: KeyPath) -> str:
     """The node a path lies in, else its target, else ``graph``.
 
     >>> node_of(("targets", "ball", "nodes", "color", "fuse")), node_of(("targets", "ball"))

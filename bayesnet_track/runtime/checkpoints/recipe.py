@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import write_atomically

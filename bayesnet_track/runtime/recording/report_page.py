@@ -88,8 +88,8 @@ def page_html(
 def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
     """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
     from bayesnet_track.graph.checks.run import check, cues_named
+    from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.graph.text.read import read_graph
     from bayesnet_track.observation.cue import stand_ins
     from bayesnet_track.observation.masks import AnyMask
 

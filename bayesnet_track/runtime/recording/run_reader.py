@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted

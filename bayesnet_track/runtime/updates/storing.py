@@ -16,7 +16,7 @@ import numpy as np
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import event_classes, type_hints
 from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry

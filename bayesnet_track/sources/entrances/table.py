@@ -146,8 +146,8 @@ FILES = (
         "graphs",
         "every command with a GRAPH; `load_graph`, `Tracker`, `track`",
         (
-            "graph.text.read: bytes_of",
-            "graph.text.excerpt: _lines",
+            "graph.text.load: bytes_of",
+            "graph.text.explain: _lines",
             "cli.fitting.fit: graph_text",
         ),
         "nothing: every key is used",

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.expressions.terms import Call, Number, Variable
-from bayesnet_track.graph.expressions.vocabulary import BINARY, FUNCTIONS, MASK
+from bayesnet_track.graph.expressions.terms import BINARY, FUNCTIONS, MASK, Call, Number, Variable
 
 NAMES = ("x", "y", "w", "h", "parent.x")
 

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.write import latex_of, text_of
+from bayesnet_track.graph.expressions.parse import latex_of, parse, text_of
 
 
 @given(data=st.data())

@@ -1,0 +1,249 @@
+"""Parts of a net's formula: names of states, distributions by expressions, motions and modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from bayesnet_track.graph.checked import CheckedTarget, Conditional
+from bayesnet_track.graph.checks.motion import drift_of, sds_of
+from bayesnet_track.graph.expressions.parse import latex_of, text_of
+from bayesnet_track.graph.expressions.terms import DRAWN, Call, Number, Term, Variable, names_in
+from bayesnet_track.graph.settings.motion import Mode, Motion
+from bayesnet_track.graph.spec import Given, Noise, OffsetBox, SizeBox
+
+
+def text_state(name: str) -> str:
+    """A state at the time of a frame."""
+    return f"{name}_t"
+
+
+def latex_state(name: str, time: str = "t") -> str:
+    """A state as LaTeX."""
+    return rf"\mathit{{{escape(name)}}}_{{{time}}}"
+
+
+def escape(name: str) -> str:
+    """A name in LaTeX."""
+    return name.replace("_", r"\_")
+
+
+def latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Given]]:
+    """Each latent state, the state that it is drawn around, and its noise."""
+    states: dict[str, str] = {}
+    found: list[tuple[str, str, Given]] = []
+    for name in target.order:
+        if name not in target.children:
+            continue
+        parent = target.parent[name]
+        above = target.root if parent is None else states[parent]
+        fuse = target.inference(name).fuse
+        latent = fuse.latent if fuse is not None else None
+        states[name] = above if latent is None else own_state(target, name)
+        if latent is not None:
+            found.append((states[name], above, latent.given))
+    return found
+
+
+def own_state(target: CheckedTarget, name: str) -> str:
+    """A latent node's own state; a latent root has two, the target's and its own."""
+    return f"{name}_own" if name == target.root else name
+
+
+def moves(target: CheckedTarget, state: str) -> bool:
+    """Whether a latent state is remembered, and so a part of what the belief is about."""
+    return state in target.children and state != target.root and target.inference(state).motion is not None
+
+
+def text_step(own: str, above: str) -> str:
+    """How a state that is remembered moves."""
+    state, given = text_state(own), text_state(above)
+    return f"p({state} | {given}, {state}-1, {given}-1)"
+
+
+def describe_held(target: CheckedTarget, state: str) -> str:
+    """How a latent state is held, where it is not by hypotheses."""
+    belief = target.inference(state).belief if state in target.children else None
+    if belief is None or belief.particles is not None:
+        return ""
+    return "; its likelihood a Gaussian" if belief.gaussian is not None else "; its likelihood on a grid"
+
+
+def place(given: Given) -> str:
+    """Where in its parent's box a part lies."""
+    if not given.is_part:
+        return ""
+    at, size = given.offset_box or OffsetBox(), given.size_box or SizeBox()
+    x, y = (
+        name if share == 0 else f"{name} {'-' if share < 0 else '+'} {abs(share):g} {side}"
+        for name, share, side in (("x", at.x, "w"), ("y", at.y, "h"))
+    )
+    return f" around ({x}, {y}), {size.w:g} w by {size.h:g} h"
+
+
+def noise(noise: Noise) -> str:
+    """The sds of noise, with their units."""
+    parts = (
+        ("px", noise.sd_px),
+        ("√(wh)", noise.sd_box),
+        ("log", noise.sd_log),
+    )
+    said = [
+        f"{field} {getattr(part, field):g} {unit}"
+        for unit, part in parts
+        for field in type(part).model_fields
+        if getattr(part, field) > 0
+    ]
+    return "sd " + ", ".join(said) if said else ""
+
+
+def given_lines(given: Conditional, state: str) -> Iterator[str]:
+    """A line a field: ``x of head_t ~ normal(parent.x, 5)``."""
+    for name, term in given.fields.items():
+        drawn = _distribution(term)
+        yield f"{name} of {state} {'=' if drawn is None else '~'} {text_of(term if drawn is None else drawn)}"
+    yield from (f"{name} = {value:g}" for name, value in given.constants.items())
+
+
+def latex_given_lines(given: Conditional, state: str) -> Iterator[str]:
+    """The same in LaTeX, one line of `align*` each, without its end."""
+    for name, term in given.fields.items():
+        drawn = _distribution(term)
+        sign, shown = ("=", latex_of(term)) if drawn is None else (r"\sim", _latex(drawn))
+        yield rf"{name}({state}) &{sign} {shown}"
+
+
+def measured_lines(target: CheckedTarget) -> Iterator[str]:
+    """What agents measure: ``radar: range = hypot(x, y) + noise``, with the constants used."""
+    for agent, functions in target.measures.items():
+        for quantity, term in functions.terms.items():
+            yield f"{agent}: {quantity} = {text_of(term)} + noise"
+        yield from (f"{name} = {value:g}" for name, value in functions.constants.items())
+
+
+def measured_latex_lines(target: CheckedTarget) -> Iterator[str]:
+    """The same as rows of amsmath's `align*`, without the ends of lines."""
+    for agent, functions in target.measures.items():
+        for quantity, term in functions.terms.items():
+            left = latex_of(Variable(f"{agent}.{quantity}"))
+            yield rf"{left} &= {latex_of(term)} + \varepsilon"
+        yield from (f"{latex_of(Variable(name))} &= {value:g}" for name, value in functions.constants.items())
+
+
+def _latex(drawn: Call) -> str:
+    """A distribution, whose first parameter is no value: with a comma behind it."""
+    return latex_of(drawn).replace(r";\,", r",\,", 1)
+
+
+def _distribution(term: Term) -> Call | None:
+    """The distribution without the value that is drawn from it; None of a value."""
+    if isinstance(term, Call) and term.arguments[:1] == (Variable(DRAWN),):
+        return Call(term.function, term.arguments[1:], term.at)
+    return None
+
+
+def motion_lines(target: CheckedTarget) -> list[str]:
+    """`x_t = x + vx * dt + noise of sd 2 · √dt`, for each field that moves; none for another motion."""
+    found = [
+        f"{name}_t = {text_of(mean)}" + ("" if sd is None else f" + noise of sd {_bracketed(sd)} · √dt")
+        for name, mean, sd in _equations(target)
+    ]
+    return [*found, *(f"{name} = {value:g}" for name, value in _constants(target))]
+
+
+def latex_motion_lines(target: CheckedTarget) -> list[str]:
+    """The same as rows of amsmath's `align*`, without the ends of lines."""
+    found = []
+    for name, mean, sd in _equations(target):
+        left = latex_of(Variable(name)) + "_{t}"
+        if sd is None:
+            found.append(rf"{left} &= {latex_of(mean)}")
+        else:
+            variance = rf"\left({latex_of(sd)}\right)^{{2}} \, \Delta t"
+            found.append(rf"{left} &\sim \mathcal{{N}}\left({latex_of(mean)},\, {variance}\right)")
+    constants = (rf"{latex_of(Variable(name))} &= {value:g}" for name, value in _constants(target))
+    return [*found, *constants]
+
+
+def _equations(target: CheckedTarget) -> Iterator[tuple[str, Term, Term | None]]:
+    """Field, its mean and its sd, of each field that has a drift or noise."""
+    motion = target.inference(target.root).motion
+    if motion is None or motion.expressions is None:
+        return
+    drifts, sds = drift_of(motion.expressions), sds_of(motion.expressions)
+    for name in ("x", "y", "w", "h", *motion.expressions.fields):
+        if name in drifts or name in sds:
+            yield name, drifts.get(name, Variable(name)), sds.get(name)
+
+
+def _constants(target: CheckedTarget) -> list[tuple[str, float]]:
+    used = {
+        name for _, mean, sd in _equations(target) for term in (mean, sd) if term for name in names_in(term)
+    }
+    return [(name, value) for name, value in target.constants.items() if name in used]
+
+
+def _bracketed(sd: Term) -> str:
+    return text_of(sd) if isinstance(sd, Number | Variable) else f"({text_of(sd)})"
+
+
+def mode_lines(target: CheckedTarget, describe: Callable[[Motion], str]) -> list[str]:
+    """A line for each mode of the root, `describe` saying how a motion moves; none without modes."""
+    modes = target.inference(target.root).modes
+    if modes is None:
+        return []
+    return [f"mode {name}: {', '.join(_said(modes, name, describe))}" for name in modes]
+
+
+def latex_mode_lines(target: CheckedTarget, now: str, before: str) -> list[str]:
+    """The joint prediction of state and mode, and how modes follow, as rows of `align*`; none without modes.
+
+    `now` and `before` are the root's state in this frame and the last. Rows and columns of the matrix are in
+    the order of the graph.
+    """
+    modes = target.inference(target.root).modes
+    if modes is None:
+        return []
+    kernel = rf"p({now} \mid {before}, m_{{t}}) \, p({before}, m_{{t-1}} \mid e_{{1:t-1}})"
+    predicted = rf"p({now}, m_{{t}} \mid e_{{1:t-1}})"
+    chain = r"P(m_{t} \mid m_{t-1})"
+    rows = r" \\ ".join(" & ".join(f"{value:.3g}" for value in row) for row in _matrix(modes))
+    matrix = rf"\begin{{pmatrix}} {rows} \end{{pmatrix}}"
+    by_steps = next(iter(modes.values())).next is not None
+    power = rf"{matrix}^{{\Delta t}}" if by_steps else rf"\exp\left(\Delta t \, {matrix}\right)"
+    return [
+        rf"{predicted} &= \sum_{{m_{{t-1}}}} {chain} \int {kernel} \, d{before}",
+        rf"{chain} &= \left[{power}\right]_{{m_{{t-1}}, m_{{t}}}}",
+    ]
+
+
+def _matrix(modes: Mapping[str, Mode]) -> list[list[float]]:
+    """Transition probabilities of one frame interval, or rates, of each mode (rows) to each (columns)."""
+    rows = []
+    for name, mode in modes.items():
+        if mode.next is not None:
+            rows.append([mode.next.get(other, 0.0) for other in modes])
+            continue
+        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
+        rate, total = 1.0 / (mode.mean_frames or 1.0), sum(follow.values())
+        rows.append([-rate if other == name else rate * follow.get(other, 0.0) / total for other in modes])
+    return rows
+
+
+def _said(modes: Mapping[str, Mode], name: str, describe: Callable[[Motion], str]) -> list[str]:
+    mode = modes[name]
+    said = ["moves so" if mode.motion is None else describe(mode.motion)]
+    if mode.next is not None:
+        said.append(f"next {_shares(mode.next)}")
+    else:
+        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
+        said += [f"{mode.mean_frames:g} frames on average", f"then {_shares(follow)}"]
+    if mode.hidden is not None:
+        said.append(f"hidden: every agent says {mode.hidden.likelihood:g}")
+    return said
+
+
+def _shares(row: Mapping[str, float]) -> str:
+    total = sum(row.values())
+    if len(row) == 1:
+        return next(iter(row))
+    return ", ".join(f"{name} {share / total:.3g}" for name, share in row.items())
