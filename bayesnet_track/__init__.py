@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.run import Start as Start
     from bayesnet_track.runtime.session import track as track
     from bayesnet_track.runtime.tracker import Tracker as Tracker
-    from bayesnet_track.vision.planes.gray_plane import GrayPlane as GrayPlane
+    from bayesnet_track.vision.planes import GrayPlane as GrayPlane
 
     __version__: str
 
@@ -41,7 +41,7 @@ _HOMES = {
     "Detections": "bayesnet_track.runtime.recording.interchange",
     "DetectionsTracker": "bayesnet_track.runtime.detections_tracker",
     "GraphSpec": "bayesnet_track.graph.spec",
-    "GrayPlane": "bayesnet_track.vision.planes.gray_plane",
+    "GrayPlane": "bayesnet_track.vision.planes",
     "Result": "bayesnet_track.runtime.run",
     "Run": "bayesnet_track.runtime.recording.run_reader",
     "Start": "bayesnet_track.runtime.run",

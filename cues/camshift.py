@@ -26,8 +26,7 @@ from bayesnet_track.observation.cue import (
     blend_arrays,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.planes.color_cells import seen_cells
-from bayesnet_track.vision.planes.color_planes import HueBins
+from bayesnet_track.vision.planes import HueBins, seen_cells
 
 WINDOW = 1.3
 """The window's side in sides of the target: room to grow."""

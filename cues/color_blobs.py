@@ -29,7 +29,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Frame, Plane, Planes
-from bayesnet_track.vision.planes.color_planes import Hue
+from bayesnet_track.vision.planes import Hue
 
 SHARE = 3
 """Column of a blob that holds its share of the box."""

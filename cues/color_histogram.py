@@ -34,7 +34,7 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.geometry import HALF_OVERLAP, box_pixels, crops_of, distinct_pixels
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.observation.reference_rows import ReferenceRows, column
-from bayesnet_track.vision.planes.color_planes import HueBins
+from bayesnet_track.vision.planes import HueBins
 
 STEP = 0.7
 """Factor of a local action on alpha."""
@@ -95,7 +95,7 @@ class ColorHistogram:
         Alpha is half the mean distance of the four boxes that overlap it by 50 % (thesis eq. 3.3 and figure
         3.2, corrected), of those inside the frame where there are any.
         """
-        from bayesnet_track.vision.kernels.histograms.histogram_kernels import color_distances
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances
 
         boxes = np.empty((5, 4))  # the box itself, then those around it
         boxes[:] = box
@@ -140,7 +140,7 @@ class ColorHistogram:
         self, planes: Sequence[Planes], hypotheses: Hypotheses, starts: Ints, references: Sequence[Reference]
     ) -> Floats:
         """`log_likelihood` of several targets at once."""
-        from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import color_distances_of_each
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances_of_each
 
         p, boxes = self.parameters, hypotheses.boxes
         counts, visible, nominal, firsts, places = self._count_of_each(planes, boxes, starts)
@@ -172,7 +172,7 @@ class ColorHistogram:
 
     def _learn_each(self, planes: Sequence[Planes], boxes: Floats) -> tuple[Floats, Floats]:
         """(T, bins + 1) shares and (T,) alphas of targets in the centre boxes (T, 4), as `learn` has them."""
-        from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import color_distances_of_each
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances_of_each
 
         count, bins = len(boxes), self.parameters.bins
         around = np.repeat(boxes[:, None], 5, axis=1)
@@ -200,7 +200,7 @@ class ColorHistogram:
 
         Then (T + 1,) where those of each target begin, and (N,) where each box is among them.
         """
-        from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import (
+        from bayesnet_track.vision.kernels.histogram_kernels import (
             count_of_each,
             distinct_of_each,
         )
@@ -215,7 +215,7 @@ class ColorHistogram:
 
         Boxes with the same pixels are compared once.
         """
-        from bayesnet_track.vision.kernels.histograms.histogram_kernels import color_distances, count_in_boxes
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances, count_in_boxes
 
         pixels, place = distinct_pixels(box_pixels(planes, boxes))
         counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
@@ -226,7 +226,7 @@ class ColorHistogram:
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""
-        from bayesnet_track.vision.kernels.histograms.histogram_kernels import count_in_boxes
+        from bayesnet_track.vision.kernels.histogram_kernels import count_in_boxes
 
         pixels = box_pixels(planes, boxes)
         counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
@@ -235,7 +235,7 @@ class ColorHistogram:
 
 def _make(parameters: ColorHistogramParameters) -> Cue:
     from bayesnet_track.numerics.kernels import box_kernels  # noqa: F401  load before the first frame
-    from bayesnet_track.vision.kernels.histograms import crowd_histogram_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import histogram_kernels  # noqa: F401
 
     return ColorHistogram(parameters)
 

@@ -29,7 +29,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.planes.color_cells import ColorCells
+from bayesnet_track.vision.planes import ColorCells
 
 STEP = 0.7
 """Factor of a local action on the variance."""
@@ -77,7 +77,7 @@ class ColorKernelHistogram:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The colours of the visible part of the ellipse in `box`."""
-        from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import kernel_shares
+        from bayesnet_track.vision.kernels.mean_shift_kernels import kernel_shares
 
         r = planes.region
         cells = for_reading(planes[self._plane])
@@ -117,14 +117,14 @@ class ColorKernelHistogram:
 
     def coefficients(self, planes: Planes, boxes: Floats, reference: Reference) -> Floats:
         """(N,) Bhattacharyya coefficient of each centre box (N, 4) with the reference, 0..1."""
-        from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients
+        from bayesnet_track.vision.kernels.mean_shift_kernels import coefficients
 
         cells, r = for_reading(planes[self._plane]), planes.region
         return coefficients(cells, r.x0, r.y0, boxes, self.parameters.pixels, np.sqrt(reference["shares"]))
 
 
 def _make(parameters: ColorKernelHistogramParameters) -> Cue:
-    from bayesnet_track.vision.kernels.histograms import kernel_histogram_kernels  # noqa: F401  load first
+    from bayesnet_track.vision.kernels import mean_shift_kernels  # noqa: F401  load first
 
     return ColorKernelHistogram(parameters)
 

@@ -30,10 +30,20 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.correlation import equations, gaussian_label, hann, solve
-from bayesnet_track.vision.correlation_tiles import SCALE_STEP, TURN_STEP, Asked, find_maps, find_tile
-from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_patch_at
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.correlation import (
+    SCALE_STEP,
+    TURN_STEP,
+    Asked,
+    equations,
+    find_maps,
+    find_tile,
+    gaussian_label,
+    hann,
+    patch_at,
+    solve,
+    turned_patch_at,
+)
+from bayesnet_track.vision.planes import WholeFrame
 
 REACH = 40
 """Cells by which a tile is wider than the filter; hypotheses are read in the inner `REACH` - 4."""
@@ -263,10 +273,6 @@ def _turns_of(angles: Floats) -> dict[int, Floats]:
 
 def _make(parameters: CorrelationFilterParameters) -> Cue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
-
-    from bayesnet_track.vision.kernels import (
-        gradient_kernels,  # noqa: F401
-    )
 
     return CorrelationFilter(parameters)
 

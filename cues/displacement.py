@@ -25,7 +25,8 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.geometry import crop_of
 from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.displacement import (
+from bayesnet_track.vision.planes import GrayPlane
+from bayesnet_track.vision.points import (
     Displaced,
     Matching,
     Points,
@@ -33,7 +34,6 @@ from bayesnet_track.vision.displacement import (
     displace,
     flat_motion,
 )
-from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.geometry import crop_of
@@ -97,7 +97,7 @@ class DisplacementCue:
     """Finds the target by the displacement of its points.
 
     Reference: `at` (N, 2), `patches` (N, P, P), `motion` (N, K, K), `centre` (2,) of the points (see
-    `bayesnet_track.vision.displacement`); `box` (4,) where the target was, px; `time` () when, frame
+    `bayesnet_track.vision.points`); `box` (4,) where the target was, px; `time` () when, frame
     intervals; `image` (rows, columns) uint8 the picture around it then, `origin` (2,) its first pixel.
     """
 
@@ -195,13 +195,13 @@ class DisplacementCue:
 
     def _corners(self, image: NDArray[np.uint8], origin: tuple[int, int], box: Floats) -> NDArray[np.int64]:
         """(N, 2) x, y of the strongest corners in the box, one to a cell of the frame's lattice at most."""
-        from bayesnet_track.vision.kernels import corner_kernels
+        from bayesnet_track.vision.kernels import flow_kernels
 
         settings = self.parameters
         if image.size == 0:
             return np.zeros((0, 2), dtype=np.int64)
         scores = np.zeros(image.shape)
-        corner_kernels.corner_scores(for_reading(image), settings.min_gradient_gray**2, scores)
+        flow_kernels.corner_scores(for_reading(image), settings.min_gradient_gray**2, scores)
         # Patches that reach over the target's border would hold as much of the background.
         inner = box[2:] / 2 - np.minimum(settings.patch_px // 2, box[2:] / 4)
         low, high = np.ceil(box[:2] - inner), np.floor(box[:2] + inner)
@@ -237,10 +237,6 @@ def _far_from(places: NDArray[Any], others: NDArray[Any], least: float) -> NDArr
 
 def _make(parameters: DisplacementParameters) -> DisplacementCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
-
-    from bayesnet_track.vision.kernels import (
-        displacement_kernels,  # noqa: F401
-    )
 
     matching = Matching(
         parameters.reach_px,

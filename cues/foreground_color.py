@@ -27,10 +27,10 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Frame, Plane, Planes
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.planes import WholeFrame
 
 if TYPE_CHECKING:
-    from bayesnet_track.vision.foreground import Cells
+    from bayesnet_track.vision.kernels.mean_shift_kernels import Cells
 
 
 STEP = 1.4
@@ -111,7 +111,7 @@ class ForegroundColor:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The colours of the inner box, of the ring, and of the wide ring; the contrast that they give."""
-        from bayesnet_track.vision import foreground as f
+        from bayesnet_track.vision.kernels import mean_shift_kernels as f
 
         p, frame = self.parameters, planes.frame
         box = np.asarray(box, dtype=np.float64)
@@ -120,9 +120,9 @@ class ForegroundColor:
         sizes = *((w + more, h + more) for more in around), (w, h), (p.inner * w, p.inner * h)
         boxes = np.array([(x, y, *size) for size in sizes])
         counts = f.count_pixels(frame, self._cells(frame), boxes)
-        *of_rings, foreground = f.shares_of(counts)
+        *of_rings, mean_shift_kernels = f.shares_of(counts)
         learnt = {
-            "foreground": foreground,
+            "foreground": mean_shift_kernels,
             "background": of_rings[int(p.surround < p.wide)],
             "memory": of_rings[int(p.wide <= p.surround)],
             "size": np.array(box[2:]),
@@ -161,26 +161,26 @@ class ForegroundColor:
         return sharpen(reference, attempt, STEP) if float(reference["contrast"]) > 0.0 else None
 
     def _cells(self, frame: Frame) -> Cells:
-        from bayesnet_track.vision.foreground import Cells
+        from bayesnet_track.vision.kernels.mean_shift_kernels import Cells
 
         p = self.parameters
         return Cells(p.levels, False) if frame.has_color else Cells(p.gray_levels, True)
 
     def _posterior(self, shares: Reference) -> Bytes:
-        from bayesnet_track.vision.foreground import posterior
+        from bayesnet_track.vision.kernels.mean_shift_kernels import posterior
 
         return posterior(shares, self.parameters.memory, self.parameters.prior)
 
     def contrasts(self, frame: Frame, boxes: Floats, levels: Bytes) -> Floats:
         """(N,) mean posterior inside the box less that in the ring."""
-        from bayesnet_track.vision.foreground import means
+        from bayesnet_track.vision.kernels.mean_shift_kernels import means
 
         inside, around = means(frame, self._cells(frame), levels, boxes, self.parameters.ring).T
         return np.asarray(inside - around)
 
 
 def _make(parameters: ForegroundColorParameters) -> Cue:
-    from bayesnet_track.vision import foreground  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import mean_shift_kernels  # noqa: F401  load before the first frame
 
     return ForegroundColor(parameters)
 

@@ -27,7 +27,7 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.geometry import box_integral
 from bayesnet_track.observation.reference_rows import column
 from bayesnet_track.observation.shared import for_reading, read_only
-from bayesnet_track.vision.planes.gray_plane import GrayPlane
+from bayesnet_track.vision.planes import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes

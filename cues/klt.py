@@ -22,8 +22,8 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
-from bayesnet_track.vision.point_tracking import (
+from bayesnet_track.vision.planes import WholeFrame
+from bayesnet_track.vision.points import (
     COARSEST,
     FEW,
     Following,
@@ -267,10 +267,6 @@ def _aligned(region: Region) -> Region:
 
 def _make(parameters: KltParameters) -> MeasuringCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
-
-    from bayesnet_track.vision.kernels import (
-        similarity_kernels,  # noqa: F401
-    )
 
     p = parameters
     return Klt(p, Following(p.half_window_px, p.reach_px, p.agree_px, p.max_scale, p.min_correlation))

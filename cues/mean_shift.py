@@ -28,7 +28,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.planes.color_cells import ColorCells, seen_cells
+from bayesnet_track.vision.planes import ColorCells, seen_cells
 
 SHRINK = 0.7
 """Factor of the search window from one stage to the next."""

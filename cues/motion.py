@@ -25,8 +25,8 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.vision.planes import motion_planes
-from bayesnet_track.vision.planes.dense_flow_planes import DenseFlowPlane
+from bayesnet_track.vision import motion_planes
+from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -259,12 +259,10 @@ def _reads(parameters: MotionParameters) -> tuple[str, ...]:
 def _make(parameters: MotionParameters) -> MotionCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.vision.kernels import corner_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import flow_kernels  # noqa: F401
 
     plane: motion_planes.FlowPlane | DenseFlowPlane
     if parameters.flow == "sparse":
-        from bayesnet_track.vision.kernels import flow_kernels  # noqa: F401
-
         plane = motion_planes.FlowPlane(
             spacing_px=parameters.spacing_px,
             min_gradient_gray=parameters.min_gradient_gray,
@@ -273,7 +271,7 @@ def _make(parameters: MotionParameters) -> MotionCue:
             agree_px=parameters.agree_px,
         )
     else:
-        from bayesnet_track.vision.kernels import odp_kernels  # noqa: F401
+        from bayesnet_track.vision.kernels import dense_flow_kernels  # noqa: F401
 
         plane = DenseFlowPlane(
             by="dis" if parameters.flow == "dense" else "odp",

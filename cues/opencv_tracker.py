@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.cue import (
     CueDeclaration,
@@ -25,15 +28,205 @@ from bayesnet_track.observation.cue import (
     MeasuringCue,
     Reference,
 )
-from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.opencv_trackers import (
-    FILES,
-    ModelError,
-    Session,
-    check_models,
-    missing_tracker,
+from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
+from bayesnet_track.vision.networks import check_apart, reason_of
+from bayesnet_track.vision.planes import WholeFrame
+from bayesnet_track.vision.points import GRAY, correlations, cut, mix_channels
+
+FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"Nano": ("backbone", "neckhead"), "Vit": ("net",), "DaSiamRPN": ("model", "kernel_cls1", "kernel_r1")}
 )
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
+"""Tracker -> the network files that it needs, by the names that OpenCV gives them."""
+
+PAD = 64
+"""Pixels of view beyond all that a tracker may sample: some never return when their samples meet a border."""
+SIDES = 8.0
+"""The view is so many sides of the box wide, as far as the frame is."""
+LEAST_SIDE = 12.0
+"""A smaller box is grown to this, px: some trackers never return on fewer pixels."""
+THUMB = 8
+"""Side of the pictures that are compared, px."""
+
+
+def present_trackers() -> tuple[str, ...]:
+    """The trackers of the installed OpenCV, by name."""
+    import cv2
+
+    homes = (cv2, getattr(cv2, "legacy", None))
+    names = {
+        n
+        for home in homes
+        for n in dir(home)
+        if n.startswith("Tracker") and hasattr(getattr(home, n), "create")
+    }
+    return tuple(sorted(name.removeprefix("Tracker") for name in names))
+
+
+def missing_tracker(name: str, models: Mapping[str, str]) -> str | None:
+    """What keeps a tracker from being made here, in words; None when nothing does."""
+    present = present_trackers()
+    if name not in present:
+        return (
+            f"the installed OpenCV has no tracker {name}; it has {', '.join(present)}; "
+            "the wheel opencv-contrib-python-headless has more (in place of opencv-python-headless)"
+        )
+    needed = FILES.get(name, ())
+    if set(models) != set(needed):
+        return (
+            f"{name} takes the models {', '.join(needed) or '(none)'}; given: {', '.join(models) or 'none'}"
+        )
+    odd = [ascii(path) for path in models.values() if not _is_text(path)]
+    if odd:  # OpenCV crashes on it
+        return f"OpenCV reads no file whose name is not valid text: {', '.join(odd)}; rename it or its folder"
+    absent = [path for path in models.values() if not Path(path).is_file()]
+    return f"no such model file: {', '.join(absent)}" if absent else None
+
+
+def _is_text(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _made(name: str, models: Mapping[str, str]) -> Any:
+    import cv2
+
+    kind = getattr(cv2, f"Tracker{name}", None) or getattr(getattr(cv2, "legacy", None), f"Tracker{name}")
+    if name not in FILES:
+        return kind.create()
+    settings = getattr(cv2, f"Tracker{name}_Params")()
+    for file in FILES[name]:
+        setattr(settings, file, models[file])
+    return kind.create(settings)
+
+
+class ModelError(ValueError):
+    """Files of a tracker's network that end the process that loads or runs them."""
+
+
+def check_models(name: str, models: Mapping[str, str]) -> None:
+    """Try a tracker with network files in a process of its own; raises ModelError where that crashes."""
+    if name in FILES:
+        check_apart(try_models, [*models.values()], ModelError, name=name, models=dict(models))
+
+
+def try_models(name: str, models: Mapping[str, str]) -> None:
+    """Start the tracker on a gray image and look for the target in another."""
+    image, session = np.full((160, 160, 3), 114, np.uint8), Session(name, models)
+    session.start(image, np.array([80.0, 80.0, 40.0, 40.0]), 0)
+    try:
+        session.update(image, 1, np.array([80.0, 80.0]))
+    except Exception as error:  # OpenCV's, of a file that is no network: the agent fails with it
+        raise ModelError(reason_of(error)) from error
+
+
+def _seed(number: int) -> None:
+    """OpenCV's generator, and the C library's, which MIL draws from too, where it can be reached."""
+    import ctypes
+
+    import cv2
+
+    cv2.setRNGSeed(number)
+    try:
+        ctypes.CDLL(None).srand(number)
+    except (AttributeError, OSError, TypeError):  # Windows has no such handle: there MIL does not repeat
+        return
+
+
+class Session:
+    """One tracker on one target. It changes with every frame.
+
+    The tracker sees a view that moves with the prediction, so that it looks where the belief expects the
+    target.
+
+    Attributes:
+        image: the last picture that it saw.
+        index: its number.
+        box: (4,) centre box of the target in it, px; None when the tracker does not find it.
+        score: the tracker's own, 0..1; None for one that has none.
+        refused: what it found was not the target.
+    """
+
+    def __init__(self, name: str, models: Mapping[str, str]) -> None:
+        self._name, self._models = name, models
+        self.score: float | None = None
+
+    def start(self, image: Image, box: Floats, index: int) -> None:
+        """Start in a centre box (4,). The tracker is made when the first picture after it comes."""
+        self.image, self.index, self._first = image, index, np.array(box, dtype=np.float64)
+        self.box: Floats | None = self._first
+        self._look = _thumb(image, self._first)
+        self.score, self.refused = None, False
+        self._tracker: Any = None
+        self._given: tuple[int, int, int, int] = (0, 0, 0, 0)
+        self._view: tuple[int, int] = (0, 0)
+
+    def refuse(self) -> None:
+        """Take what it found for something else."""
+        self.box, self.refused = None, True
+
+    def update(self, image: Image, index: int, expected: Floats) -> None:
+        """Look for the target in the next picture around `expected`, x and y."""
+        if self._tracker is None:
+            self._begin()
+        height, width = self._view
+        x, y, w, h = self._given
+        corner = np.rint(expected - [x + w / 2, y + h / 2]).astype(int)
+        view = cut(image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))
+        self.image, self.index, self.box = image, index, None
+        if view.size == 0 or self._tracker is None:
+            return
+        _seed(index)
+        found, given = self._tracker.update(view)
+        if not found or min(given[2:]) <= 0:
+            return
+        self._given = given
+        size = self._first[2:] * np.array(given[2:]) / self._started
+        centre = corner + np.array(given[:2]) + (np.array(given[2:]) - 1) / 2
+        self.box = np.concatenate([centre + self._off, size])
+        if self._name in FILES:  # the others have the method, but nothing to say
+            self.score = float(self._tracker.getTrackingScore())
+
+    def _begin(self) -> None:
+        rows, columns = self.image.shape[:2]
+        low, high = self._first[:2] - self._first[2:] / 2, self._first[:2] + self._first[2:] / 2
+        low, high = np.maximum(low, -0.5), np.minimum(high, [columns - 0.5, rows - 0.5])
+        if (high <= low).any():
+            return
+        centre, size = (low + high) / 2, np.rint(np.maximum(high - low, LEAST_SIDE)).astype(int)
+        width, height = (np.minimum(SIDES * size, [columns, rows]) + 2 * PAD + size).astype(int)
+        corner = np.rint(centre - np.array([width, height]) / 2).astype(int)
+        at = np.rint(centre - (size - 1) / 2).astype(int) - corner
+        self._given = (int(at[0]), int(at[1]), int(size[0]), int(size[1]))
+        self._view, self._started = (int(height), int(width)), size
+        self._off = self._first[:2] - (corner + at + (size - 1) / 2)
+        _seed(self.index)
+        self._tracker = _made(self._name, self._models)
+        view = cut(self.image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))
+        self._tracker.init(view, self._given)
+
+    def learn(self) -> None:
+        """Take what it found for the target: what it finds next is compared with that."""
+        if self.box is not None:
+            self._look = _thumb(self.image, self.box)
+
+    @property
+    def likeness(self) -> float:
+        """Correlation of what it found with what was last learnt, 8 x 8 px each; 0 where one is flat."""
+        return 0.0 if self.box is None else float(correlations(_thumb(self.image, self.box), self._look)[0])
+
+
+def _thumb(image: Image, box: Floats) -> Floats:
+    import cv2
+
+    part = cut(image, region_of_boxes(box[None]))
+    if part.size == 0:
+        return np.zeros((1, THUMB, THUMB))
+    small = cv2.resize(part, (THUMB, THUMB), interpolation=cv2.INTER_AREA)
+    return mix_channels(np.asarray(small, np.uint8), GRAY)[None].astype(np.float64)
+
 
 TrackerName = Literal[
     "MIL", "CSRT", "KCF", "MOSSE", "MedianFlow", "TLD", "Boosting", "Nano", "Vit", "DaSiamRPN"

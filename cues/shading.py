@@ -24,7 +24,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.geometry import box_integral
-from bayesnet_track.vision.planes.gray_plane import GrayPlane
+from bayesnet_track.vision.planes import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -121,7 +121,7 @@ class ShadingCue:
 
     def shading(self, planes: Planes, boxes: Floats) -> tuple[Floats, Floats]:
         """Of centre boxes (N, 4): (N,) weight inside the frame, (N, K) coefficients in gray levels."""
-        from bayesnet_track.vision.kernels.shading_kernels import patch_projections
+        from bayesnet_track.vision.kernels.patch_kernels import patch_projections
 
         p = self.parameters
         weights, lines = polynomials(p.grid, p.degree, p.sd_mask)
@@ -148,7 +148,7 @@ def polynomials(cells: int, degree: int, sd_mask: float) -> tuple[Floats, Floats
 def _make(parameters: ShadingParameters) -> ShadingCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.vision.kernels import shading_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import patch_kernels  # noqa: F401
 
     return ShadingCue(parameters, GrayPlane())
 

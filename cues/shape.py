@@ -13,9 +13,17 @@ from pydantic import Field, field_validator
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses, Reference, floored
-from bayesnet_track.vision.planes.shape_planes import CONTRASTS, EdgePlane
-from bayesnet_track.vision.shape.shape_contours import COVER, contours, fields, vectors
-from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError, load_model, merge
+from bayesnet_track.vision.planes import CONTRASTS, EdgePlane
+from bayesnet_track.vision.shape import (
+    COVER,
+    ShapeModel,
+    ShapeModelError,
+    contours,
+    fields,
+    load_model,
+    merge,
+    vectors,
+)
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -241,7 +249,7 @@ def _reference(model: ShapeModel, size: Floats, support: Floats, contrast: Ints,
 def _make(parameters: ShapeParameters) -> ShapeCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.vision.shape import shape_snake  # noqa: F401
+    from bayesnet_track.vision.kernels import shape_kernels  # noqa: F401
 
     model = None if parameters.model is None else load_model(parameters.model)
     return ShapeCue(parameters, EdgePlane(parameters.edge_gray, parameters.blur_px), model)

@@ -26,12 +26,11 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
-from bayesnet_track.vision.siamese.halves import Runtime
-from bayesnet_track.vision.siamese.networks import SEARCH
+from bayesnet_track.vision.planes import WholeFrame
+from bayesnet_track.vision.siamese_networks import SEARCH, Runtime
 
 if TYPE_CHECKING:
-    from bayesnet_track.vision.siamese.memory import Memory
+    from bayesnet_track.vision.siamese_crops import Memory
 
 
 class NetworkParameters(CueParameters):
@@ -122,8 +121,8 @@ class Siamese:
         p_c is the network's probability, d_c the distance of the hypothesis from the proposed box, and s the
         share of the hypothesis' box inside the frame.
         """
-        from bayesnet_track.vision.kernels.proposal_kernels import explained
-        from bayesnet_track.vision.siamese.crops import crops_for
+        from bayesnet_track.vision.kernels.correlation_kernels import explained
+        from bayesnet_track.vision.siamese_crops import crops_for
 
         p, boxes, image = self.parameters, hypotheses.boxes, planes[WholeFrame()]
         share = share_inside(boxes, planes.frame)
@@ -139,9 +138,8 @@ def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)
     """The network of the files for search crops of these sides, or plain pixels; raises SiameseError."""
     import cv2  # noqa: F401  load before the first frame
 
-    from bayesnet_track.vision.siamese.memory import Memory
-    from bayesnet_track.vision.siamese.networks import SiameseError, load_networks
-    from bayesnet_track.vision.siamese.plain import plain
+    from bayesnet_track.vision.siamese_crops import Memory, plain
+    from bayesnet_track.vision.siamese_networks import SiameseError, load_networks
 
     p = parameters
     if p.backbone or p.head:
@@ -155,7 +153,7 @@ def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,
     """What is wrong with the files, in words; None when they can be used, or none are named."""
     if not parameters.backbone and not parameters.head:
         return None
-    from bayesnet_track.vision.siamese.networks import SiameseError
+    from bayesnet_track.vision.siamese_networks import SiameseError
 
     try:
         open_network(parameters, sides)
@@ -171,7 +169,7 @@ def files_of(parameters: NetworkParameters) -> tuple[str, ...]:
 
 def learn_template(image: Bytes, box: Floats) -> Reference:
     """The crop around a centre box (4,): the network describes it when it is first compared."""
-    from bayesnet_track.vision.siamese.crops import template_crop
+    from bayesnet_track.vision.siamese_crops import template_crop
 
     box = np.array(box, dtype=np.float64)
     return {"template": template_crop(box).cut(image), "place": box[:2], "size": box[2:]}

@@ -30,12 +30,12 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
-from bayesnet_track.vision.siamese.crops import context_side, search_crop, wide_crop
-from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE
+from bayesnet_track.vision.planes import WholeFrame
+from bayesnet_track.vision.siamese_crops import context_side, search_crop, wide_crop
+from bayesnet_track.vision.siamese_networks import SEARCH, TEMPLATE
 
 if TYPE_CHECKING:
-    from bayesnet_track.vision.siamese.memory import Memory
+    from bayesnet_track.vision.siamese_crops import Memory
 
 WINDOW_PX = 120.0
 """How far from the middle the window reaches, px of the network: to the last cells of its map."""
@@ -165,7 +165,7 @@ class SiameseBox:
         self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float
     ) -> Found | None:
         """The proposal that is chosen in a crop around a centre box (4,)."""
-        from bayesnet_track.vision.kernels.proposal_kernels import choose
+        from bayesnet_track.vision.kernels.correlation_kernels import choose
 
         p = self.parameters
         crop = search_crop(float(expected[0]), float(expected[1]), expected[2:], shown)

@@ -25,7 +25,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.planes.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
+from bayesnet_track.vision.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -199,7 +199,7 @@ class StereoCue:
 
     def _features(self, planes: Planes, boxes: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """(N, 5) features of each box, and whether it holds a blob."""
-        from bayesnet_track.vision.kernels import depth_kernels as k
+        from bayesnet_track.vision.kernels import blob_kernels as k
 
         region, raw = planes.region, np.zeros((len(boxes), k.FEATURES))
         points, cells = planes[self.points], self.parameters.cells

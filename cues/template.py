@@ -25,7 +25,7 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.planes import WholeFrame
 
 STEP = 1.05
 """Factor between the sizes that are tried."""

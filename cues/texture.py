@@ -28,7 +28,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import HALF_OVERLAP
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.planes.texture import TextureCodes
+from bayesnet_track.vision.planes import TextureCodes
 
 STEP = 0.7
 """Factor of a local action on alpha."""
@@ -133,12 +133,12 @@ class Texture:
 
     def _shares(self, planes: Planes, boxes: Floats) -> Floats:
         """(N, cells, cells, codes) share of each code."""
-        from bayesnet_track.vision.kernels.texture_kernels import (
+        from bayesnet_track.vision.kernels.patch_kernels import (
             cell_shares,
             counted_shares,
             integral_histogram,
         )
-        from bayesnet_track.vision.planes.color_cells import seen_cells
+        from bayesnet_track.vision.planes import seen_cells
 
         plane, cells = self._plane, self.parameters.cells
         boxes = np.ascontiguousarray(boxes, dtype=np.float64)
@@ -156,7 +156,7 @@ class Texture:
 def _distances(found: Floats, shares: Floats) -> Floats:
     """(N,) Bhattacharyya distances of shares (N, cells, cells, codes) from the reference's, 0..1."""
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.vision.kernels.texture_kernels import bhattacharyya
+    from bayesnet_track.vision.kernels.patch_kernels import bhattacharyya
 
     coefficients = np.empty(len(found))
     bhattacharyya(found, plain(shares), coefficients)
@@ -164,7 +164,7 @@ def _distances(found: Floats, shares: Floats) -> Floats:
 
 
 def _make(parameters: TextureParameters) -> Cue:
-    from bayesnet_track.vision.kernels import texture_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import patch_kernels  # noqa: F401  load before the first frame
 
     return Texture(parameters)
 

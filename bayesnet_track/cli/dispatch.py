@@ -103,7 +103,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.runtime.recording.manifest import ManifestError
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
     from bayesnet_track.sources.paths import SourceError
-    from bayesnet_track.vision.stereo.stereo import CalibrationError
+    from bayesnet_track.vision.calibration import CalibrationError
 
     if isinstance(error, UsageError | CueError | UnkeptBeliefError):
         return USAGE

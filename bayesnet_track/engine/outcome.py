@@ -26,7 +26,7 @@ from bayesnet_track.journal.net.net import Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.scenes import Scene
+from bayesnet_track.vision.planes import Scene
 
 
 @dataclass(frozen=True, eq=False)

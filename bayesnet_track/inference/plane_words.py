@@ -13,7 +13,7 @@ UNITS = {"px": " px", "px2": " px²", "m": " m", "deg": "°", "gray": " gray lev
 def plane_words(plane: object) -> str:
     """Name and settings of a plane, or its own words where it has any.
 
-    >>> from bayesnet_track.vision.planes.color_planes import Hue
+    >>> from bayesnet_track.vision.planes import Hue
     >>> plane_words(Hue(min_chroma=30, median_px=3))
     'hue (min chroma 30, median 3 px)'
     """

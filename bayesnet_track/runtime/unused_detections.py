@@ -17,7 +17,7 @@ from bayesnet_track.observation.detector import GIVEN, Detections, GivenParamete
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.misfits import LONG, LONG_SHARE, QUESTION, explain_corners
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.vision.detectors.left_out import left_out
+from bayesnet_track.vision.detectors.selection import left_out
 
 Found = Mapping[int, Detections]
 

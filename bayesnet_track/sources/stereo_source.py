@@ -28,7 +28,7 @@ from bayesnet_track.sources.paths import SourceError, depth_files
 from bayesnet_track.sources.readers import Damage, Picture, Reader, ReaderItem
 from bayesnet_track.sources.sources import check_range, make_reader
 from bayesnet_track.sources.stride import strided
-from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
+from bayesnet_track.vision.calibration import RectifiedPair, Rectifier, read_calibration
 
 Completed = tuple[Image, Depth]
 Completer = Callable[[int, Picture | None, Image], Completed]

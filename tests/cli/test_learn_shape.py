@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.vision.shape.shape_model import load_model
+from bayesnet_track.vision.shape import load_model
 
 
 def ellipse(across: int, down: int, ink: int = 255, ground: int = 0) -> np.ndarray:

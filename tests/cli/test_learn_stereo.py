@@ -13,7 +13,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.sources.scene_source import format_truth
 from bayesnet_track.sources.scenes import Scene, make_scene
-from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
+from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 FRAMES = range(0, 60, 4)
 SET = ["--set", "max_depth_m=6", "--set", "camera_height_m=1.2"]

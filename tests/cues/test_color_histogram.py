@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.kernels.color_kernels import hue_of_bgr
-from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
+from bayesnet_track.vision.kernels.histogram_kernels import (
     color_distances,
     count_by_integral,
     count_directly,
     count_in_boxes,
 )
-from bayesnet_track.vision.planes.color_planes import Hue, HueBins
+from bayesnet_track.vision.planes import Hue, HueBins
 
 ORANGE, GREEN, BLUE, GRAY = (0, 128, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)
 

@@ -15,15 +15,17 @@ from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.runtime.tracker import Tracker
 from bayesnet_track.vision.correlation import (
+    CHANNELS,
     equations,
     gaussian_label,
     halves,
     hann,
+    patch_at,
     scaled_answers,
     solve,
     tile_spectra,
+    turned_features,
 )
-from bayesnet_track.vision.planes.correlation_patches import CHANNELS, patch_at, turned_features
 
 SIZE = (40.0, 52.0)
 

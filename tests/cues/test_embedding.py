@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.cues.embedding import EmbeddingError, representatives
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.vision.embedding import EmbeddingError, representatives
 
 INPUT = {"input_width": 8, "input_height": 8}
 

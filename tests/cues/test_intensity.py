@@ -12,7 +12,7 @@ from bayesnet_track.cues.intensity import CUE, IntensityCue
 from bayesnet_track.observation.cue import Hypotheses, floored, log_size_penalty
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.vision.kernels.patch_kernels import MOMENTS, patch_means, patch_moments
-from bayesnet_track.vision.planes.gray_plane import GrayPlane
+from bayesnet_track.vision.planes import GrayPlane
 
 FORMS = ("correlation", "difference")
 

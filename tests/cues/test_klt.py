@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, FramePair, Region
-from bayesnet_track.vision.kernels.similarity_kernels import consensus
+from bayesnet_track.vision.kernels.flow_kernels import consensus
 
 BOX = np.array([160.0, 120.0, 60.0, 50.0])
 

@@ -14,8 +14,8 @@ from bayesnet_track.cues.motion import CUE, MotionCue
 from bayesnet_track.observation.cue import Hypotheses, floored, log_size_penalty
 from bayesnet_track.observation.planes import Frame, FramePair, Planes, Region
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.kernels.corner_kernels import RIM, corner_scores
-from bayesnet_track.vision.planes.motion_planes import FlowPlane
+from bayesnet_track.vision.kernels.flow_kernels import RIM, corner_scores
+from bayesnet_track.vision.motion_planes import FlowPlane
 
 WIDTH, HEIGHT = 320, 240
 WHOLE = Region(0, 0, WIDTH, HEIGHT)

@@ -10,7 +10,7 @@ from bayesnet_track.cues.motion import CUE
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.vision.planes.motion_planes import CameraPlane, against_background
+from bayesnet_track.vision.motion_planes import CameraPlane, against_background
 
 WIDTH, HEIGHT = 320, 240
 WHOLE = Region(0, 0, WIDTH, HEIGHT)

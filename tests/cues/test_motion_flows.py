@@ -9,8 +9,8 @@ import pytest
 from bayesnet_track.cues.motion import CUE
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes.dense_flow_planes import DenseFlowPlane
-from bayesnet_track.vision.planes.motion_planes import FlowPlane
+from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
+from bayesnet_track.vision.motion_planes import FlowPlane
 
 WIDTH, HEIGHT = 256, 192
 WHOLE = Region(0, 0, WIDTH, HEIGHT)

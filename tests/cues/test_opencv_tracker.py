@@ -8,13 +8,13 @@ import pytest
 
 from bayesnet_track.cli.commands.answer import OK
 from bayesnet_track.cli.commands.graphs import validate
+from bayesnet_track.cues.opencv_tracker import missing_tracker, present_trackers
 from bayesnet_track.engine.step import State, make_engine, start_target, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.vision.opencv_trackers import missing_tracker, present_trackers
 
 MOVE = np.array([3, 2])
 
@@ -178,7 +178,7 @@ def test_alone_in_a_net(scene):
 def test_a_tracker_that_is_not_there_is_an_error_with_those_that_are(monkeypatch, tmp_path):
     present = present_trackers()
     assert "MIL" in present
-    monkeypatch.setattr("bayesnet_track.vision.opencv_trackers.present_trackers", lambda: ("MIL", "Vit"))
+    monkeypatch.setattr("bayesnet_track.cues.opencv_tracker.present_trackers", lambda: ("MIL", "Vit"))
     with pytest.raises(GraphError) as error:
         load_graph(GraphSpec.model_validate(graph(tracker="CSRT")))
     for word in ("no tracker CSRT", "MIL, Vit", "opencv-contrib-python-headless"):

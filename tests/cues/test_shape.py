@@ -15,8 +15,7 @@ from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.cue import Hypotheses, floored
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.vision.kernels.shape_kernels import shape_energy
-from bayesnet_track.vision.shape.shape_contours import contours, vectors
-from bayesnet_track.vision.shape.shape_model import learn_model, save_model
+from bayesnet_track.vision.shape import contours, learn_model, save_model, vectors
 
 BOX = np.array([80.0, 60.0, 50.0, 60.0])
 FORMS = ("ellipse", "rectangle", "triangle")

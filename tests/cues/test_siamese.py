@@ -9,8 +9,8 @@ from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import GraphError, load_graph
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.siamese.memory import Memory
-from bayesnet_track.vision.siamese.networks import STRIDE, Networks, Response, SiameseError
+from bayesnet_track.vision.siamese_crops import Memory
+from bayesnet_track.vision.siamese_networks import STRIDE, Networks, Response, SiameseError
 
 SIDE = 40.0
 GRAPH = """bayesnet: 1

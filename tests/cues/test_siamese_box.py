@@ -10,9 +10,8 @@ from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.vision.siamese.crops import WIDE
-from bayesnet_track.vision.siamese.memory import Memory
-from bayesnet_track.vision.siamese.networks import STRIDE, Networks, Response
+from bayesnet_track.vision.siamese_crops import WIDE, Memory
+from bayesnet_track.vision.siamese_networks import STRIDE, Networks, Response
 
 SIDE = 40.0
 BOX = np.array([159.5, 119.5, SIDE, SIDE])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Region
-from bayesnet_track.vision.kernels.texture_kernels import binary_patterns, gradient_directions
+from bayesnet_track.vision.kernels.patch_kernels import binary_patterns, gradient_directions
 
 
 def codes_of(kernel, gray, *settings):

@@ -18,7 +18,7 @@ from bayesnet_track.evaluate.fusion import (
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.planes.gray_plane import GrayPlane
+from bayesnet_track.vision.planes import GrayPlane
 
 
 def drawn(rng, frames, correlation, children=2):

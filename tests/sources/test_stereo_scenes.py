@@ -6,7 +6,7 @@ import pytest
 from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.vision.planes.stereo_planes import Correlation, SemiGlobal
+from bayesnet_track.vision.stereo_planes import Correlation, SemiGlobal
 
 SEARCH = (0, 60)
 

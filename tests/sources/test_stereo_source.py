@@ -13,7 +13,7 @@ from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture
 from bayesnet_track.sources.stereo_source import Joined, open_stereo_source, two_eyes
-from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
+from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 WIDTH, HEIGHT = 32, 24
 PAIR = RectifiedPair(WIDTH, HEIGHT, StereoGeometry(40.0, 0.1, 16.0, 12.0))

@@ -16,7 +16,7 @@ from bayesnet_track.observation.depth import PointMap
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
+from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 
 def play(name, seed):

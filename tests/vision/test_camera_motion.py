@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.vision.camera_motion import similarity
+from bayesnet_track.vision.motion_planes import similarity
 
 
 def vectors(rng, count, a, b):

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.vision.stereo.chessboard import calibrate
-from bayesnet_track.vision.stereo.stereo import CalibrationError, Rectification, read_calibration
+from bayesnet_track.vision.calibration import CalibrationError, Rectification, calibrate, read_calibration
 
 BOARD, SQUARE, SIZE = (8, 5), 0.04, (400, 300)
 LEFT = np.array([[380.0, 0, 204], [0, 380, 148], [0, 0, 1]])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes.color_cells import ColorCells
+from bayesnet_track.vision.planes import ColorCells
 
 WHOLE = Region(0, 0, 40, 30)
 

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.vision.planes.correlation_patches import _cut_shrunk
+from bayesnet_track.vision.correlation import _cut_shrunk
 
 
 @given(

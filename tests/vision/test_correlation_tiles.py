@@ -8,8 +8,8 @@ import weakref
 import numpy as np
 
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision import correlation_tiles
-from bayesnet_track.vision.correlation_tiles import Asked, find_maps, find_tile
+from bayesnet_track.vision import correlation
+from bayesnet_track.vision.correlation import Asked, find_maps, find_tile
 
 ASKED = Asked(60.0, 40.0, 1.5, 32, 16, False)
 
@@ -29,10 +29,10 @@ def test_a_tile_is_made_once_a_frame():
 
 def test_tiles_are_forgotten_with_their_frame():
     one = frame(1)
-    tile, before = weakref.ref(find_tile(one, one.image, ASKED)), len(correlation_tiles._OF_FRAME)
+    tile, before = weakref.ref(find_tile(one, one.image, ASKED)), len(correlation._OF_FRAME)
     del one
     gc.collect()
-    assert tile() is None and len(correlation_tiles._OF_FRAME) < before
+    assert tile() is None and len(correlation._OF_FRAME) < before
 
 
 def test_answers_of_another_filter_are_forgotten():

@@ -5,12 +5,13 @@ import pytest
 
 from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import (
+from bayesnet_track.vision.kernels.histogram_kernels import (
+    color_distances,
     color_distances_of_each,
+    count_in_boxes,
     count_of_each,
     distinct_of_each,
 )
-from bayesnet_track.vision.kernels.histograms.histogram_kernels import color_distances, count_in_boxes
 
 BINS = 8
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.kernels.depth_kernels import (
+from bayesnet_track.vision.kernels.blob_kernels import (
     DEPTH,
     FEATURES,
     HEIGHT,

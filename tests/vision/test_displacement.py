@@ -8,7 +8,7 @@ from bayesnet_track.journal.events.beliefs import BeliefReset
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.vision.displacement import (
+from bayesnet_track.vision.points import (
     Matching,
     Points,
     cut_patches,

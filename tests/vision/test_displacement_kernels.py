@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.vision.kernels.displacement_kernels import match_patches
+from bayesnet_track.vision.kernels.dense_flow_kernels import match_patches
 
 
 def test_squares_are_means_of_squared_differences_inside_the_image():

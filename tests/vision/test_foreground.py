@@ -6,10 +6,10 @@ import weakref
 import numpy as np
 
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision import foreground
-from bayesnet_track.vision.foreground import KEPT, Cells, count_pixels
+from bayesnet_track.vision.kernels import mean_shift_kernels
+from bayesnet_track.vision.kernels.mean_shift_kernels import KEPT, CellLayout, count_pixels
 
-CELLS = Cells(4, False)
+CELLS = CellLayout(4, False)
 
 
 def frame():
@@ -25,7 +25,10 @@ def test_the_same_boxes_of_a_frame_are_counted_once():
     first = count_pixels(now, CELLS, boxes(20.0))
     assert count_pixels(now, CELLS, boxes(20.0)) is first
     assert not first.flags.writeable
-    for again in (count_pixels(other, CELLS, boxes(20.0)), count_pixels(now, Cells(8, False), boxes(20.0))):
+    for again in (
+        count_pixels(other, CELLS, boxes(20.0)),
+        count_pixels(now, CellLayout(8, False), boxes(20.0)),
+    ):
         assert again is not first
     assert (count_pixels(now, CELLS, boxes(12.0)) != first).any()
 
@@ -36,7 +39,7 @@ def test_no_more_than_some_are_kept_and_none_without_the_frame():
     for x in places:
         found = count_pixels(now, CELLS, boxes(x))
         np.testing.assert_array_equal(found, count_pixels(frame(), CELLS, boxes(x)))
-        assert len(foreground._OF_FRAME[now]) <= KEPT
+        assert len(mean_shift_kernels._OF_FRAME[now]) <= KEPT
     left = weakref.ref(now)
     del now
     gc.collect()

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.foreground import Cells
-from bayesnet_track.vision.kernels.color_kernels import fill_cells
-from bayesnet_track.vision.kernels.foreground_kernels import (
+from bayesnet_track.vision.kernels.color_kernels import (
     STEPS,
     box_and_ring_means,
     color_posterior,
     count_cells,
+    fill_cells,
     integral_of_cells,
     ring_shares,
 )
+from bayesnet_track.vision.kernels.mean_shift_kernels import CellLayout
 
 LAYOUT = np.array([[4, 4, 4], [16, 4, 1]], np.uint16)
 
@@ -33,7 +33,7 @@ def cells_of(image):
 def test_a_cell_has_one_level_of_each_channel(levels, is_gray):
     line = np.concatenate([np.repeat(np.arange(256), 3), np.random.default_rng(2).integers(0, 256, 300)])
     cells = np.empty(len(line) // 3, np.uint16)
-    fill_cells(line.astype(np.uint8), Cells(levels, is_gray).layout, cells)
+    fill_cells(line.astype(np.uint8), CellLayout(levels, is_gray).layout, cells)
     blue, green, red = (line * levels // 256).reshape(-1, 3).T
     expected = blue if is_gray else (blue * levels + green) * levels + red
     np.testing.assert_array_equal(cells, expected)

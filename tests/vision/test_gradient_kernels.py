@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.gradient_kernels import (
+from bayesnet_track.vision.kernels.correlation_kernels import (
     TRUNCATED,
     cell_means,
     normalised_cells,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
-from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
+from bayesnet_track.vision.kernels.histogram_kernels import (
     color_distances,
     count_by_integral,
     count_directly,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients, kernel_shares
+from bayesnet_track.vision.kernels.mean_shift_kernels import coefficients, kernel_shares
 
 BINS = 5
 LEFT, TOP = 4, 3

@@ -4,8 +4,7 @@ import numpy as np
 
 from bayesnet_track.observation.detector import Detections, GivenParameters
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.detectors.left_out import left_out
-from bayesnet_track.vision.detectors.selection import select
+from bayesnet_track.vision.detectors.selection import left_out, select
 
 
 def test_every_reason_is_named_once():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.vision.kernels.odp_kernels import best_path, odp_pass
+from bayesnet_track.vision.kernels.dense_flow_kernels import best_path, odp_pass
 
 
 def cost_of(costs, path, penalty):

@@ -7,8 +7,7 @@ import pytest
 
 from bayesnet_track.observation.detector import DetectorError
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.vision.detectors.onnx import Onnx, OnnxParameters
-from bayesnet_track.vision.detectors.onnx_layouts import LAYOUTS, LayoutError
+from bayesnet_track.vision.detectors.onnx import LAYOUTS, LayoutError, Onnx, OnnxParameters
 
 INPUT = {"input_width": 32, "input_height": 32}
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, FramePair, Region
-from bayesnet_track.vision.planes.motion_planes import smaller_gray
-from bayesnet_track.vision.planes.pan_plane import PanPlane
+from bayesnet_track.vision.motion_planes import PanPlane, smaller_gray
 
 SIZE = (180, 320)
 WHOLE = Region(0, 0, SIZE[1], SIZE[0])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.patch_kernels import edge_units, patch_moments
-from bayesnet_track.vision.kernels.shading_kernels import patch_projections
+from bayesnet_track.vision.kernels.patch_kernels import edge_units, patch_moments, patch_projections
 
 GRAY = np.random.default_rng(0).integers(0, 256, (12, 16)).astype(float)
 FRAME = np.array([16, 12])

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes.color_planes import Hue, HueBins
-from bayesnet_track.vision.planes.gray_plane import GrayPlane, gray
-from bayesnet_track.vision.planes.texture import TextureCodes
-from bayesnet_track.vision.planes.whole_frame import WholeFrame
+from bayesnet_track.vision.planes import GrayPlane, Hue, HueBins, TextureCodes, WholeFrame, gray
 
 PLANES = [GrayPlane(), Hue(), Hue(median_px=5), HueBins(bins=16), TextureCodes(), TextureCodes("patterns")]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.scenes import SceneChange, compare_scenes, describe_scene
+from bayesnet_track.vision.planes import SceneChange, compare_scenes, describe_scene
 
 RNG = np.random.default_rng(7)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.vision.shape.shape_model import (
+from bayesnet_track.vision.shape import (
     ShapeModel,
     ShapeModelError,
     learn_model,

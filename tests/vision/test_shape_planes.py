@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes.shape_planes import CONTRASTS, EdgePlane
+from bayesnet_track.vision.planes import CONTRASTS, EdgePlane
 
 
 def edges_of(gray: np.ndarray, plane: EdgePlane, region: Region | None = None) -> np.ndarray:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.shape import shape_snake
-from bayesnet_track.vision.shape.shape_snake import POINTS, STAGES, run_snakes, smoothing_filters
+from bayesnet_track.vision.kernels import shape_kernels
+from bayesnet_track.vision.kernels.shape_kernels import POINTS, STAGES, run_snakes, smoothing_filters
 
 FRAME = np.array([160, 120])
 
@@ -76,6 +76,6 @@ def test_no_snake_leaves_its_bound_or_depends_on_the_others() -> None:
     together = snakes_of(edges, boxes)
     for k, box in enumerate(boxes):
         reach = np.abs(together[0][k] - box[:2]) / box[2:]
-        assert (reach <= 0.5 * shape_snake.BOUND + 1e-9).all()
+        assert (reach <= 0.5 * shape_kernels.BOUND + 1e-9).all()
         alone = snakes_of(edges, [box])
         assert np.array_equal(alone[0][0], together[0][k]) and alone[1][0] == together[1][k]

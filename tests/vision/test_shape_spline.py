@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from bayesnet_track.vision.shape.shape_spline import CONTROL_POINTS, basis, curve_matrix, fit_matrix
+from bayesnet_track.vision.shape import CONTROL_POINTS, basis, curve_matrix, fit_matrix
 
 
 @settings(max_examples=30, deadline=None)

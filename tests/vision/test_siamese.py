@@ -9,11 +9,18 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.proposal_kernels import choose, explained
-from bayesnet_track.vision.siamese.crops import Crop, crops_for, search_crop, template_crop, wide_crop
-from bayesnet_track.vision.siamese.halves import RUNTIMES
-from bayesnet_track.vision.siamese.memory import Memory
-from bayesnet_track.vision.siamese.networks import (
+from bayesnet_track.vision.kernels.correlation_kernels import choose, explained
+from bayesnet_track.vision.siamese_crops import (
+    Crop,
+    Memory,
+    crops_for,
+    plain,
+    search_crop,
+    template_crop,
+    wide_crop,
+)
+from bayesnet_track.vision.siamese_networks import (
+    RUNTIMES,
     SEARCH,
     STRIDE,
     TEMPLATE,
@@ -22,7 +29,6 @@ from bayesnet_track.vision.siamese.networks import (
     SiameseError,
     load_networks,
 )
-from bayesnet_track.vision.siamese.plain import plain
 
 
 def varint(value):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.depth import StereoGeometry
-from bayesnet_track.vision.stereo.stereo import (
+from bayesnet_track.vision.calibration import (
     CalibrationError,
     Cameras,
     Rectification,

@@ -8,8 +8,8 @@ from bayesnet_track.observation.depth import NoDepth, PointMap, StereoGeometry
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.vision.planes.stereo_planes import Range, SemiGlobal
-from bayesnet_track.vision.stereo.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
+from bayesnet_track.vision.detectors.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
+from bayesnet_track.vision.stereo_planes import Range, SemiGlobal
 
 GEOMETRY = StereoGeometry(100.0, 0.2, 60.0, 50.0)
 IN_ROOM = Range(1.0, 6.5, camera_height_m=1.2, min_pixels=400)

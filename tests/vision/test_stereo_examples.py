@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.vision.stereo.stereo_examples import estimate_spread
+from bayesnet_track.vision.stereo_planes import estimate_spread
 
 
 def one_group(count):

@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track.observation.depth import NoDepth, PointMap, RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes.stereo_planes import (
+from bayesnet_track.vision.stereo_planes import (
     Correlation,
     PointsPlane,
     Range,

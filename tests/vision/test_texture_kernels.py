@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.vision.kernels.texture_kernels import (
+from bayesnet_track.vision.kernels.patch_kernels import (
     bhattacharyya,
     binary_patterns,
     cell_shares,

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 def calibrate(options: argparse.Namespace) -> int:
     """Calibrate a pair of cameras from pictures of a chessboard."""
-    from bayesnet_track.vision.stereo.chessboard import calibrate as fit
-    from bayesnet_track.vision.stereo.stereo import write_calibration
+    from bayesnet_track.vision.calibration import calibrate as fit
+    from bayesnet_track.vision.calibration import write_calibration
 
     board = parse_board(options.board)
     out = Path(options.out)

@@ -20,7 +20,7 @@ from bayesnet_track.cli.options.sources import add_range_option
 
 if TYPE_CHECKING:
     from bayesnet_track.numerics.arrays import Floats
-    from bayesnet_track.vision.shape.shape_model import ShapeModel
+    from bayesnet_track.vision.shape import ShapeModel
 
     Examples = list[tuple[str, Floats, float]]  # name, shape vector and support of each
 
@@ -33,7 +33,7 @@ def learn_shape(options: argparse.Namespace) -> int:
     """Learn a model from the silhouettes of masks or boxes, write it, and say what it holds."""
     import numpy as np
 
-    from bayesnet_track.vision.shape.shape_model import learn_model
+    from bayesnet_track.vision.shape import learn_model
 
     if (options.source is None) != (options.truth is None):
         raise UsageError("--source and --truth belong together: a video, and the target's boxes in it")
@@ -60,7 +60,7 @@ def learn_shape(options: argparse.Namespace) -> int:
 def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.sources.images import read_image
     from bayesnet_track.sources.paths import images_in, natural_key
-    from bayesnet_track.vision.shape.shape_examples import mask_example
+    from bayesnet_track.vision.shape import mask_example
 
     if options.value_range is not None:
         raise UsageError("--range is for --source; a mask is what is not black")
@@ -85,8 +85,8 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.observation.planes import Frame
     from bayesnet_track.sources.entrances.notices import notice
     from bayesnet_track.sources.sources import open_source
-    from bayesnet_track.vision.planes.shape_planes import EdgePlane
-    from bayesnet_track.vision.shape.shape_examples import frame_example
+    from bayesnet_track.vision.planes import EdgePlane
+    from bayesnet_track.vision.shape import frame_example
 
     with users_mistake():
         boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
@@ -115,7 +115,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
 
 
 def _write(path: Path, model: ShapeModel) -> None:
-    from bayesnet_track.vision.shape.shape_model import save_model
+    from bayesnet_track.vision.shape import save_model
 
     with writing(path):
         save_model(path, model)

@@ -35,7 +35,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.observation.cue import installed_cues
-    from bayesnet_track.vision.stereo.stereo_examples import estimate_spread
+    from bayesnet_track.vision.stereo_planes import estimate_spread
 
     declaration = installed_cues()["stereo"]
     parameters = read_parameters(declaration, options.set)

@@ -144,7 +144,7 @@ def predict_motion(
 
 
 def _follow_camera(cache: PlaneCache, dt: float) -> CameraShift | None:
-    from bayesnet_track.vision.planes.motion_planes import CameraPlane
+    from bayesnet_track.vision.motion_planes import CameraPlane
 
     plane, frame = CameraPlane(), cache.frames.current
     flow = cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]

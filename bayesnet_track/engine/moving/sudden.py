@@ -77,7 +77,7 @@ def _pans(rule: Sudden, box: Floats, work: FrameWork) -> bool:
     """Whether the whole picture moved far enough for a target in the centre box (4,) to be searched for."""
     if rule.pan_box == 0.0:
         return True
-    from bayesnet_track.vision.planes.pan_plane import PanPlane
+    from bayesnet_track.vision.motion_planes import PanPlane
 
     plane, frame = PanPlane(), work.frame
     shift = work.cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]

@@ -14,7 +14,7 @@ from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.scenes import Scene, compare_scenes, describe_scene
+from bayesnet_track.vision.planes import Scene, compare_scenes, describe_scene
 
 
 def find_cuts(engine: Engine, state: State, frame: Frame) -> tuple[State, tuple[SceneCut, ...]]:

@@ -41,7 +41,7 @@ from bayesnet_track.journal.net.target_net import Fault, TargetNet, Turn
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.scenes import Scene
+from bayesnet_track.vision.planes import Scene
 
 CLASSES: tuple[type, ...] = (
     State,

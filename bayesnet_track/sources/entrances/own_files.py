@@ -49,7 +49,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "cli.commands.answer.mute",
             "journal.disk.sync_folder",
             "runtime.recording.lock.lock_run",
-            "vision.stereo.stereo.write_calibration",
+            "vision.calibration.write_calibration",
         ),
         "the cache of compiled kernels, sealed by a hash": (
             "numerics.compiled.SealedFiles._load_data",

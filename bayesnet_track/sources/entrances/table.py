@@ -123,7 +123,7 @@ FILES = (
     Entrance(
         "shape models",
         "`model` of a `shape` agent; made by `learn-shape`",
-        ("vision.shape.shape_model: load_model",),
+        ("vision.shape: load_model",),
         "nothing: all of it is used",
         "another version, arrays of other shapes, modes that are not orthonormal, values that are not finite",
         "none: the file names its format",
@@ -132,10 +132,10 @@ FILES = (
         "networks",
         "`model`, `backbone` and `head` of agents and detectors: ONNX",
         (
-            "vision.opencv_errors: read_onnx",
-            "vision.apart: check_apart",
-            "vision.siamese.halves: run_by_opencv run_by_onnxruntime",
-            "vision.siamese.networks: try_networks _open",
+            "vision.networks: read_onnx",
+            "vision.networks: check_apart",
+            "vision.siamese_networks: run_by_opencv run_by_onnxruntime",
+            "vision.siamese_networks: try_networks _open",
         ),
         "nothing: all of it is used",
         "a file on which the runtime fails, crashes or hangs in a process of its own; other inputs or "

@@ -84,7 +84,7 @@ FRAMES = (
         "`--right`, `--stereo side_by_side`, `--calibration`, `calibrate`, `learn-stereo`",
         (
             "sources.stereo_source: open_stereo_source",
-            "vision.stereo.stereo: read_calibration _entries",
+            "vision.calibration: read_calibration _entries",
         ),
         "nothing: frames without a partner are damage, which the journal has",
         "left and right of different numbers, sizes or times; a calibration with missing or infinite "

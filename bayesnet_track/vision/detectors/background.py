@@ -101,7 +101,7 @@ class Background:
         """Regions that are neither background nor shadow; none while the background is still learnt."""
         evidence, after = self.segment(frames, state)
         settings, frame = self.parameters, frames.current
-        from bayesnet_track.vision.kernels.background_kernels import FOREGROUND
+        from bayesnet_track.vision.kernels.color_kernels import FOREGROUND
 
         if frame.time - after["times"][1] < settings.warm_up_frames or not evidence.any():
             return NOTHING, after
@@ -109,7 +109,7 @@ class Background:
 
     def segment(self, frames: FramePair, state: DetectorState) -> tuple[NDArray[np.uint8], DetectorState]:
         """(H, W) evidence as `update_mixture` has it, and the state with this frame in it."""
-        from bayesnet_track.vision.kernels.background_kernels import FOREGROUND, update_mixture
+        from bayesnet_track.vision.kernels.color_kernels import FOREGROUND, update_mixture
 
         settings, frame = self.parameters, frames.current
         evidence = np.zeros((frame.height, frame.width), dtype=np.uint8)
@@ -180,7 +180,7 @@ def _empty(rows: int, columns: int, modes: int, time: float) -> dict[str, NDArra
 def _make(parameters: BackgroundParameters) -> Detector:
     import cv2  # noqa: F401  load before the first frame
 
-    from bayesnet_track.vision.kernels import background_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import color_kernels  # noqa: F401
 
     return Background(parameters)
 

@@ -20,7 +20,7 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
 from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, blobs, select
-from bayesnet_track.vision.planes.color_planes import HueBins
+from bayesnet_track.vision.planes import HueBins
 
 RARE = 0.002
 """A hue of so small a share of the pixels says little about whose it is."""

@@ -20,9 +20,8 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.detectors.selection import select
-from bayesnet_track.vision.planes.shape_planes import EdgePlane
-from bayesnet_track.vision.shape.shape_contours import COVER, contours, fields
-from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError, load_model
+from bayesnet_track.vision.planes import EdgePlane
+from bayesnet_track.vision.shape import COVER, ShapeModel, ShapeModelError, contours, fields, load_model
 
 
 class ContourShapeParameters(DetectorParameters):
@@ -152,7 +151,7 @@ class ContourShape:
 def _make(parameters: ContourShapeParameters) -> Detector:
     import cv2  # noqa: F401  load before the first frame
 
-    from bayesnet_track.vision.shape import shape_snake  # noqa: F401
+    from bayesnet_track.vision.kernels import shape_kernels  # noqa: F401
 
     try:
         return ContourShape(parameters, load_model(parameters.model))

@@ -14,7 +14,7 @@ from bayesnet_track.numerics.arrays import Bytes
 from bayesnet_track.observation.detector import Detections, Detector, DetectorDeclaration, DetectorState
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, blobs, select
-from bayesnet_track.vision.planes.gray_plane import gray
+from bayesnet_track.vision.planes import gray
 
 SD_OF_MAD = 1.4826
 """Standard deviation of a Gaussian in median absolute deviations."""

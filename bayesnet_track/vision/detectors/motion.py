@@ -19,7 +19,7 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, regions, select
-from bayesnet_track.vision.planes.gray_plane import gray
+from bayesnet_track.vision.planes import gray
 
 LEAST_SIDE = 16
 """Pictures with a shorter side are too small for the pyramid of the flow."""

@@ -1,11 +1,185 @@
-"""Signed distances to closed contours, their values in a box, and how far a shape is from a model."""
+"""Compiled kernels of shapes: snakes, signed distances to closed contours, and distances to a model.
+
+Kass, Witkin & Terzopoulos 1988, semi-implicit: each step moves every point toward its nearest edge and then
+solves ``(I + a D2 + b D4) x' = x`` for the tension a and the rigidity b. The system is circulant, so that its
+inverse is one smoothing filter, made once.
+"""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
+from bayesnet_track.numerics.resampling import copy_rows
+
+POINTS = 64
+"""Points of a snake."""
+
+STAGES = ((0.02, 2.0, 6), (0.01, 0.2, 6), (0.005, 0.03, 10))
+"""Tension, rigidity and steps: stiff first, so that single edges do not catch it, then supple."""
+
+PULL = 0.5
+"""Share of the way to the nearest edge that a point goes in one step."""
+
+BOUND = 1.2
+"""A snake stays within its box grown by this factor."""
+
+
+@cache
+def smoothing_filters(points: int = POINTS) -> Floats:
+    """(stages, points): the first row of ``(I + a D2 + b D4)^-1``, a circulant matrix, for each stage.
+
+    D2 and D4 are the second and fourth cyclic differences (positive definite signs). Weights below 1e-5 are
+    left out; each row sums to 1.
+    """
+    wave = 2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(points) / points)
+    rows = [np.fft.ifft(1.0 / (1.0 + a * wave + b * wave**2)).real for a, b, _ in STAGES]
+    filters = np.array(rows)
+    filters[np.abs(filters) < 1e-5] = 0.0
+    filters[:, points // 2] = 0.0
+    filters /= filters.sum(axis=1, keepdims=True)
+    filters.flags.writeable = False
+    return filters
+
+
+@compiled
+def _look(distance: Floats, x: float, y: float, limit: float) -> tuple[float, float, float]:
+    """The map at (x, y), bilinear and at most `limit`, and its slopes; its border goes on outside."""
+    rows, columns = distance.shape
+    x = min(max(x, 0.0), columns - 1.0)
+    y = min(max(y, 0.0), rows - 1.0)
+    i, j = int(x), int(y)
+    u, v = x - i, y - j
+    right, below = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    a, b = min(distance[j, i], limit), min(distance[j, right], limit)
+    c, d = min(distance[below, i], limit), min(distance[below, right], limit)
+    top, bottom = a + u * (b - a), c + u * (d - c)
+    return top + v * (bottom - top), (1.0 - v) * (b - a) + v * (d - c), bottom - top
+
+
+@compiled
+def _inside(x: float, y: float, frame: Ints) -> bool:
+    return bool(-0.5 <= x < frame[0] - 0.5 and -0.5 <= y < frame[1] - 0.5)
+
+
+@compiled
+def _pull(distance: Floats, origin: Ints, frame: Ints, reach: float, points: Floats) -> None:
+    """Move each point (2, M) a share of the way to its nearest edge, when that is within `reach` px."""
+    for m in range(points.shape[1]):
+        x, y = points[0, m], points[1, m]
+        if not _inside(x, y, frame):
+            continue
+        away, gx, gy = _look(distance, x - origin[0], y - origin[1], reach)
+        length = np.sqrt(gx * gx + gy * gy)
+        if away < reach and length > 1e-9:
+            points[0, m] -= PULL * away * gx / length
+            points[1, m] -= PULL * away * gy / length
+
+
+@compiled
+def _smooth(points: Floats, kernel: Floats, wide: Floats, moved: Floats) -> None:
+    """Fill `moved` (2, M) with the points smoothed by the circulant symmetric `kernel` (M,).
+
+    `wide` (2, 2 M) is room for the points once more, so that no index has to wrap round: vector instructions
+    can be used.
+    """
+    count = points.shape[1]
+    half = count // 2
+    for axis in range(2):
+        row, out = wide[axis], moved[axis]
+        for m in range(2 * count):
+            row[m] = points[axis, (m + half) % count]
+        for m in range(count):
+            out[m] = kernel[0] * points[axis, m]
+        for lag in range(1, half):
+            weight = kernel[lag]
+            if weight == 0.0:
+                continue
+            after, before = row[half + lag : half + lag + count], row[half - lag : half - lag + count]
+            for m in range(count):
+                out[m] += weight * (after[m] + before[m])
+
+
+@compiled
+def _even(points: Floats, placed: Floats) -> None:
+    """Fill `placed` (2, M) with even points along the closed polygon `points` (2, P), from its first."""
+    count, wanted = points.shape[1], placed.shape[1]
+    lengths = np.empty(count)
+    total = 0.0
+    for m in range(count):
+        after = (m + 1) % count
+        lengths[m] = np.sqrt((points[0, after] - points[0, m]) ** 2 + (points[1, after] - points[1, m]) ** 2)
+        total += lengths[m]
+    side, passed = 0, 0.0
+    for k in range(wanted):
+        target = total * k / wanted
+        while side < count - 1 and passed + lengths[side] < target:
+            passed += lengths[side]
+            side += 1
+        after = (side + 1) % count
+        share = (target - passed) / lengths[side] if lengths[side] > 0.0 else 0.0
+        share = min(max(share, 0.0), 1.0)
+        placed[0, k] = points[0, side] + share * (points[0, after] - points[0, side])
+        placed[1, k] = points[1, side] + share * (points[1, after] - points[1, side])
+
+
+@compiled
+def run_snakes(
+    distance: Floats,
+    origin: Ints,
+    frame: Ints,
+    boxes: Floats,
+    filters: Floats,
+    steps: Ints,
+    reach: float,
+    tolerance: float,
+    snakes: Floats,
+    support: Floats,
+) -> None:
+    """Fill `snakes` (C, M, 2), in frame px, and `support` (C,) from the ellipses of `boxes` (C, 4).
+
+    `support` is the share of a snake's points inside the frame and within the tolerance of an edge. The
+    points start at the right and run clockwise on the screen, evenly spaced. No value depends on more of the
+    map than the box grown by `BOUND` and the reach.
+
+    Args:
+        distance: px to the nearest edge pixel, from column `origin[0]` and row `origin[1]` of the frame on.
+        frame: its width and height.
+        filters: (stages, M) from `smoothing_filters`.
+        steps: (stages,) steps of each.
+        reach: how far a point sees an edge, in mean sides of its box.
+        tolerance: how far from an edge it still counts as on it, in mean sides; at least 1.5 px.
+    """
+    count = snakes.shape[1]
+    points, moved, wide = np.empty((2, count)), np.empty((2, count)), np.empty((2, 2 * count))
+    for c in range(boxes.shape[0]):
+        x, y, w, h = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
+        side = np.sqrt(w * h)
+        for m in range(count):
+            angle = 2.0 * np.pi * m / count
+            moved[0, m] = x + 0.5 * w * np.cos(angle)
+            moved[1, m] = y + 0.5 * h * np.sin(angle)
+        _even(moved, points)
+        for stage in range(filters.shape[0]):
+            for _ in range(steps[stage]):
+                _pull(distance, origin, frame, reach * side, points)
+                _smooth(points, filters[stage], wide, moved)
+                for m in range(count):
+                    points[0, m] = min(max(moved[0, m], x - 0.5 * BOUND * w), x + 0.5 * BOUND * w)
+                    points[1, m] = min(max(moved[1, m], y - 0.5 * BOUND * h), y + 0.5 * BOUND * h)
+            _even(points, moved)
+            copy_rows(moved, points)
+        near, limit = 0, max(tolerance * side, 1.5)
+        for m in range(count):
+            snakes[c, m, 0], snakes[c, m, 1] = points[0, m], points[1, m]
+            if _inside(points[0, m], points[1, m], frame) and (
+                _look(distance, points[0, m] - origin[0], points[1, m] - origin[1], 2.0 * limit)[0] <= limit
+            ):
+                near += 1
+        support[c] = near / count
 
 
 @compiled

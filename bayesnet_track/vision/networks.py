@@ -1,4 +1,4 @@
-"""Networks of files are tried in a process of their own first: a damaged file may crash who loads it.
+"""Network files: tried in a process of their own, as a damaged file may crash who loads it.
 
 OpenCV and ONNX Runtime read such files in C++, where a changed byte can end the process. What was loaded and
 run once elsewhere without that is loaded here. It is tried once for the same bytes, settings and libraries:
@@ -147,3 +147,26 @@ def _folder() -> Path:
     """Where compiled kernels are, too."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     return Path(given) if given else Path(__file__).parent / "__pycache__"
+
+
+def reason_of(error: Exception) -> str:
+    """OpenCV's own words, without its file and line, in at most 200 characters.
+
+    >>> reason_of(ValueError("OpenCV(4.12.0) net.cpp:3: error: (-215) no\\n such layer"))
+    '(-215) no such layer'
+    """
+    return " ".join(str(error).split("error: ", 1)[-1].split())[:200]
+
+
+def read_onnx(path: str, fault: Callable[[str], Exception]) -> Any:
+    """OpenCV's network of an ONNX file; raises what `fault` makes of the text that says what is wrong."""
+    import cv2
+
+    try:
+        model = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise fault(f"{path}: {error.strerror}") from error
+    try:
+        return cv2.dnn.readNetFromONNX(model)
+    except cv2.error as error:
+        raise fault(f"{path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}") from error

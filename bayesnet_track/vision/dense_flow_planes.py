@@ -10,8 +10,8 @@ import numpy as np
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.planes.gray_plane import gray
-from bayesnet_track.vision.planes.motion_planes import interval_of
+from bayesnet_track.vision.motion_planes import interval_of
+from bayesnet_track.vision.planes import gray
 
 LEAST_SIDE = 16
 """Pictures with a shorter side, pixels, have no dense flow: they are too small for a pyramid."""
@@ -138,12 +138,12 @@ class DenseFlowPlane:
         field[:] = part
 
     def _scores(self, frame: Frame, region: Region) -> Array:
-        from bayesnet_track.vision.kernels import corner_kernels
+        from bayesnet_track.vision.kernels import flow_kernels
 
-        crop = region.grown(corner_kernels.RIM + 1).within(frame)
+        crop = region.grown(flow_kernels.RIM + 1).within(frame)
         image = gray(crop.of(frame.image))
         scores = np.zeros(image.shape)
-        corner_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
+        flow_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
         x, y = region.x0 - crop.x0, region.y0 - crop.y0
         return scores[y : y + region.y1 - region.y0, x : x + region.x1 - region.x0]
 
@@ -156,7 +156,7 @@ def odp_flow(source: Array, target: Array, reach_px: float) -> Array:
     """
     import cv2
 
-    from bayesnet_track.vision.kernels.odp_kernels import odp_pass
+    from bayesnet_track.vision.kernels.dense_flow_kernels import odp_pass
 
     levels = {1: (source.astype(np.float32), target.astype(np.float32))}
     for scale in (2, 4, COARSEST):

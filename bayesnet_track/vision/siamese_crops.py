@@ -1,17 +1,18 @@
-"""Which crops of a frame a Siamese network sees, and what its map says in pixels of the frame."""
+"""Crops of a frame for a Siamese network, its map in pixels of the frame, and the memory of its answers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Bytes, Floats
+from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Response
+from bayesnet_track.vision.siamese_networks import SEARCH, TEMPLATE, Networks, Response
 
 TILE = 0.8
 """Distance of the crops' centres on the lattice, in sides of the square that the template shows."""
@@ -70,7 +71,7 @@ class Crop:
 
     def boxes(self, response: Response) -> Floats:
         """(S * S, 4) centre boxes in the frame, px, row by row; sides of no extent are left tiny."""
-        from bayesnet_track.vision.kernels.proposal_kernels import read_boxes
+        from bayesnet_track.vision.kernels.correlation_kernels import read_boxes
 
         sides = for_reading(response.sides)
         boxes = np.empty((sides.shape[1] * sides.shape[2], 4))
@@ -137,3 +138,91 @@ def crops_for(
         near = (np.abs(boxes[left, :2] - [x, y]) <= NEAR * reach).all(axis=1)
         yield search_crop(float(x), float(y), size), left[near]
         left = left[~near] if near.any() else left[:0]
+
+
+CELL = 4
+"""Side of the cells of `plain`, px of the network."""
+CHANCE = 0.5
+"""Correlations below this are chance: nothing is said to be there."""
+
+
+def plain() -> Networks:
+    """A stand-in without model files: correlation of the pixels in the template's middle."""
+    import cv2
+
+    def cells(crop: Bytes) -> Singles:
+        side = len(crop) // CELL
+        return np.asarray(cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA), np.float32)
+
+    def describe(crop: Bytes) -> Singles:
+        quarter = TEMPLATE // CELL // 4
+        return np.ascontiguousarray(cells(crop)[quarter:-quarter, quarter:-quarter])
+
+    def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
+        wanted = max(round(len(template) * context_side(size) / TEMPLATE), 2)
+        if abs(wanted - len(template)) > 1:  # the crop is not at the template's scale
+            template = np.asarray(cv2.resize(template, (wanted, wanted), interpolation=cv2.INTER_AREA))
+        likeness = cv2.matchTemplate(cells(crop), template, cv2.TM_CCOEFF_NORMED)
+        likeness = np.nan_to_num(np.asarray(likeness, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        if np.ptp(template, axis=(0, 1)).max() < 1.0:  # OpenCV says 1 where both are flat
+            likeness[:] = 0.0
+        likeness[likeness < CHANCE] = 0.0
+        sides = np.empty((4, *likeness.shape), np.float32)
+        sides[:] = np.tile(size / 2, 2)[:, None, None]
+        return Response(np.clip(likeness, 0.0, 1.0) ** 2, sides, CELL)
+
+    return Networks(describe, compare)
+
+
+LEAST = 1e-4
+"""Proposals of a smaller probability are left out."""
+FLAT = 8
+"""Gray levels between the darkest and the brightest of a crop in which nothing is to be seen."""
+TEMPLATES = 256
+"""Templates whose descriptions are kept."""
+
+Proposals = tuple[Floats, Floats]
+"""(M, 4) centre boxes in the frame, px; (M,) log-probabilities, the largest first."""
+
+
+class Memory:
+    """A network with its answers: a pure function of what it is given, that is quick the second time.
+
+    Threads may share it; OpenCV's networks themselves hold what they work on, so that one runs at a time.
+    """
+
+    def __init__(self, networks: Networks) -> None:
+        self._networks = networks
+        self._described: dict[bytes, Singles] = {}
+        self._image: Bytes | None = None
+        self._answers: dict[tuple[Crop, bytes, bytes], Proposals] = {}
+        self._lock = Lock()
+
+    def proposals(self, image: Bytes, crop: Crop, template: Bytes, size: Floats) -> Proposals:
+        """What the network proposes in a crop of a frame for a target of w, h `size` px."""
+        shown = template.tobytes()
+        key = (crop, shown, size.tobytes())
+        with self._lock:
+            if self._image is not image:
+                self._image = image
+                self._answers.clear()
+            found = self._answers.get(key)
+            if found is None:
+                found = self._answers[key] = self._asked(image, crop, shown, template, size)
+            return found
+
+    def _asked(self, image: Bytes, crop: Crop, shown: bytes, template: Bytes, size: Floats) -> Proposals:
+        features = self._described.get(shown)
+        if features is None:
+            if len(self._described) >= TEMPLATES:
+                self._described.clear()
+            features = self._described[shown] = self._networks.describe(template)
+        seen = crop.cut(image)
+        if int(seen.max()) - int(seen.min()) < FLAT:
+            return np.empty((0, 4)), np.empty(0)
+        expected = size * TEMPLATE / context_side(size) / crop.coarse
+        response = self._networks.compare(features, seen, expected)
+        probabilities = response.probabilities.reshape(-1).astype(np.float64)
+        order = np.argsort(-probabilities, kind="stable")
+        order = order[probabilities[order] >= LEAST]
+        return crop.boxes(response)[order], np.log(probabilities[order])

@@ -1,4 +1,4 @@
-"""Planes of motion since the previous frame: the flow of corners, and the motion of the camera."""
+"""Planes of motion since the previous frame: the flow of corners, the motion of the camera, pans."""
 
 from __future__ import annotations
 
@@ -9,10 +9,76 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.numerics.arrays import Array, Floats
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
 from bayesnet_track.observation.shared import for_reading
-from bayesnet_track.vision.planes.gray_plane import gray
+from bayesnet_track.vision.planes import gray
+
+Complexes = NDArray[np.complex128]
+
+SAMPLES = 128
+"""Pairs of points that are tried; with half of the points wrong, all are wrong once in 1e16 pictures."""
+ROUNDS = 3
+"""Fits to the points that agree, after the best pair."""
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """The flow of a picture that moves, turns and zooms as a whole.
+
+    Attributes:
+        matrix: (2, 3); the flow at (x, y) is matrix @ (x, y, 1), px.
+        agree: (P,) bool, the points that move so.
+    """
+
+    matrix: Floats
+    agree: NDArray[np.bool_]
+
+
+def similarity(points: Floats, tolerance: float) -> Similarity:
+    """The similarity that most points (P, 4) x, y, dx, dy follow to within `tolerance` px.
+
+    Pairs of points by a fixed sequence, each scored by the sum of min(r^2, tolerance^2) (MSAC); standing
+    still is one of the candidates, and what fewer than two points give. Then least squares over those
+    that agree.
+    """
+    place, flow = points[:, 0] + 1j * points[:, 1], points[:, 2] + 1j * points[:, 3]
+    centre = place.mean() if len(place) else 0j  # near the points, so that nothing is lost to rounding
+    place = place - centre
+    turn, shift = _candidates(place, flow)
+    away = _squares(flow - turn[:, None] * place - shift[:, None])
+    best = int(np.minimum(away, tolerance**2).sum(axis=1).argmin())
+    a, b = turn[best], shift[best]
+    agree = away[best] <= tolerance**2
+    for _ in range(ROUNDS):
+        if agree.sum() < 2:
+            break
+        z, f = place[agree], flow[agree]
+        middle, mean = z.mean(), f.mean()
+        spread = float(_squares(z - middle).sum())
+        a = (np.conj(z - middle) * (f - mean)).sum() / spread if spread > 0 else 0j
+        b = mean - a * middle
+        agree = _squares(flow - a * place - b) <= tolerance**2
+    b = b - a * centre
+    return Similarity(np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag]]), agree)
+
+
+def _squares(vectors: Complexes) -> Floats:
+    return np.asarray(vectors.real**2 + vectors.imag**2)  # the absolute value takes several times as long
+
+
+def _candidates(place: Complexes, flow: Complexes) -> tuple[Complexes, Complexes]:
+    """Turn and shift of standing still, and of the similarity through each of the sampled pairs."""
+    still = np.zeros(1, dtype=np.complex128)
+    if len(place) < 2:
+        return still, still
+    first, second = np.random.default_rng(0).integers(0, len(place), (2, SAMPLES))
+    apart = place[second] - place[first]
+    usable = apart != 0
+    first, second, apart = first[usable], second[usable], apart[usable]
+    turn = (flow[second] - flow[first]) / apart
+    return np.concatenate([still, turn]), np.concatenate([still, flow[first] - turn * place[first]])
+
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""
@@ -99,18 +165,18 @@ class FlowPlane:
 
     def _corners(self, frame: Frame, region: Region) -> NDArray[np.int64]:
         """(points, 2) x, y of the corners in the region: the best of each cell that the region touches."""
-        from bayesnet_track.vision.kernels import corner_kernels
+        from bayesnet_track.vision.kernels import flow_kernels
 
         cells = _aligned(region, self.spacing_px).within(frame)
-        crop = cells.grown(corner_kernels.RIM + 1).within(frame)
+        crop = cells.grown(flow_kernels.RIM + 1).within(frame)
         image = _brightness(frame, crop)
         scores = np.zeros(image.shape)
-        corner_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
+        flow_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
         origin, low = np.array([crop.x0, crop.y0]), np.array([cells.x0, cells.y0])
         high = np.array([cells.x1, cells.y1])
         across, down = -(-(high - low) // self.spacing_px)
         found = np.zeros((across * down, 2), dtype=np.int64)
-        found = found[: corner_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, found)]
+        found = found[: flow_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, found)]
         x, y = found[:, 0], found[:, 1]
         return found[(x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)]
 
@@ -135,7 +201,6 @@ class CameraPlane:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The matrix, from the whole frames."""
-        from bayesnet_track.vision.camera_motion import similarity
 
         interval = interval_of(frames)
         if frames.previous is None or not interval > 0:
@@ -270,3 +335,37 @@ def means_in_boxes(points: Array, boxes: Array, pixels_of: Region | None) -> tup
         r = pixels_of
         dense_in_boxes(points, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0, boxes, counts, means)
     return counts, means
+
+
+LEAST_RESPONSE = 0.1
+"""Share of the correlation around its peak that a picture has at least which moved, and was not replaced."""
+
+
+@dataclass(frozen=True)
+class PanPlane:
+    """Where most of the picture moved since the previous frame: (2,) float64 x, y, px.
+
+    The peak of the phase correlation of the whole frames in gray, halved until no side exceeds 160 px. It
+    follows moves of up to half the picture, which points that are tracked do not, and no turn or zoom. 0
+    without a previous frame, where the peak holds less than LEAST_RESPONSE, as between different scenes, and
+    in a picture so long that its other side shrinks to one pixel.
+    """
+
+    margin: ClassVar[None] = None
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = True
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The shift, from the whole frames."""
+        import cv2
+
+        if frames.previous is None or not interval_of(frames) > 0:
+            return np.zeros(2)
+        (now, scale), (then, _) = smaller_gray(frames.current), smaller_gray(frames.previous)
+        if min(now.width, now.height) < 2:
+            return np.zeros(2)
+        window = cv2.createHanningWindow((now.width, now.height), cv2.CV_32F)
+        shift, clear = cv2.phaseCorrelate(then.image.astype(np.float32), now.image.astype(np.float32), window)
+        if clear < LEAST_RESPONSE:
+            return np.zeros(2)
+        return np.asarray(shift, dtype=np.float64) * scale

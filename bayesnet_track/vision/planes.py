@@ -1,0 +1,343 @@
+"""Planes of a frame: all of it, brightness, hue, colour cells, texture codes, edges; differences of scenes.
+
+Colours and structure of two frames have to differ for a cut: another exposure changes the colours only, and
+something that passes close to the camera the structure only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.arrays import Array, Floats, Image, Singles
+from bayesnet_track.observation.geometry import crop_of
+from bayesnet_track.observation.planes import FramePair, Plane, Planes, Region, region_of_boxes
+from bayesnet_track.observation.shared import for_reading
+
+
+@dataclass(frozen=True)
+class WholeFrame:
+    """The frame's own picture, (H, W, 3) uint8 BGR, not copied and never cut: in frame coordinates."""
+
+    margin: ClassVar[None] = None
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = True
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The picture, whatever the region."""
+        return frames.current.image
+
+
+@dataclass(frozen=True)
+class GrayPlane:
+    """Brightness (rows, columns) uint8: .299 R + .587 G + .114 B, rounded in fixed point.
+
+    A gray source gives its own values back: the three weights sum to 1.
+    """
+
+    margin: ClassVar[int] = 0
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """(rows, columns) uint8 of the current frame on `region`."""
+        return gray(region.of(frames.current.image))
+
+
+def gray(image: Array) -> Array:
+    """(H, W) uint8 brightness of an (H, W, 3) uint8 BGR image, which may be empty."""
+    import cv2
+
+    if image.size == 0:
+        return np.zeros(image.shape[:2], dtype=np.uint8)
+    converted: Array = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return converted
+
+
+@dataclass(frozen=True)
+class Hue:
+    """Hue of each pixel, (rows, columns) int16: 0..255 round the circle, or -1 where there is no colour.
+
+    Attributes:
+        min_chroma: pixels whose largest and smallest channel differ by less than this (of 255, at least 1)
+            have no colour: their hue is noise.
+        median_px: side of the median filter on each channel before hue is taken: 1 (none), 3 or 5.
+    """
+
+    min_chroma: int = 30
+    median_px: int = 1
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
+
+    @property
+    def margin(self) -> int:
+        """Half the median filter."""
+        return self.median_px // 2
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """Hue on `region`."""
+        from bayesnet_track.vision.kernels.color_kernels import hue_of_bgr
+
+        frame = frames.current
+        if self.margin == 0 or region.is_empty:
+            return hue_of_bgr(region.of(frame.image), self.min_chroma)
+        import cv2
+
+        wide = region.grown(self.margin).within(frame)
+        smooth = cv2.medianBlur(np.ascontiguousarray(wide.of(frame.image)), self.median_px)
+        left, top = region.x0 - wide.x0, region.y0 - wide.y0
+        inner = Region(left, top, left + region.x1 - region.x0, top + region.y1 - region.y0)
+        return hue_of_bgr(inner.of(smooth), self.min_chroma)
+
+
+@dataclass(frozen=True)
+class HueBins:
+    """Hue in equal bins, (rows, columns) uint8: 0..bins-1, or `bins` where there is no colour.
+
+    Attributes:
+        bins: number of bins round the circle, at most 128.
+        min_chroma: as in `Hue`.
+    """
+
+    bins: int = 32
+    min_chroma: int = 30
+    margin: ClassVar[int] = 0
+    is_points: ClassVar[bool] = False
+
+    @property
+    def inputs(self) -> tuple[Plane, ...]:
+        """Hue."""
+        return (Hue(self.min_chroma),)
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """Bins on `region`."""
+        from bayesnet_track.vision.kernels.color_kernels import bins_of_hue
+
+        bin_of_hue = np.append(np.arange(256) * self.bins // 256, self.bins).astype(np.uint8)
+        return bins_of_hue(np.ascontiguousarray(inputs[0]), bin_of_hue)
+
+
+@dataclass(frozen=True)
+class ColorCells:
+    """Cell of each pixel, (rows, columns) uint16.
+
+    Attributes:
+        space: `rgb`, `levels` values of each channel; or `hsv`, `levels` hues and saturations, half as many
+            values (the chapter's 8 x 8 x 8 and 8 x 8 x 4).
+        levels: 2 .. 16, even.
+    """
+
+    space: Literal["rgb", "hsv"] = "rgb"
+    levels: int = 8
+    margin: ClassVar[int] = 0
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return self.levels**3 if self.space == "rgb" else self.levels**3 // 2
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """Cells on `region`."""
+        image = region.of(frames.current.image)
+        if image.size == 0:
+            return np.zeros(image.shape[:2], np.uint16)
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.vision.kernels.color_kernels import fill_color_cells
+
+        last = self.levels
+        if self.space == "hsv":
+            import cv2
+
+            image, last = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2HSV_FULL), self.levels // 2
+        cells: NDArray[np.uint16] = fill_color_cells(for_reading(image), _layout(self.levels, last))
+        return cells
+
+
+@lru_cache(maxsize=8)
+def _layout(levels: int, last: int) -> NDArray[np.uint16]:
+    """(2, 3) levels of each channel, `last` of the third, and what one of them adds to a cell's number."""
+    layout = np.array([[levels, levels, last], [levels * last, last, 1]], np.uint16)
+    layout.setflags(write=False)  # shared by all who ask for it
+    return layout
+
+
+def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
+    """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
+    cells, first = crop_of(planes, plane, region_of_boxes(boxes).within(planes.frame))
+    return for_reading(cells), np.array(first, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class TextureCodes:
+    """Code of each pixel, (rows, columns) uint8, below `bins`.
+
+    Attributes:
+        form: `patterns`, uniform local binary patterns of the 8 neighbours, however turned; or `gradients`,
+            the direction of the gradient, one of 8, or none where it is weak.
+        noise: differences up to this are none, gray levels.
+    """
+
+    form: Literal["patterns", "gradients"] = "gradients"
+    noise: int = 8
+    margin: ClassVar[int] = 1
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
+
+    @property
+    def bins(self) -> int:
+        """Number of codes."""
+        return 10 if self.form == "patterns" else 9
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """Codes on `region`; beyond the frame its border is repeated."""
+        from bayesnet_track.vision.kernels.patch_kernels import binary_patterns, gradient_directions
+
+        codes = np.empty((max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), np.uint8)
+        if codes.size == 0:
+            return codes
+        wanted = region.grown(1)
+        has = wanted.within(frames.current)
+        beyond = ((has.y0 - wanted.y0, wanted.y1 - has.y1), (has.x0 - wanted.x0, wanted.x1 - has.x1))
+        values = gray(has.of(frames.current.image))
+        values = values if has == wanted else np.pad(values, beyond, mode="edge")
+        if self.form == "patterns":
+            binary_patterns(values, self.noise, codes)
+        else:
+            gradient_directions(values, self.noise, codes)
+        return codes
+
+
+SOBEL = 8.0
+"""What a 3x3 Sobel filter makes of a slope of one gray level per pixel."""
+
+CONTRASTS = (1.0, 0.5, 2.0)
+"""The thresholds of the three edge sets, as factors of the plane's own; the first is used at first."""
+
+
+@dataclass(frozen=True)
+class EdgePlane:
+    """Canny's edges of the whole frame: (points, 3) int64 x, y, bits, ordered by row, then column.
+
+    Bit k of `bits` is set where the pixel is an edge at the threshold ``min_gradient_gray * CONTRASTS[k]``.
+    An edge starts at that gradient and goes on down to half of it. Always the whole frame, because an edge
+    may go on as far as it likes.
+
+    Attributes:
+        min_gradient_gray: gradient at which an edge starts, gray levels per pixel.
+        blur_px: standard deviation of the Gaussian that smooths the picture first; 0 for none.
+    """
+
+    min_gradient_gray: float = 8.0
+    blur_px: float = 1.0
+    margin: ClassVar[None] = None
+    is_points: ClassVar[bool] = True
+
+    @property
+    def inputs(self) -> tuple[Plane, ...]:
+        """Made from the brightness."""
+        return (GrayPlane(),)
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The edge points of the frame."""
+        import cv2
+
+        smooth = np.ascontiguousarray(inputs[0])
+        if self.blur_px > 0:
+            smooth = cv2.GaussianBlur(smooth, (0, 0), self.blur_px)
+        dx, dy = (
+            cv2.Sobel(smooth, cv2.CV_16S, *order, borderType=cv2.BORDER_REPLICATE)
+            for order in ((1, 0), (0, 1))
+        )
+        bits = np.zeros(smooth.shape, dtype=np.uint8)
+        for k, factor in enumerate(CONTRASTS):
+            high = SOBEL * factor * self.min_gradient_gray
+            bits |= cv2.Canny(dx, dy, 0.5 * high, high, L2gradient=True) & np.uint8(1 << k)
+        found = cv2.findNonZero(bits)
+        if found is None:
+            return np.empty((0, 3), dtype=np.int64)
+        points = found.reshape(-1, 2).astype(np.int64)
+        return np.column_stack([points, bits[points[:, 1], points[:, 0]]])
+
+
+SAMPLES = (64, 48)
+"""Columns and rows of pixels that stand for the frame."""
+CELLS = (32, 24)
+"""Columns and rows of the structure, each the mean of four samples."""
+SHIFT = (8, 6)
+"""Cells by which the view may have moved, each way."""
+BINS = 6
+"""Of the colour histogram, in each channel."""
+USUAL_LEVEL = 100.0
+"""Mean to which samples are brought before their colours are counted."""
+LEAST_SD = 4.0
+"""Standard deviation of the cells below which a frame shows no scene, as a black one."""
+BRIGHT = 245
+"""Gray level from which on a sample is saturated."""
+MOST_BRIGHT = 0.4
+"""Share of saturated samples from which on a frame shows no scene, as in a flash."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a frame shows, in a few numbers.
+
+    Attributes:
+        colors: (216,) square roots of the shares of colours, brought to a common brightness.
+        cells: (24, 32) gray levels.
+    """
+
+    colors: Singles
+    cells: Singles
+
+
+@dataclass(frozen=True)
+class SceneChange:
+    """How much two frames differ.
+
+    Attributes:
+        colors: Hellinger distance of their colours, 0 to 1.
+        structure: 1 - correlation of their gray levels at the best shift, 0 to 1.
+    """
+
+    colors: float
+    structure: float
+
+    @property
+    def distance(self) -> float:
+        """The geometric mean of both: 0 if either is 0, 1 if both are."""
+        return math.sqrt(self.colors * self.structure)
+
+
+def describe_scene(image: Image) -> Scene | None:
+    """What an image (H, W, 3) uint8 shows; None if that is nothing: a black frame, a flash."""
+    import cv2
+
+    samples = cv2.resize(image, SAMPLES, interpolation=cv2.INTER_NEAREST)
+    gray = cv2.cvtColor(samples, cv2.COLOR_BGR2GRAY)
+    cells = cv2.resize(gray, CELLS, interpolation=cv2.INTER_AREA)
+    cells = cv2.GaussianBlur(cells.astype(np.float32), (5, 5), 0.0)
+    if cells.std() < LEAST_SD or np.count_nonzero(gray >= BRIGHT) >= MOST_BRIGHT * gray.size:
+        return None
+    even = cv2.convertScaleAbs(samples, alpha=USUAL_LEVEL / max(cv2.mean(gray)[0], 1.0))
+    counts = cv2.calcHist([even], [0, 1, 2], None, [BINS] * 3, [0, 256] * 3)
+    return Scene(np.sqrt(counts.ravel() / gray.size), cells)
+
+
+def compare_scenes(before: Scene, after: Scene) -> SceneChange:
+    """How much the two differ."""
+    import cv2
+
+    across, down = SHIFT
+    middle = after.cells[down:-down, across:-across]
+    # Of a uniform middle the correlation is said to be 1 wherever it is looked for.
+    is_flat = float(middle.std()) < LEAST_SD / 4
+    match = 0.0 if is_flat else float(cv2.matchTemplate(before.cells, middle, cv2.TM_CCOEFF_NORMED).max())
+    shared = float(before.colors @ after.colors)
+    return SceneChange(math.sqrt(max(1.0 - shared, 0.0)), min(max(1.0 - match, 0.0), 1.0))

@@ -1,1 +1,0 @@
-"""The built-in feature planes of a frame."""

@@ -1,1 +1,0 @@
-"""Contours and the statistical model of their shape."""

@@ -1,1 +1,0 @@
-"""Siamese tracking networks: their two halves, the crops they see, and what is kept between questions."""

@@ -1,1 +1,0 @@
-"""Stereo matching, calibration and what is learnt of depth."""
