@@ -55,14 +55,16 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
         parser.print_help()
         return 2
     options.stop, options.parser, options.owns_process = stop, parser, arguments is None
+    from bayesnet_track.observation.settings import by_command_line
+
     try:
         if options.command == "doctor":  # works where the others cannot even be imported
             from bayesnet_track.cli.doctor import doctor
 
-            return doctor(options)
+            with by_command_line():
+                return doctor(options)
         from bayesnet_track.cli import dispatch as commands
         from bayesnet_track.cli.commands.answer import complain
-        from bayesnet_track.observation.settings import by_command_line
         from bayesnet_track.sources.entrances.notices import heard
 
         with heard(complain), by_command_line():

@@ -19,11 +19,11 @@ from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner
+from bayesnet_track.observation.depth import ways_of_depth
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.stereo_source import WAYS
 
 MOST_TIMES = 10
 """How many times as wide or high as the frame a start box may be: what is near is larger than the picture."""
@@ -228,6 +228,6 @@ def check_depth(engine: Engine, source: object) -> None:
         raise SourceError(
             str(getattr(source, "description", "")),
             f"one eye, and {', '.join(agents)} of the graph {'needs' if len(agents) == 1 else 'need'} depth",
-            f"a pair or another sensor's depth ({WAYS}, with --calibration FILE)",
+            ways_of_depth(),
             "give one of them, or another graph",
         )

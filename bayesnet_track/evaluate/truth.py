@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox
-from bayesnet_track.observation.settings import setting
+from bayesnet_track.observation.settings import setting, to_caller
 from bayesnet_track.sources.entrances.column_names import CORNERS, is_kitti, layout_of, plain
 from bayesnet_track.sources.entrances.line_forms import (
     count_up,
@@ -84,7 +84,8 @@ def start_box(path: str | Path, frame: int, form: TruthForm | None = None) -> Co
         raise ValueError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")
     x, y, w, h = (float(value) for value in boxes[frame])
     if math.isnan(x):
-        raise ValueError(f"{path}: the target is absent in frame {frame}; choose another --start")
+        another = to_caller("choose another --start", "choose another frame")
+        raise ValueError(f"{path}: the target is absent in frame {frame}; {another}")
     return x, y, w, h
 
 

@@ -13,6 +13,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol, TypeVar
 
+from bayesnet_track.observation.settings import setting
+
 OWN_PACKAGE = "bayesnet-track"
 
 _allowed: set[str] = set()
@@ -96,7 +98,7 @@ def why_absent(group: str, name: str) -> tuple[str, str] | None:
     if name not in _allowed:
         return (
             f"{name!r} of the package {_package(points[0])}, which is not allowed to run",
-            f"--allow-plugins {name} (allow_plugins=), if you trust that package",
+            f"{setting('--allow-plugins', name, repr([name]))}, if you trust that package",
         )
     return f"{name!r} of the package {_package(points[0])}, which cannot be loaded", "one that can"
 

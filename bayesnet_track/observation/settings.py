@@ -6,14 +6,31 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 PARAMETERS = {
+    "--allow-network": "allow_network=True",
+    "--allow-other-machine": "allow_other_machine=True",
+    "--allow-plugins": "allow_plugins",
+    "--board": "board",
+    "--calibration": "calibration",
+    "--cue-file": "cues",
+    "--depth": "depth",
     "--detections": "detections",
+    "--draws": "draws",
     "--end": "end",
+    "--executor": "executor",
+    "--keep-beliefs": "keep_beliefs=True",
+    "--map": "most_probable=True",
+    "--no-live": "live=False",
+    "--overwrite": "overwrite=True",
     "--range": "value_range",
+    "--right": "right",
+    "--set": "changes",
     "--start": "start",
+    "--stereo": "side_by_side",
     "--stride": "stride",
     "--truth-format": "form",
+    "--workers": "workers",
 }
-"""Option -> the parameter of the functions that take it."""
+"""Option -> the parameter of the functions that take it, with the value that a flag stands for."""
 
 _commands: list[None] = []
 """One for each command that is carried out in this process."""
@@ -21,7 +38,7 @@ _commands: list[None] = []
 
 @contextmanager
 def by_command_line() -> Iterator[None]:
-    """While it lasts, `setting` names options."""
+    """While it lasts, messages speak to who reads them in a terminal: `setting` names options."""
     _commands.append(None)
     try:
         yield
@@ -38,7 +55,18 @@ def setting(option: str, value: str = "", in_python: str | None = None) -> str:
     ...     setting("--range", "0,255", "(0, 255)")
     '--range 0,255'
     """
-    if _commands:
-        joint = "=" if value.startswith("-") else " " if value else ""
-        return f"{option}{joint}{value}"
-    return f"{PARAMETERS[option]}={value if in_python is None else in_python}"
+    joint = "=" if value.startswith("-") else " " if value else ""
+    name, equals, fixed = PARAMETERS[option].partition("=")
+    return to_caller(
+        f"{option}{joint}{value}",
+        f"{name}={fixed if equals else value if in_python is None else in_python}",
+    )
+
+
+def to_caller(command_line: str, python: str) -> str:
+    """The words for who reads a message: of a command, or of a program that calls the functions.
+
+    >>> to_caller("choose another --start", "choose another frame")
+    'choose another frame'
+    """
+    return command_line if _commands else python

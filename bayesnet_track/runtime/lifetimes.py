@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run
 
@@ -26,8 +27,7 @@ def kept_lifetimes(run: Run) -> Iterator[list[KeptBelief]]:
         raise KeptBeliefsError(f"{run.name}: it has been smoothed; use the run that it was made from")
     if not run.directory.beliefs.is_file():
         raise KeptBeliefsError(
-            f"{run.name}: it kept no beliefs; run it again with `--keep-beliefs` (in Python, "
-            "keep_beliefs=True)"
+            f"{run.name}: it kept no beliefs; run it again with `{setting('--keep-beliefs')}`"
         )
     started = TargetStarted | Returned
     births = {(event.target, event.frame) for event in run.events if isinstance(event, started)}

@@ -24,6 +24,7 @@ from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.lifetimes import KeptBeliefsError, kept_lifetimes
 from bayesnet_track.runtime.recording.beliefs import KeptBelief
 from bayesnet_track.runtime.recording.run_reader import Run
@@ -114,7 +115,8 @@ def _most_probable(
         raise SmoothingError(
             f"{run.name}: its particles were not all drawn from the motion in every frame, so that their "
             "weights do not tell the most probable trajectory; allowed: particles of a fixed size with "
-            "proposal: bootstrap, when: every_frame, no relocalize; grid; gaussian; or smooth without --map"
+            "proposal: bootstrap, when: every_frame, no relocalize; grid; gaussian; or smooth without "
+            f"{setting('--map')}"
         )
     return list(most_probable_trajectory(particles, moves, on_grid))
 

@@ -12,11 +12,9 @@ import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 
+from bayesnet_track.observation.settings import setting, to_caller
+
 TESTED = ("Linux", "x86_64")
-NO_WORKERS = (
-    "this system cannot start worker processes (it has no fork); take --executor serial, and no "
-    "--place AGENT=process"
-)
 
 
 def has_workers() -> bool:
@@ -24,12 +22,19 @@ def has_workers() -> bool:
     return hasattr(os, "fork") and hasattr(socket, "send_fds")
 
 
+def no_workers() -> str:
+    """Why there are no worker processes, and what to do."""
+    serial = setting("--executor", "serial", "'serial'")
+    place = to_caller("no --place AGENT=process", "no agent in places= a process")
+    return f"this system cannot start worker processes (it has no fork); take {serial}, and {place}"
+
+
 def lacking() -> Iterator[str]:
     """What is missing here, and what that means, one clause each."""
     if not has_workers():
-        yield "no worker processes (--executor processes)"
+        yield f"no worker processes ({setting('--executor', 'processes', repr('processes'))})"
     if sys.platform == "darwin":
-        yield "no limit on memory (--agent-memory limits nothing)"
+        yield f"no limit on memory ({to_caller('--agent-memory', 'Limits.memory_mb')} limits nothing)"
     if find_spec("fcntl") is None and find_spec("msvcrt") is None:
         yield "no lock on files (two runs may write one folder)"
     if sys.platform == "win32":

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.entrances.stacks import is_animated_png
@@ -150,7 +151,7 @@ def _of_network(text: str, live: bool | None, value_range: ValueRange | None) ->
     if live is None and not flow.is_sure:
         notice(
             f"{shown_address(text)}: taken as live, since {flow.endless}: the newest frame is tracked, the "
-            "others are dropped; --no-live (live=False) reads every frame"
+            f"others are dropped; {setting('--no-live')} reads every frame"
         )
     from bayesnet_track.sources.stream import stream_reader
 
@@ -169,7 +170,7 @@ def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
         raise SourceError(
             text,
             "it is on the network",
-            "network sources with --allow-network (allow_network=True)",
+            f"network sources with {setting('--allow-network')}",
             "add that",
         )
 

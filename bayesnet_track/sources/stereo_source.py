@@ -18,6 +18,7 @@ from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.depth import Depth, PointMap, RightEye
 from bayesnet_track.observation.image_files import read_checked
 from bayesnet_track.observation.image_size import PictureError, check_size
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange
 from bayesnet_track.sources.frames import OnResize, Source
 from bayesnet_track.sources.images import ImageReader, times_of
@@ -34,7 +35,6 @@ Completed = tuple[Image, Depth]
 Completer = Callable[[int, Picture | None, Image], Completed]
 """(frame, the second eye's picture, the first eye's pixels) -> the frame's own pixels and its depth."""
 
-WAYS = "--right SOURCE, --stereo side_by_side or --depth FOLDER"
 OUT_OF_STEP = 0.5
 """Pictures of a pair whose times differ by more than this many frame intervals are not of one moment."""
 
@@ -71,14 +71,16 @@ def open_stereo_source(
     """
     given = sum((right is not None, depth is not None, side_by_side))
     if given != 1:
-        raise SourceError(left, f"{given} second eyes are given", f"one of {WAYS}", "choose one")
+        right_eye, halves_of_one = setting("--right", "SOURCE"), setting("--stereo", "side_by_side", "True")
+        ways = f"one of {right_eye}, {halves_of_one} and {setting('--depth', 'FOLDER')}"
+        raise SourceError(left, f"{given} second eyes are given", ways, "choose one")
     check_range(left, start, end)
     rectifier = None if calibration is None else read_calibration(Path(calibration))
     if rectifier is None and depth is None:
         raise SourceError(
             left,
             "a pair without a calibration has no depth",
-            "a pair with --calibration FILE (OpenCV YAML)",
+            f"a pair with {setting('--calibration', 'FILE')} (OpenCV YAML)",
             "make one from chessboard pictures with `bayesnet-track calibrate`",
         )
     shown = shown_address(left)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.observation.depth import StereoGeometry
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.vision.planes import gray
 
 RECTIFIED = ("focal_px", "baseline_m", "centre_x_px", "centre_y_px")
@@ -314,8 +315,8 @@ def calibrate(
         one, other = (sum(pair[k] is not None for pair in seen) for k in (0, 1))
         raise CalibrationError(
             f"a board of {board[0]}x{board[1]} inner corners is whole in {len(used)} of {len(seen)} pairs "
-            f"({one} left pictures, {other} right ones); at least {LEAST_VIEWS} are needed; check --board, "
-            "which counts the corners where four squares meet"
+            f"({one} left pictures, {other} right ones); at least {LEAST_VIEWS} are needed; check "
+            f"{setting('--board', 'AxB', '(A, B)')}, which counts the corners where four squares meet"
         )
     size = next(iter(sizes))
     world = np.zeros((board[0] * board[1], 3), dtype=np.float32)

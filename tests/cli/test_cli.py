@@ -671,7 +671,7 @@ MISTAKES = {
     "run general --source http://localhost/x.mp4 --out {out} --init 1,2,3,4": (
         4,
         "bayesnet-track run: source 'http://localhost/x.mp4': it is on the network; allowed: network sources "
-        "with --allow-network (allow_network=True); add that",
+        "with --allow-network; add that",
     ),
     "log {wrong}/nothing": (4, "bayesnet-track log: {wrong}/nothing: not a run directory: no such folder"),
     "score {images}": (4, "bayesnet-track score: {images}: not a run directory: no journal.jsonl in it"),

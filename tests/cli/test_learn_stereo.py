@@ -112,7 +112,7 @@ def test_boxes_without_a_blob_are_left_out_by_name(work: Scene, capsys: pytest.C
             ["--source", "left", *TRUTH],
             4,
             "bayesnet-track learn-stereo: source 'left': 0 second eyes are given; allowed: one of "
-            "--right SOURCE, --stereo side_by_side or --depth FOLDER; choose one\n",
+            "--right SOURCE, --stereo side_by_side and --depth FOLDER; choose one\n",
         ),
         (
             ["--source", "left", "--right", "right", *TRUTH],

@@ -62,7 +62,7 @@ def test_paths_that_lead_nowhere(change, said):
     [
         (
             "square.adapt.activat.above.ud_px2=4",
-            "--set:targets.square.nodes.square.adapt.activat: .* nearest: activate",
+            "changes:targets.square.nodes.square.adapt.activat: .* nearest: activate",
         ),
         ("square.adapt.activate.above.ud_px2=many", "ud_px2 is 'many'; allowed: a number above 0"),
         ("color.agent.color_histogram.bin=9", "unknown key 'bin'.*nearest: bins"),

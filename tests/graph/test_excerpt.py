@@ -9,6 +9,7 @@ from bayesnet_track.graph.text.hints import A_NODE, RULES, hint_of
 from bayesnet_track.graph.text.load import load_graph, read_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graphs import find_graph
+from bayesnet_track.observation.settings import by_command_line
 
 SLIPS = {
     "    nodes:\n": (
@@ -142,7 +143,8 @@ def test_a_usual_slip_is_shown_with_its_line_and_a_hint(right, tmp_path, monkeyp
     (tmp_path / "wrong.yaml").write_text(text.replace(right, wrong, 1), encoding="utf-8")
     with pytest.raises(GraphError) as raised:
         load_graph("./wrong.yaml")
-    assert describe_error(raised.value).replace("./wrong", "wrong") == shown
+    with by_command_line():
+        assert describe_error(raised.value).replace("./wrong", "wrong") == shown
 
 
 def test_every_rule_is_for_a_slip_of_this_file():

@@ -210,7 +210,7 @@ def test_a_cue_file_is_recorded_and_needed_to_resume(folder, capsys):
 
     assert refused() == (
         f"its cue 'glance' is the code in glance.py (SHA-256 {digest}), which is run only when it is named: "
-        "--cue-file glance.py (cues=)"
+        "cues=['glance.py']"
     )
     (folder / "glance.py").write_text(GLANCE.replace("/ 10", "/ 11"))
     assert re.fullmatch(

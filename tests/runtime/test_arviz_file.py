@@ -109,13 +109,13 @@ def test_the_file_is_opened_by_arviz(particle_run, tmp_path):
 def test_a_run_without_beliefs_is_refused_with_the_cure(particle_run, tmp_path):
     shutil.copytree(particle_run.directory.path, tmp_path / "run")
     (tmp_path / "run/beliefs.jsonl").unlink()
-    with pytest.raises(KeptBeliefsError, match="run it again with `--keep-beliefs`"):
+    with pytest.raises(KeptBeliefsError, match="run it again with `keep_beliefs=True`"):
         beliefs_as_dataset(open_run(tmp_path / "run"), 10)
 
 
 def test_too_many_numbers_are_refused(particle_run, monkeypatch):
     monkeypatch.setattr(arviz_file, "MAX_NUMBERS", 1000)
-    with pytest.raises(ArvizError, match="fewer --draws"):
+    with pytest.raises(ArvizError, match="fewer draws"):
         beliefs_as_dataset(particle_run)
 
 

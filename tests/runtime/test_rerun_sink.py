@@ -124,7 +124,7 @@ def test_another_package_of_that_name(monkeypatch):
 def test_a_file_that_is_there_stays(made, tmp_path):
     path = tmp_path / "old.rrd"
     path.write_bytes(b"old")
-    with pytest.raises(RerunError, match="--overwrite"), rerun_sinks(str(path), "g"):
+    with pytest.raises(RerunError, match="overwrite=True"), rerun_sinks(str(path), "g"):
         pass
     assert path.read_bytes() == b"old" and made == []
     with pytest.raises(RerunError, match="cannot open"):

@@ -102,7 +102,7 @@ def test_a_run_is_not_overwritten_by_itself(particle_run):
 def test_a_run_that_kept_no_beliefs_says_how_to(particle_run, tmp_path):
     shutil.copytree(particle_run.directory.path, tmp_path / "run")
     (tmp_path / "run/beliefs.jsonl").unlink()
-    with pytest.raises(KeptBeliefsError, match="kept no beliefs; run it again with `--keep-beliefs`"):
+    with pytest.raises(KeptBeliefsError, match="kept no beliefs; run it again with `keep_beliefs=True`"):
         smooth(open_run(tmp_path / "run"))
 
 

@@ -47,7 +47,7 @@ def test_windows_lacks_workers_and_signals(on):
     on("win32", "Windows", "AMD64")
     said = system.describe_missing()
     assert said.startswith("Windows AMD64 is not tested (Linux x86_64 is); missing here: no worker processes")
-    for missing in ("--executor processes", "SIGTERM", "sync of folders"):
+    for missing in ("executor='processes'", "SIGTERM", "sync of folders"):
         assert missing in said
     assert "two runs" not in said or sys.platform != "win32", "msvcrt locks there"
 

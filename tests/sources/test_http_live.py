@@ -187,7 +187,7 @@ def test_a_stream_of_no_declared_length_is_taken_as_live_with_a_notice(tmp_path)
     serve = whole(film(tmp_path / "film.ts", "mpegts"), "video/mp2t", with_length=False)
     with camera(*[serve] * 9) as (address, _):
         with (
-            pytest.warns(InputNotice, match=r"no length.*--no-live"),
+            pytest.warns(InputNotice, match=r"no length.*live=False"),
             open_source(address, allow_network=True) as source,
         ):
             assert source.is_live

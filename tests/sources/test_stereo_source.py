@@ -128,7 +128,7 @@ def test_files_without_a_partner_are_named(tmp_path, calibration):
 def test_a_missing_eye_and_a_missing_calibration(tmp_path, calibration):
     left = folder(tmp_path / "l", range(3))
     refused("no such file or folder", left, right=str(tmp_path / "nowhere"), calibration=calibration)
-    refused("without a calibration.*--calibration FILE.*calibrate", left, right=str(left))
+    refused("without a calibration.*calibration=FILE.*calibrate", left, right=str(left))
     refused("0 second eyes", left, calibration=calibration)
     refused("2 second eyes", left, right=str(left), side_by_side=True, calibration=calibration)
     refused("no depth file", left, depth=str(tmp_path), calibration=None)

@@ -85,7 +85,7 @@ def test_what_cannot_be_calibrated_is_refused(boards):
         calibrate(left, right[:-1], BOARD, SQUARE)
     with pytest.raises(CalibrationError, match=r"several sizes \(200x150, 400x300\)"):
         calibrate(left, [*right[:-1], right[-1][::2, ::2]], BOARD, SQUARE)
-    with pytest.raises(CalibrationError, match=r"9x7 .* whole in 0 of 7 pairs .* check --board"):
+    with pytest.raises(CalibrationError, match=r"9x7 .* whole in 0 of 7 pairs .* check board="):
         calibrate(left, right, (9, 7), SQUARE)
 
 

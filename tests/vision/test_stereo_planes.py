@@ -140,7 +140,7 @@ def test_a_point_map_stands_in_for_the_pair_and_is_not_changed():
 
 def test_one_eye_is_refused_with_the_way_out():
     now = Frame(0, 0.0, picture()[:, :160])
-    with pytest.raises(NoDepth, match=r"--right SOURCE.*--calibration FILE"):
+    with pytest.raises(NoDepth, match=r"right=SOURCE.*calibration=FILE.*depth="):
         PointsPlane().compute(FramePair(now, None), (), WHOLE)
 
 

@@ -94,6 +94,7 @@ class _Late(Exception):
 def _done(line: str, timeout_s: float | None = None) -> Row:
     from bayesnet_track.cli.batch.work import do
     from bayesnet_track.cli.commands.answer import words
+    from bayesnet_track.observation.settings import by_command_line
 
     job, began = Job.from_json(line), time.monotonic()
 
@@ -102,8 +103,9 @@ def _done(line: str, timeout_s: float | None = None) -> Row:
             raise _Late
 
     try:
-        allow(job)
-        return do(job, progress)
+        with by_command_line():
+            allow(job)
+            return do(job, progress)
     except _Late:
         return timed_out_row(job, timeout_s or 0.0)
     except (OSError, ValueError) as error:

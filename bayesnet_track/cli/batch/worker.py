@@ -17,6 +17,7 @@ def main() -> int:
     """Do one job; the exit code."""
     from bayesnet_track.cli.batch.work import do, failed_row
     from bayesnet_track.cli.commands.answer import words
+    from bayesnet_track.observation.settings import by_command_line
     from bayesnet_track.sources.entrances.notices import heard
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch decides
@@ -36,8 +37,8 @@ def main() -> int:
             send({"done": done, "expected": expected})
 
     try:
-        allow(job)
-        with heard(lambda text: send({"notice": text})):
+        with heard(lambda text: send({"notice": text})), by_command_line():
+            allow(job)
             row = do(job, progress)
         send({"row": row})
     except (OSError, ValueError) as error:

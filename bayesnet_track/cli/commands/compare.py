@@ -99,7 +99,9 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     if options.json:
         say(_as_json(first, second, compared, settings))
     else:
-        say(compare_text(first, second, compared, settings, 2**62 if options.all else SHOWN_MOMENTS))
+        shown = 2**62 if options.all else SHOWN_MOMENTS
+        hint = "; --all lists them all, --html draws them"
+        say(compare_text(first, second, compared, settings, shown, hint))
     if options.html is not None:
         complain(f"wrote {options.html}")
     return OK

@@ -43,9 +43,9 @@ JSON_LINES = (".jsonl", ".json", ".ndjson")
 
 def detect(options: argparse.Namespace) -> int:
     """Detect in every frame; write MOT or JSON Lines, and a video on request."""
+    from bayesnet_track.observation.depth import ways_of_depth
     from bayesnet_track.observation.detector import DetectorError, LearningDetector
     from bayesnet_track.sources.paths import SourceError
-    from bayesnet_track.sources.stereo_source import WAYS
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
@@ -64,7 +64,7 @@ def detect(options: argparse.Namespace) -> int:
         try:
             declaration.check_source(source.has_color, source.has_depth)
         except DetectorError as error:
-            needed = "one with colour" if declaration.needs_color else f"a pair or depth ({WAYS})"
+            needed = "one with colour" if declaration.needs_color else ways_of_depth()
             mend = "give one, or use another detector"
             raise SourceError(source.description, str(error), needed, mend) from error
         try:

@@ -177,10 +177,10 @@ def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None
 def executor_of(options: argparse.Namespace) -> Executing:
     """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
-    from bayesnet_track.runtime.system import NO_WORKERS, has_workers
+    from bayesnet_track.runtime.system import has_workers, no_workers
 
     if options.executor == "processes" and not has_workers():
-        raise UsageError(NO_WORKERS)
+        raise UsageError(no_workers())
     patience, least = options.agent_timeout, Limits()
     limits = Limits(
         least.answer_s if patience is None else patience,

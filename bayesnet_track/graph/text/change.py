@@ -14,6 +14,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.messages import GraphError, listed, nearest, shown_name
 from bayesnet_track.graph.text.write import flow_text
 from bayesnet_track.observation.masks import Mask
+from bayesnet_track.observation.settings import to_caller
 
 Keys = tuple[str, ...]
 
@@ -50,7 +51,7 @@ def change_graph(
     try:
         return check_graph(data if adaptation else always_on(data), masks=masks)
     except GraphError as error:
-        raise GraphError([replace(one, file="--set") for one in error.errors]) from None
+        raise GraphError([replace(one, file=to_caller("--set", "changes")) for one in error.errors]) from None
 
 
 def always_on(data: Mapping[str, Any]) -> dict[str, Any]:

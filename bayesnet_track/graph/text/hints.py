@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from bayesnet_track.graph.settings.base import Choice, PluginChoice
 from bayesnet_track.graph.spec import GraphSpec, Target
 from bayesnet_track.graph.text.messages import GraphMessage, listed, shown_name
+from bayesnet_track.observation.settings import setting
 
 
 @dataclass(frozen=True)
@@ -197,8 +198,10 @@ def _parent(_: re.Match[str], message: GraphMessage) -> str:
 
 def _own_cue(_: re.Match[str], message: GraphMessage) -> str:
     """A name that is like no installed cue's is no slip of the pen."""
-    own = "a cue of your own is given as --cue-file FILE, one of another package as --allow-plugins NAME"
-    return "" if message.nearest else own
+    if message.nearest:
+        return ""
+    own, other = setting("--cue-file", "FILE", "[FILE]"), setting("--allow-plugins", "NAME", "['NAME']")
+    return f"a cue of your own is given as {own}, one of another package as {other}"
 
 
 def _opened(what: str, or_else: str = "") -> Callable[[re.Match[str], GraphMessage], str]:

@@ -52,8 +52,9 @@ def compare_text(
     comparison: Comparison,
     settings: Sequence[str],
     shown: int = SHOWN_MOMENTS,
+    hint: str = "",
 ) -> str:
-    """The whole comparison as plain text."""
+    """The whole comparison as plain text; `hint` says where those are that `shown` leaves out."""
     lines = [
         " ".join([letter, "", run.name, *(f"({one})" for one in marks_of(run))])
         for letter, run in (("A", first), ("B", second))
@@ -72,7 +73,7 @@ def compare_text(
                 *(f"    {one}" for one in sides(first, second, moment)),
             ]
         if len(rest) > shown:
-            lines.append(f"  ... and {len(rest) - shown} more; --all lists them all, --html draws them")
+            lines.append(f"  ... and {len(rest) - shown} more{hint}")
     return name_targets("\n".join(lines), common_kinds(first, second, comparison))
 
 

@@ -19,6 +19,7 @@ from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import OutputError, Position, write_atomically
 from bayesnet_track.observation.depth import PointMap, RightEye
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.state_codec import StateError, decode_state, state_format
 from bayesnet_track.runtime.recording.record import Written
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
@@ -206,7 +207,8 @@ def _of_another(path: Path, what: str) -> str:
         versions = json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         versions = None
-    return f"{path}: {describe_other(what, versions, 'resume')}, or start the run again with --overwrite"
+    other, anew = describe_other(what, versions, "resume"), setting("--overwrite")
+    return f"{path}: {other}, or start the run again with {anew}"
 
 
 _NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_frames")

@@ -19,7 +19,7 @@ from bayesnet_track.runtime.executors.placing import (
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
-from bayesnet_track.runtime.system import NO_WORKERS, has_workers
+from bayesnet_track.runtime.system import has_workers, no_workers
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
@@ -77,7 +77,7 @@ class Executing:
         specs = agent_specs(engine, places, self._cues)
         if specs:
             if not has_workers():
-                raise PlacingError(NO_WORKERS)
+                raise PlacingError(no_workers())
             again = retries if self._retries is None else self._retries
             transport = self.processes = Processes(specs, self.workers, self._limits, again)
             self._open.callback(transport.close)

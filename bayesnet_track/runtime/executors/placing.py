@@ -8,6 +8,7 @@ from typing import Literal
 
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.observation.cue import CueDeclaration
+from bayesnet_track.observation.settings import to_caller
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.runtime.executors.proxy import SentFrames, Transport, make_proxy
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec
@@ -30,7 +31,8 @@ def parse_places(texts: Iterable[str]) -> dict[str, Place]:
         agent, _, where = text.partition("=")
         found = next((place for place in PLACES if place == where), None)
         if found is None or not agent:
-            raise PlacingError(f"--place {text!r}: AGENT=WHERE is needed, WHERE one of {', '.join(PLACES)}")
+            name = to_caller("--place", "place")
+            raise PlacingError(f"{name} {text!r}: AGENT=WHERE is needed, WHERE one of {', '.join(PLACES)}")
         places[agent] = found
     return places
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.child import cut
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
 from bayesnet_track.runtime.executors.questions import Answer, Call, EncodedReference, Sent
@@ -29,9 +30,10 @@ class NoWorkerError(BaseException):
     """
 
     def __init__(self, reason: str) -> None:
+        fewer, serial = setting("--workers", "N"), setting("--executor", "serial", "'serial'")
         super().__init__(
             f"no worker process can be started ({reason}); raise the limits (`ulimit -n`, `ulimit -u`), give "
-            "fewer --workers, or use --executor serial, which gives the same results"
+            f"fewer workers ({fewer}), or use {serial}, which gives the same results"
         )
 
 

@@ -16,6 +16,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.resampling import systematic
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.lifetimes import kept_lifetimes
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
@@ -69,7 +70,7 @@ def beliefs_as_dataset(run: Run, draws: int = 500, seed: int = 0) -> Any:
             if (len(variables) + 1) * int(np.prod(shape)) > MAX_NUMBERS:
                 raise ArvizError(
                     f"{draws} draws of {len(targets)} targets in {len(frames)} frames are more than "
-                    f"{MAX_NUMBERS:,} numbers; take fewer --draws"
+                    f"{MAX_NUMBERS:,} numbers; take fewer draws ({setting('--draws', 'N')})"
                 )
             variables[name] = np.full(shape if values.ndim else shape[2:], np.nan, dtype=np.float32)
         variables[name][..., targets[target], frames[frame]] = values

@@ -31,6 +31,7 @@ from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Measurement
+from bayesnet_track.observation.settings import setting
 
 MOST_CELLS = 4000
 """Cells of a grid that are kept: the heaviest."""
@@ -70,9 +71,10 @@ def check_kept(graph: GraphSpec) -> None:
     for kind, plate in graph.targets.items():
         for name, node in plate.nodes.items():
             if isinstance(node, InferenceNode) and node.modes and node.belief and node.belief.gaussian:
+                keep = setting("--keep-beliefs")
                 raise UnkeptBeliefError(
-                    f"--keep-beliefs: {kind}.{name} is Gaussian in modes, which cannot be smoothed yet; "
-                    "allowed: belief: particles, or no --keep-beliefs"
+                    f"{keep}: {kind}.{name} is Gaussian in modes, which cannot be smoothed yet; "
+                    f"allowed: belief: particles, or no {keep}"
                 )
 
 

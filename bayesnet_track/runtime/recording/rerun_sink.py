@@ -18,6 +18,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.results import Result
 
 JPEG_QUALITY = 85
@@ -42,9 +43,9 @@ def rerun_sinks(file: str | None, name: str, overwrite: bool = False) -> Iterato
     try:
         taken = bool(file) and is_there(Path(file))
     except OSError as error:  # a name that is too long
-        raise RerunError(f"--rerun: cannot open {file}: {error.strerror}") from error
+        raise RerunError(f"Rerun cannot open {file}: {error.strerror}") from error
     if taken and not overwrite:
-        raise RerunError(f"{file}: it is there already; --overwrite replaces it")
+        raise RerunError(f"{file}: it is there already; {setting('--overwrite')} replaces it")
     sink = RerunSink(Path(file) if file else None, name)
     try:
         yield [sink]
@@ -88,7 +89,7 @@ class RerunSink:
                 self._recording.save(path)
         except (OSError, RuntimeError) as error:
             what = "the viewer" if path is None else str(path)
-            raise RerunError(f"--rerun: cannot open {what}: {error}") from error
+            raise RerunError(f"Rerun cannot open {what}: {error}") from error
         self._events: list[Event] = []
         self._shown: set[str] = set()
 

@@ -11,6 +11,7 @@ from typing import Self
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import JournalError, check_version
 from bayesnet_track.journal.writer import PART
+from bayesnet_track.observation.settings import setting
 
 MOST_FIRST_LINE = 1 << 24
 """Bytes of a journal's first line that are looked at."""
@@ -160,7 +161,7 @@ class RunDirectory:
         if not overwrite:
             raise RunDirectoryError(
                 f"{self.path}: a run is there already; give another folder, or overwrite it "
-                "(--overwrite, overwrite=True)"
+                f"({setting('--overwrite')})"
             )
 
     def clear(self) -> None:

@@ -26,7 +26,7 @@ def test_a_worker_that_cannot_start_is_no_agent_without_answer(monkeypatch, tmp_
 
     monkeypatch.setattr(ForkServer, "worker", worker)
     scene = SceneSource.named("two_squares", 0, 4)
-    with pytest.raises(PlacingError, match=r"Too many open files.*ulimit -n.*--executor serial"):
+    with pytest.raises(PlacingError, match=r"Too many open files.*ulimit -n.*executor='serial'"):
         list(
             track(
                 "two_squares",
