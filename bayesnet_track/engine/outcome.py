@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,11 +17,16 @@ from bayesnet_track.engine.findings import Heard
 from bayesnet_track.engine.frame_metrics import Lines, WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reaches_of
-from bayesnet_track.engine.rows.particle_table import ParticleStates
+from bayesnet_track.engine.rows.columns import Rows
+from bayesnet_track.engine.rows.judging import JudgedRows
 from bayesnet_track.engine.rows.plain_rows import Results
+from bayesnet_track.engine.rows.row_heard import RowHeard
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, recompile
-from bayesnet_track.journal.events.event import Event, Input
+from bayesnet_track.engine.targets import Records, Targets
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net, apply_decisions
@@ -27,6 +34,8 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision.planes import Scene
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,25 +84,67 @@ class Outcome:
     heard: Mapping[str, Heard] = field(default_factory=dict)
 
 
-def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelief) -> Outcome:
-    """The outcome of the targets' frames, in the order of `results`: decisions are carried out."""
+def carry_out(
+    work: FrameWork,
+    state: State,
+    results: Results,
+    joint: JointBelief,
+    judged: Sequence[JudgedRows] = (),
+) -> Outcome:
+    """The outcome of the targets' frames: decisions are carried out, of rows first."""
     net, others = work.net, {}
     events: list[Event] = [*joint.events]
+    for one in judged:
+        net = apply_decisions(net, one.decisions)
+        events += one.decisions
     for target, result in results.others.items():
         net = apply_decisions(net, result.decisions)
         others[target] = recompile(work.engine, net, target, result.state)
         events += [*result.events, *result.decisions]
+    metrics: Sequence[FrameMetrics] = Lines(results.lines, results.boxes) if len(results) else ()
+    tables = [group.table for group in results.groups]
     targets: Mapping[str, TargetState] = others
-    if results.groups:
-        targets = ParticleStates([group.table for group in results.groups], others, results.order)
+    if tables:
+        targets = Targets((), tables, others, results.order)
+    made = partial(WhenAsked, results.order)
+    covariances: Mapping[str, Floats] = made(lambda target: results[target].covariance())
+    heard: Mapping[str, Heard] = made(lambda target: results[target].heard())
+    history = state.history
+    if judged:
+        several = [one.table(work.frame.time, net.targets) for one in judged]
+        targets = Targets(several, tables, others, results.order)
+        apart = {one: history.records[one] for one in results.order if one in history.records}
+        history = changed(history, records=Records(several, apart))
+        metrics = _lines_of(work, judged, several, metrics)
+        covariances = _joined([WhenAsked(rows.ids, rows.covariance) for rows in several], covariances)
+        heard = _joined([RowHeard(rows) for rows in several], heard)
     return Outcome(
-        changed(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
-        Lines(results.lines, results.boxes) if len(results) else (),
+        changed(state, net=net, targets=targets, previous=work.frame, joins=joint.memory, history=history),
+        metrics,
         tuple(events),
-        WhenAsked(results.order, lambda target: results[target].covariance()),
+        covariances,
         work.seconds,
-        heard=WhenAsked(results.order, lambda target: results[target].heard()),
+        heard=heard,
     )
+
+
+def _lines_of(
+    work: FrameWork, judged: Sequence[JudgedRows], tables: Sequence[Rows], others: Sequence[FrameMetrics]
+) -> Sequence[FrameMetrics]:
+    """The lines of all: those of the first table as columns."""
+    first, *more = (
+        RowMetrics(rows, one.measured, work, one.before.columns.is_lost)
+        for one, rows in zip(judged, tables, strict=True)
+    )
+    return first.with_born((*(line for of in more for line in of), *others)) if more or others else first
+
+
+def _joined(tables: Sequence[Mapping[str, Value]], others: Mapping[str, Value]) -> Mapping[str, Value]:
+    if len(tables) == 1 and not others:
+        return tables[0]
+    several = (*tables, others)
+    ids = [target for one in several for target in one]
+    return WhenAsked(ids, lambda target: next(one for one in several if target in one)[target])
 
 
 def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
@@ -119,11 +170,11 @@ def moments_of(
     names = list(targets)
     boxes, variances = np.empty((len(names), 4)), np.empty((len(names), 4))
     at = dict(zip(names, range(len(names)), strict=True))
-    tables = targets.tables if isinstance(targets, ParticleStates) else ()
-    for table in tables:
+    several = Targets.of(targets)
+    for table in several.particles:
         rows = [at[target] for target in table.ids]
         boxes[rows], variances[rows] = table.clouds.box_moments
-    for target, one in (targets.others if isinstance(targets, ParticleStates) else targets).items():
+    for target, one in several.others.items():
         spread = known.get(target)
         boxes[at[target]] = one.belief.mean[:4]
         variances[at[target]] = (one.belief.covariance if spread is None else spread).diagonal()[:4]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
@@ -29,14 +28,16 @@ from bayesnet_track.engine.outcome import (
     with_joins,
     with_load,
 )
-from bayesnet_track.engine.rows.advancing import advance_rows
+from bayesnet_track.engine.rows.advancing import FilteredGaussians, filter_gaussians
 from bayesnet_track.engine.rows.filtered_rows import Together
-from bayesnet_track.engine.rows.finding import find_rows
+from bayesnet_track.engine.rows.finding import arrange
 from bayesnet_track.engine.rows.fitting import row_rule
+from bayesnet_track.engine.rows.judging import judge_rows
 from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.engine.scoring.scene_cuts import cut_level, find_cuts
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.statuses import SceneCut
@@ -77,6 +78,7 @@ class Batch:
         targets: target -> its state before the frame, with the detections that it is given.
         cuts: scene cuts before the frame.
         associated: the detections, and whose they are.
+        gaussians: the first half of the frame of tables of Gaussian beliefs.
         joint: target -> the first half of its frame, with the weights of its joint belief if it has one.
         outcome: what the frame gave so far.
     """
@@ -84,11 +86,12 @@ class Batch:
     work: FrameWork
     state: State
     inputs: ExternalInputs
-    targets: Mapping[str, TargetState]
+    targets: Targets
     joint: JointBelief
     outcome: Outcome
     cuts: tuple[SceneCut, ...] = ()
     associated: Associated | None = None
+    gaussians: tuple[FilteredGaussians, ...] = ()
 
 
 def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input] = ()) -> Outcome:
@@ -131,18 +134,20 @@ def make_engine(
 def compile_stages(engine: Engine) -> tuple[Stage, ...]:
     """The stages of a graph: only what it asks for."""
     plates = engine.plates.values()
-    by_target = [Stage("filter", filter_targets, (filter_rows, filter_target))]
-    if any(compiled.association_rules for compiled in plates):
-        by_target.insert(0, Stage("associate", associate_targets, (associate_first,)))
+    has_tables = any(row_rule(engine, plate) is not None for plate in engine.plates)
+    stages = [Stage("filter", filter_targets, (filter_rows, filter_target))]
     if any(join.attachment is not None for join in engine.joins):
-        by_target[-1] = Stage("carry and filter", filter_carried, (Rides.of, filter_rows, filter_target))
+        stages = [Stage("carry and filter", filter_carried, (Rides.of, filter_rows, filter_target))]
+    if has_tables:
+        stages.insert(0, Stage("filter tables", filter_tables, (filter_gaussians,)))
+    if any(compiled.association_rules for compiled in plates):
+        stages.insert(0, Stage("associate", associate_targets, (associate_first,)))
+    if has_tables:
+        stages.insert(0, Stage("arrange", arrange_targets, (arrange,)))
     if engine.joins:
-        by_target.append(Stage("join", join, (join_targets,)))
-    by_target.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
-    stages = by_target
-    if any(row_rule(engine, plate) is not None for plate in engine.plates):
-        calls = (find_rows, advance_rows)
-        stages = [Stage("rows", partial(advance, tuple(by_target)), calls)]
+        stages.append(Stage("join", join, (join_targets,)))
+    judged = (judge_rows,) if has_tables else ()
+    stages.append(Stage("measure, decide, learn", finish, (*judged, finish_targets, carry_out)))
     if any(cut_level(compiled) is not None for compiled in plates):
         stages.insert(0, Stage("scene cuts", cut_scenes, (find_cuts,)))
     if any(compiled.lifecycle is not None for compiled in plates):
@@ -159,25 +164,21 @@ def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Ite
     births = state.history.births
     work = FrameWork(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
     nothing = JointBelief(Together([], {}, []), state.joins)
-    return Batch(work, state, inputs, state.targets, nothing, Outcome(state, (), ()))
+    return Batch(work, state, inputs, Targets.of(state.targets), nothing, Outcome(state, (), ()))
 
 
 def cut_scenes(batch: Batch) -> Batch:
     """Targets that a scene cut may have moved are lost from the frame on."""
     state, cuts = find_cuts(batch.work.engine, batch.state, batch.work.frame)
     work = changed(batch.work, net=state.net)
-    return changed(batch, work=work, state=state, targets=state.targets, cuts=cuts)
+    return changed(batch, work=work, state=state, targets=Targets.of(state.targets), cuts=cuts)
 
 
-def advance(by_target: tuple[Stage, ...], batch: Batch) -> Batch:
-    """All targets as rows; in a frame in which something has no place in a row, by the other stages."""
-    rows = find_rows(batch.work, batch.state)
-    if rows is not None:
-        outcome, associated = advance_rows(batch.work, batch.state, rows)
-        return _with_outcome(changed(batch, associated=associated), outcome)
-    for stage in by_target:
-        batch = stage.run(batch)
-    return batch
+def arrange_targets(batch: Batch) -> Batch:
+    """Targets with Gaussian beliefs become rows where they fit."""
+    targets, records = arrange(batch.work, batch.state)
+    state = changed(batch.state, history=changed(batch.state.history, records=records))
+    return changed(batch, targets=targets, state=state)
 
 
 def associate_targets(batch: Batch) -> Batch:
@@ -186,10 +187,18 @@ def associate_targets(batch: Batch) -> Batch:
     return changed(batch, associated=associated, targets=associated.targets)
 
 
+def filter_tables(batch: Batch) -> Batch:
+    """The rows of Gaussian beliefs are predicted and weighed by what they were given."""
+    assert batch.associated is not None
+    given, tables = batch.associated.given, batch.targets.gaussians
+    done = tuple(filter_gaussians(batch.work, rows, given[rows.rule.plate]) for rows in tables)
+    return changed(batch, gaussians=done)
+
+
 def filter_targets(batch: Batch) -> Batch:
     """Every target is predicted and weighed by its own agents."""
     alone: dict[str, Filtered] = {}
-    filtered = Together(filter_rows(batch.work, batch.targets), alone, [*batch.targets])
+    filtered = Together(filter_rows(batch.work, batch.targets), alone, batch.targets.order)
     for target in filtered.missing():
         alone[target] = filter_target(batch.work, target, batch.targets[target])
     return changed(batch, joint=JointBelief(filtered, batch.state.joins))
@@ -216,8 +225,9 @@ def join(batch: Batch) -> Batch:
 
 def finish(batch: Batch) -> Batch:
     """Every target is measured, judged by the rules, learnt from and described."""
+    judged = [judge_rows(batch.work, one) for one in batch.gaussians]
     results = finish_targets(batch.work, batch.joint.filtered)
-    return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint))
+    return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint, judged))
 
 
 def start_and_end(batch: Batch) -> Batch:

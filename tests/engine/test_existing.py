@@ -13,7 +13,8 @@ from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.ends import remember
 from bayesnet_track.engine.lifecycle.existing import gate
 from bayesnet_track.engine.lifecycle.prospects import CrowdRule, confirmed, first_population
-from bayesnet_track.engine.lifecycle.track_table import table_of
+from bayesnet_track.engine.lifecycle.track_table import LiveTable
+from bayesnet_track.engine.rows import finding
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graph.text.load import load_graph
@@ -84,12 +85,12 @@ def events_of(done, kind):
 
 
 @pytest.mark.parametrize("associate", ["marginal", "assignment"])
-def test_rows_and_single_targets_agree(associate, found, monkeypatch, unlike):
+def test_targets_have_the_same_results_as_rows_and_as_objects(associate, found, monkeypatch, unlike):
     own = jpda(associate=associate)
     rows = outcomes(own, found)
     assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
     assert events_of(rows, StatusChanged) and events_of(rows, TargetDied)
-    monkeypatch.setattr(steps, "find_rows", lambda work, state: None)
+    monkeypatch.setattr(finding, "net_fits", lambda rule, net: False)
     assert_alike(rows, outcomes(own, found), unlike)
 
 
@@ -285,5 +286,5 @@ def test_a_target_starts_and_is_remembered_with_the_belief_that_it_has(graph):
     assert born.existence == 0.93
     np.testing.assert_array_equal(born.belief.mean, mean)
     np.testing.assert_array_equal(born.belief.covariance, spread)
-    memory = remember(table_of(done), target, "target")
+    memory = remember(LiveTable.of(None, done), target, "target")
     np.testing.assert_array_equal(memory.mean, done.state.history.records[target].mean)

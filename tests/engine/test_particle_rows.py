@@ -13,9 +13,10 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows import plain_rows
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
-from bayesnet_track.engine.rows.particle_table import ParticleStates, ParticleTable
+from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.rows.row_learning import follow_rows
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
+from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
@@ -155,8 +156,8 @@ def test_targets_are_rows_until_something_is_decided_about_them():
     engine, state = started()
     for index in (1, 2):
         state = steps.step(engine, state, frame(index)).state
-    assert isinstance(state.targets, ParticleStates)
-    (table,) = state.targets.tables
+    assert isinstance(state.targets, Targets)
+    (table,) = state.targets.particles
     assert sorted([*table.ids, *state.targets.others]) == ["0", "1", "2", "3"] and list(state.targets) == [
         *"0123"
     ]
@@ -167,15 +168,15 @@ def test_targets_are_rows_until_something_is_decided_about_them():
     assert {name: known(own) for name, own in copied.items()} == {
         name: known(own) for name, own in state.targets.items()
     }
-    assert state.targets.unchanged(state.net.targets).tables == [table]
+    assert state.targets.unchanged(state.net.targets).particles == (table,)
     lost = {**state.net.targets, one: replace(state.net.targets[one], status="lost")}
     after = state.targets.unchanged(lost)
-    assert isinstance(after, ParticleStates) and after.others[one] is state.targets[one]
-    assert [own.ids for own in after.tables] == [tuple(rest)]
+    assert isinstance(after, Targets) and after.others[one] is state.targets[one]
+    assert [own.ids for own in after.particles] == [tuple(rest)]
     assert {name: known(own) for name, own in after.items()} == {
         name: known(own) for name, own in state.targets.items()
     }
-    together = after.tables[0].extended(ParticleTable.of(table.compiled, {one: state.targets[one]}))
+    together = after.particles[0].extended(ParticleTable.of(table.compiled, {one: state.targets[one]}))
     assert together.ids == (*rest, one)
     assert [known(together.state(row)) for row in range(len(together.ids))] == [
         known(state.targets[name]) for name in together.ids

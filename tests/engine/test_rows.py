@@ -1,21 +1,18 @@
-"""Targets as rows of a table: the same results as one by one, and of one target as without the others."""
+"""Targets as rows of a table: no result depends on who else is in it, nor on who is an object beside it."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.engine import step as steps
-from bayesnet_track.engine.rows.advancing import share_out
-from bayesnet_track.engine.rows.columns import RowRecords, RowStates, make_rows
-from bayesnet_track.engine.rows.finding import find_rows
+from bayesnet_track.engine.rows.columns import make_rows
 from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.rows.row_heard import RowHeard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
-from bayesnet_track.engine.rows.row_table import RowTable
 from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.engine.targets import Records, Targets
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
@@ -56,29 +53,31 @@ def found():
 
 
 def outcomes(graph, found, inputs=None, frames=FRAMES):
-    """An outcome per frame."""
+    """An outcome per frame; `inputs` are those of frames, or a function of the last state."""
     engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
     done = []
     for index in range(frames):
         frame = Frame(index=index, time=float(index), time_s=index / 25, image=IMAGE)
-        given = (inputs or {}).get(index, ())
-        if done:
-            done.append(steps.step(engine, done[-1].state, frame, given))
-        else:
+        if not done:
             done.append(start_targets(graph, engine, frame, ()))
+            continue
+        state = done[-1].state
+        given = inputs(index, state) if callable(inputs) else (inputs or {}).get(index, ())
+        done.append(steps.step(engine, state, frame, given))
     return done
 
 
-@pytest.fixture
-def one_by_one(monkeypatch):
-    """Runs in which no target goes as a row."""
+def apart(graph, found, inputs=None, frames=FRAMES):
+    """The same where a person keeps every target's agent on, so that none is a row."""
 
-    def run(*arguments):
-        with monkeypatch.context() as patched:
-            patched.setattr(steps, "find_rows", lambda work, state: None)
-            return outcomes(*arguments)
+    def keep(index, state):
+        other = (inputs or {}).get(index, ())
+        switched = {one.target for one in other if isinstance(one, Toggled | Released)}
+        off = {target for target, net in state.net.targets.items() if not net.active} - switched
+        own = [target for target in state.net.targets if target not in off | switched]
+        return (*other, *(Toggled(0, target, "seen", True) for target in own))
 
-    return run
+    return outcomes(graph, found, keep, frames)
 
 
 def assert_alike(rows, singles, unlike):
@@ -86,13 +85,17 @@ def assert_alike(rows, singles, unlike):
 
     The UD of an agent that says nothing is that around any of equal hypotheses, as rounding has it.
     """
-    assert [[to_json(one) for one in o.events] for o in rows] == [
-        [to_json(one) for one in o.events] for o in singles
-    ]
+
+    def written(done):
+        return [to_json(one) for one in done.events if not isinstance(one, Toggled | Released)]
+
+    assert [written(one) for one in rows] == [written(one) for one in singles]
     for own, other in zip(rows, singles, strict=True):
-        assert own.state.net == other.state.net
-        for a, b in zip(own.metrics, other.metrics, strict=True):
-            a, b = json.loads(to_json(a)), json.loads(to_json(b))
+        assert own.state.net.targets.keys() == other.state.net.targets.keys()
+        lines = {line.target: line for line in other.metrics}
+        assert sorted(lines) == sorted(line.target for line in own.metrics)
+        for a in own.metrics:
+            a, b = json.loads(to_json(a)), json.loads(to_json(lines[a.target]))
             assert a["agent_ud_px2"].keys() == b["agent_ud_px2"].keys()
             silent = {agent for agent, nats in b["strength"].items() if nats < 1e-12}
             for line in (a, b):
@@ -101,10 +104,10 @@ def assert_alike(rows, singles, unlike):
 
 
 @pytest.mark.parametrize("name", ["sort", "bytetrack", "oc_sort"])
-def test_trackers_of_the_field_agree_as_rows_and_one_by_one(name, found, one_by_one, unlike):
+def test_trackers_of_the_field_agree_as_rows_and_apart(name, found, unlike):
     """With tentative tracks, passes, directions and re-updates; what is remembered is the same, too."""
     graph = load_graph(name)
-    rows, singles = outcomes(graph, found), one_by_one(graph, found)
+    rows, singles = outcomes(graph, found), apart(graph, found)
     assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
     assert_alike(rows, singles, unlike)
     last, other = rows[-1].state, singles[-1].state
@@ -124,8 +127,8 @@ def test_trackers_of_the_field_agree_as_rows_and_one_by_one(name, found, one_by_
     ]
 
 
-def test_rows_and_single_targets_agree(graph, found, one_by_one, unlike):
-    rows, singles = outcomes(graph, found), one_by_one(graph, found)
+def test_rows_and_objects_agree(graph, found, unlike):
+    rows, singles = outcomes(graph, found), apart(graph, found)
     assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
     kinds = {type(event).__name__ for one in rows for event in one.events}
     assert {"TargetStarted", "StatusChanged", "TargetDied"} <= kinds
@@ -145,20 +148,38 @@ def test_rows_and_single_targets_agree(graph, found, one_by_one, unlike):
         )
 
 
-def test_one_that_is_switched_by_hand_sends_all_one_by_one_until_it_is_released(
-    graph, found, one_by_one, unlike
-):
+def test_one_that_is_switched_by_hand_is_an_object_and_the_others_stay_rows(graph, found, unlike):
+    plain = outcomes(graph, found, None, 30)
+    target = next(iter(plain[12].state.targets))
+    inputs = {12: (Toggled(0, target, "seen", True),), 18: (Released(0, target, "seen"),)}
+    done = outcomes(graph, found, inputs, 30)
+    assert all(isinstance(one.metrics, RowMetrics) for one in done[4:])
+    for index, (own, other) in enumerate(zip(done, plain, strict=True)):
+        is_object = 12 <= index <= 18
+        assert index < 4 or (target in own.state.targets.others) == (12 <= index < 18)
+        lines = {line.target: line for line in own.metrics}
+        assert lines.keys() == {line.target for line in other.metrics}
+        for line in other.metrics:
+            a, b = to_json(lines[line.target]), to_json(line)
+            if line.target == target and is_object:
+                assert unlike(json.loads(a), json.loads(b), rel=1e-8, abs=1e-13) == []
+            elif line.target != target:
+                assert a == b, f"frame {index}: the bytes of {line.target}"
+
+
+def test_one_that_is_switched_off_by_hand_sees_nothing_until_it_is_released(graph, found, unlike):
     target = next(iter(outcomes(graph, found, None, 12)[-1].state.targets))
-    inputs = {12: (Toggled(0, target, "seen", False),), 15: (Released(0, target, "seen"),)}
-    inputs |= {16: (Toggled(0, target, "seen", True),), 18: (Released(0, target, "seen"),)}
-    rows = outcomes(graph, found, inputs, 30)
-    assert [isinstance(rows[k].metrics, RowMetrics) for k in (11, 12, 13, 17)] == [True, False, False, False]
-    assert_alike(rows, one_by_one(graph, found, inputs, 30), unlike)
+    inputs = {12: (Toggled(0, target, "seen", False),), 14: (Released(0, target, "seen"),)}
+    done = outcomes(graph, found, inputs, 30)
+    assert_alike(done, apart(graph, found, inputs, 30), unlike)
+    lines = {index: next(one for one in done[index].metrics if one.target == target) for index in (11, 13)}
+    assert lines[11].active == ("seen",) and lines[13].active == ()
+    assert lines[13].ud_px2 > lines[11].ud_px2
 
 
-def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, one_by_one, unlike):
+def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, unlike):
     inputs = {20: (LateFrame(0, 0.05, 0.04),)}
-    assert_alike(outcomes(graph, found, inputs, 24), one_by_one(graph, found, inputs, 24), unlike)
+    assert_alike(outcomes(graph, found, inputs, 24), apart(graph, found, inputs, 24), unlike)
 
 
 def test_a_track_is_the_same_bytes_alone_and_in_a_crowd(graph):
@@ -188,17 +209,18 @@ def test_a_track_is_the_same_bytes_alone_and_in_a_crowd(graph):
 def test_states_and_records_are_made_when_they_are_asked_for(graph, found):
     done = outcomes(graph, found, None, 25)
     state = done[-1].state
-    assert isinstance(state.targets, RowStates) and isinstance(state.history.records, RowRecords)
+    assert isinstance(state.targets, Targets) and isinstance(state.history.records, Records)
+    (table,) = state.targets.gaussians
     target = next(iter(state.targets))
     assert state.targets[target] is state.targets[target]
     again = make_rows(
-        state.targets.rows.rule,
+        table.rule,
         dict(state.targets),
         dict(state.history.records),
         [net.status == "lost" for net in state.net.targets.values()],
         state.previous.time,
     )
-    for name, column in vars(state.targets.rows.columns).items():
+    for name, column in vars(table.columns).items():
         other = getattr(again.columns, name)
         if name == "own":
             column, other = column[again.columns.given == 2], other[again.columns.given == 2]
@@ -212,32 +234,21 @@ def test_states_and_records_are_made_when_they_are_asked_for(graph, found):
 
 
 def test_no_target_gets_a_detection_where_there_are_none(graph, found):
-    state = outcomes(graph, found, None, 15)[-1].state
-    rows = state.targets.rows
-    seen = Detections(np.empty((0, 4)), np.empty(0), ())
-    columns = replace(rows.columns)
-    predicted = type("Predicted", (), {"mean": columns.mean, "covariance": columns.covariance})
-    assert set(share_out(rows.rule, predicted, seen).tolist()) == {-1}
+    nothing = Detections(np.empty((0, 4)), np.empty(0), ())
+    for own in (graph, load_graph("sort"), load_graph("jpda")):
+        last = outcomes(own, {**found, 15: nothing}, None, 16)[-1]
+        assert len(last.metrics) > 5 and all(line.silent == ("seen",) for line in last.metrics)
 
 
 @pytest.mark.parametrize("name", ["general", "crowd", "kalman_ball", "people_detections"])
-def test_other_graphs_go_one_by_one(name):
+def test_other_graphs_go_apart(name):
     checked = load_graph(name)
     given = {"detections": FileDetector({})} if name == "people_detections" else None
     engine = steps.make_engine(checked, 0, detectors=given)
     assert [row_rule(engine, plate) for plate in checked.targets] == [None] * len(checked.targets)
 
 
-def test_the_table_of_rows_is_the_one_that_lives_are_managed_in(graph, found):
-    done = outcomes(graph, found, None, 15)
-    engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
-    table = RowTable.of(engine, replace(done[-1], state=done[-1].state))
-    assert table.of_plate("target") == list(done[-1].metrics.rows.ids)
-    assert table.of_plate("other") == []
-    assert find_rows is steps.find_rows
-
-
-def test_targets_with_a_factor_go_one_by_one():
+def test_targets_with_a_factor_go_apart():
     plain = as_plain(load_graph("kalman_detections").spec)
     ((plate, target),) = plain["targets"].items()
     root = next(name for name, node in target["nodes"].items() if "parent" not in node)
@@ -248,8 +259,7 @@ def test_targets_with_a_factor_go_one_by_one():
         assert (row_rule(engine, plate) is None) == (factor is not None)
 
 
-@pytest.mark.parametrize("as_rows", [True, False])
-def test_a_detector_that_fails_is_left_alone_for_a_while(graph, found, monkeypatch, as_rows):
+def test_a_detector_that_fails_is_left_alone_for_a_while(graph, found):
     asked = []
 
     class Failing(FileDetector):
@@ -259,8 +269,6 @@ def test_a_detector_that_fails_is_left_alone_for_a_while(graph, found, monkeypat
                 raise RuntimeError("no camera")
             return super().detect(frames, state)
 
-    if not as_rows:
-        monkeypatch.setattr(steps, "find_rows", lambda work, state: None)
     engine = steps.make_engine(graph, 0, detectors={"detections": Failing(found)})
     state = None
     for index in range(23):
@@ -286,9 +294,9 @@ def test_rows_that_were_stored_go_on_as_rows_to_the_same_bytes(graph, found):
             assert [to_json(one) for one in own] == [to_json(one) for one in other]
 
 
-def test_what_was_measured_of_a_row_is_what_is_measured_of_one_target(graph, found, one_by_one):
+def test_what_was_measured_of_a_row_is_what_is_measured_of_one_target(graph, found):
     said = 0
-    for row, one in zip(outcomes(graph, found, frames=15), one_by_one(graph, found, None, 15), strict=True):
+    for row, one in zip(outcomes(graph, found, frames=15), apart(graph, found, None, 15), strict=True):
         assert row.heard.keys() == one.heard.keys()
         for target, alone in one.heard.items():
             measured = row.heard[target].measured

@@ -12,6 +12,7 @@ from bayesnet_track.engine.step import compile_stages
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.sources.scenes import make_scene
 
+TABLES = ("arrange", "associate", "filter tables")
 PAGE = Path(__file__).parents[2] / "docs" / "architecture.md"
 
 
@@ -23,7 +24,10 @@ def names(graph):
     ("graph", "stages"),
     [
         ("two_squares", ["filter", "measure, decide, learn", "load"]),
-        ("sort", ["rows", "tracks", "load"]),
+        (
+            "sort",
+            ["arrange", "associate", "filter tables", "filter", "measure, decide, learn", "tracks", "load"],
+        ),
         ("carried_box", ["carry and filter", "join", "measure, decide, learn", "joins", "load"]),
         ("orange_and_gray_detected", ["filter", "measure, decide, learn", "tracks", "load"]),
     ],
@@ -35,9 +39,9 @@ def test_a_graph_has_the_stages_that_it_asks_for(graph, stages):
 def test_the_command_prints_them_with_the_functions_that_do_the_work(capsys):
     assert main(["graph", "sort", "--plan"]) == 0
     printed = capsys.readouterr().out
-    assert "1. rows: engine.rows.finding.find_rows, engine.rows.advancing.advance_rows\n" in printed
-    assert "   1. associate: engine.lifecycle.association.associate_first\n" in printed
-    assert "2. tracks: engine.lifecycle.track_management.manage_tracks\n" in printed
+    assert "1. arrange: engine.rows.finding.arrange\n" in printed
+    assert "2. associate: engine.lifecycle.association.associate_first\n" in printed
+    assert "6. tracks: engine.lifecycle.track_management.manage_tracks\n" in printed
 
 
 def test_the_page_names_what_a_frame_enters(capsys):

@@ -1,35 +1,29 @@
-"""Assign detections to the targets of a plate that are an object each, and to its tentative tracks."""
+"""Assign detections to the targets of a plate and to its tentative tracks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from bayesnet_track.adapt.association import (
-    NOBODY,
-    Owners,
-    assign,
-    first_observed,
-    gated_gains,
-    remembered,
-    share_by_overlap,
-    share_in_passes,
-)
-from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
-from bayesnet_track.belief.gaussian.belief import GaussianPosterior, predict
-from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.adapt.assign import assign_pairs
+from bayesnet_track.adapt.association import NOBODY, Owners
+from bayesnet_track.adapt.candidates import Candidate
+from bayesnet_track.adapt.existence import Pairs
+from bayesnet_track.adapt.lifecycle import TrackHistory
+from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found
-from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections, update_tentative
+from bayesnet_track.engine.lifecycle.existing import gate, with_looks
+from bayesnet_track.engine.lifecycle.sharing import Tracks, update_tentative
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule, Hypotheses
 
 TENTATIVE = ""
@@ -39,103 +33,57 @@ LEAST_LOG = -50.0
 """Log-likelihoods of looks are cut here, so that they are numbers: lower ones are beyond every gate."""
 
 
-NO_TRACKS = Tracks(np.empty((0, 4)), np.empty((0, 4, 4)), np.empty((0, 0)))
+def assign_detections(
+    rule: AssociationRule, expected: Tracks, seen: Found, log_looks: Callable[[int, Floats], Floats]
+) -> Owners:
+    """(T,) the detection of each track, or `NOBODY`; see `adapt.assign` and `adapt.passes`.
+
+    `log_looks` takes a row and boxes (M, 4) and gives (M,) log-likelihoods by what the target looks like.
+    """
+    mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
+    if rule.similarity == "iou":
+        if not len(boxes):
+            return np.full(len(mean), NOBODY, dtype=np.intp)
+        return share_by_overlap(rule, mean[:, :4], expected.observed, boxes, seen.scores)
+    if rule.first_score <= 0.0:
+        return _assign_by_density(rule, mean, covariance, boxes, log_looks)
+
+    def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
+        def own(row: int, at: Floats) -> Floats:
+            return log_looks(int(rows[row]), at)
+
+        return _assign_by_density(rule, mean[rows], covariance[rows], boxes[columns], own)
+
+    return share_in_passes(rule, seen.scores, len(mean), ask)
 
 
-@dataclass(frozen=True, eq=False)
-class Sharing:
-    """What is needed to share out the detections of one plate among targets that are an object each."""
+def _assign_by_density(
+    rule: AssociationRule,
+    mean: Floats,
+    covariance: Floats,
+    boxes: Floats,
+    log_looks: Callable[[int, Floats], Floats],
+) -> Owners:
+    pairs = gate(rule, mean, covariance, boxes)
+    if rule.appearance > 0.0 and len(pairs.rows):
+        pairs = _gate_looks(rule, pairs, mean, covariance, (boxes, log_looks))
+    return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(mean), len(boxes))
 
-    work: FrameWork
-    plate: str
-    history: TrackHistory
-    found: Found | None
-    expected: Mapping[str, tuple[Floats, Floats]]
 
-    def share(
-        self, targets: Mapping[str, TargetState]
-    ) -> tuple[tuple[str | None, ...], dict[str, TargetState], tuple[Candidate, ...] | None]:
-        """Whose each detection is, the targets with what they were given, and the tentative tracks left."""
-        compiled, names = self.work.engine.plates[self.plate], tuple(targets)
-        rule = next(iter(compiled.association_rules.values()))
-        seen = Found.none() if self.found is None else self.found
-        waiting = tentative_tracks(compiled, self.history)
-        if not (waiting or rule.remembers):
-            owner = self._owners(rule, targets, NO_TRACKS, seen)
-            return (
-                name_owners(owner, names, len(seen.boxes)),
-                self._give(targets, own_detections(owner, seen.boxes, seen.scores), owner),
-                None,
-            )
-        agent, predict = next(iter(compiled.association_rules)), Predict(self._elapsed, self._predict)
-        size = len(compiled.motion.fields)
-        beliefs = [one.belief for one in targets.values()]
-        before = Tracks(
-            np.array([one.mean for one in beliefs]).reshape(-1, size),
-            np.array([one.covariance for one in beliefs]).reshape(-1, size, size),
-            np.array(
-                [remembered(rule, one.references.get(agent, {}), one.belief.mean) for one in targets.values()]
-            ).reshape(len(names), first_observed(rule, np.empty((0, 4)), size).shape[1]),
-        ).and_tentative(waiting)
-        expected = Tracks(*predict(before.mean, before.covariance), before.observed)
-        owner = self._owners(rule, targets, expected, seen)
-        own = own_detections(owner, seen.boxes, seen.scores)
-        after, changed = follow(rule, before, expected, owner, own, predict)
-        given = self._give(targets, own, owner)
-        for row, target in enumerate(names):
-            given[target] = _remember(given[target], agent, after.observed[row], changed.get(row))
-        left = advance_tentative(compiled, waiting, after, own, self.found is not None)
-        return name_owners(owner, names, len(seen.boxes)), given, left if waiting else None
-
-    def _owners(
-        self,
-        rule: AssociationRule,
-        targets: Mapping[str, TargetState],
-        expected: Tracks,
-        seen: Found,
-    ) -> Owners:
-        """(T + C,) the detection of each target, then of each tentative track."""
-        moments = [self.expected[target] for target in targets]
-        for row in range(len(targets), len(expected.mean)):
-            moments.append((expected.mean[row, :4], expected.covariance[row, :4, :4]))
-        if not len(seen.boxes):
-            return np.full(len(moments), NOBODY, dtype=np.intp)
-        if rule.similarity == "iou":
-            boxes = np.array([mean for mean, _ in moments]).reshape(-1, 4)
-            return share_by_overlap(rule, boxes, expected.observed, seen.boxes, seen.scores)
-        gain = np.full((len(moments), len(seen.boxes)), -np.inf)
-        for row, (target, state) in enumerate(targets.items()):
-            looks = partial(score_looks, self.work, target, state)
-            gain[row] = gated_gains(*moments[row], seen.boxes, rule, looks)
-        for row in range(len(targets), len(moments)):
-            gain[row] = gated_gains(*moments[row], seen.boxes, rule, lambda boxes: np.zeros(len(boxes)))
-        return share_in_passes(
-            rule, seen.scores, len(gain), lambda _, rows, columns: assign(gain[np.ix_(rows, columns)])
-        )
-
-    def _give(self, targets: Mapping[str, TargetState], own: Floats, owner: Owners) -> dict[str, TargetState]:
-        rules = self.work.engine.plates[self.plate].association_rules
-        return {
-            target: give_detection(state, rules, own[row : row + (owner[row] != NOBODY)])
-            for row, (target, state) in enumerate(targets.items())
-        }
-
-    @property
-    def _elapsed(self) -> float:
-        frame, previous = self.work.frame, self.work.cache.frames.previous
-        return 1.0 if previous is None else frame.time - previous.time
-
-    def _predict(self, means: Floats, covariances: Floats, dt: float) -> tuple[Floats, Floats]:
-        work = self.work
-        motion = confined(work.engine.plates[self.plate].motion, work.frame.width, work.frame.height)
-        moved = [
-            predict(mean, covariance, motion, dt, Gaussian())
-            for mean, covariance in zip(means, covariances, strict=True)
-        ]
-        return (
-            np.array([mean for mean, _ in moved]).reshape(means.shape),
-            np.array([covariance for _, covariance in moved]).reshape(covariances.shape),
-        )
+def _gate_looks(
+    rule: AssociationRule,
+    pairs: Pairs,
+    mean: Floats,
+    covariance: Floats,
+    seen: tuple[Floats, Callable[[int, Floats], Floats]],
+) -> Pairs:
+    """The pairs that are left when looks count: d^2 - 2 appearance log L is within the gate as well."""
+    boxes, log_looks = seen
+    values = with_looks(rule, pairs, log_looks, boxes).values
+    spread = covariance[pairs.rows, :4, :4] + rule.variances(boxes)[pairs.columns][:, :, None] * np.eye(4)
+    least = -0.5 * (chi_square_quantile(rule.gate, 4) + np.linalg.slogdet(spread)[1])
+    near = values >= least
+    return Pairs(pairs.rows[near], pairs.columns[near], values[near])
 
 
 def tentative_tracks(compiled: CompiledPlate, history: TrackHistory) -> tuple[Candidate, ...]:
@@ -169,9 +117,10 @@ def name_owners(owner: Owners, names: Sequence[str], found: int) -> tuple[str | 
     return tuple(whose)
 
 
-def _remember(
+def remember_detections(
     state: TargetState, agent: str, observed: Floats, changed: tuple[Floats, Floats] | None
 ) -> TargetState:
+    """The target with what is remembered of its detections, and the belief that a gap has `changed`."""
     if changed is not None and isinstance(state.belief, GaussianPosterior):
         state = replace(state, belief=replace(state.belief, mean=changed[0], covariance=changed[1]))
     if not len(observed) or agent not in state.references:

@@ -3,30 +3,70 @@
 The detectors look, every target's belief is predicted, and the targets of a plate share its detections out:
 as many as can be, the best for all together by where each target is expected and, where the agent's
 `appearance` asks for it, by what the target looks like. What nobody gets is left to the life of targets
-(`track_management`).
+(`track_management`). Targets are columns here, whether they are rows of a table or an object each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 
 from bayesnet_track.adapt.association import NOBODY
-from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.lifecycle import TrackHistory
+from bayesnet_track.adapt.observed import first_observed, remembered
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
-from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.lifecycle.assigning import Sharing, give_detection, score_looks
+from bayesnet_track.engine.lifecycle.assigning import (
+    advance_tentative,
+    assign_detections,
+    give_detection,
+    name_owners,
+    remember_detections,
+    score_looks,
+    tentative_tracks,
+)
 from bayesnet_track.engine.lifecycle.detecting import Found, look
-from bayesnet_track.engine.lifecycle.existing import Crowd, divide
+from bayesnet_track.engine.lifecycle.existing import Crowd, Division, divide
 from bayesnet_track.engine.lifecycle.prospects import CrowdRule
+from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
+from bayesnet_track.engine.rows.columns import Rows
+from bayesnet_track.engine.rows.fitting import RowRule, row_rule
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
-from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.journal.events.births import DetectionsCut, DetectorFailed
+from bayesnet_track.numerics.arrays import Bools, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """T rows as they are expected, and what they are given of N detections.
+
+    Attributes:
+        mean: (T, D).
+        covariance: (T, D, D).
+        own: (T, 5) the detection of each, and its score.
+        is_given: (T,) whether there is one that may be its own.
+        existence: (T,) probability that each exists.
+        observed: (T, H) what is remembered of the detections of each.
+        boxes: (N, 4) the detections.
+        division: which of them may be whose, where targets share them by probability.
+    """
+
+    mean: Floats
+    covariance: Floats
+    own: Floats
+    is_given: Bools
+    existence: Floats
+    observed: Floats
+    boxes: Floats
+    division: Division | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,102 +80,254 @@ class Associated:
         targets: every live target, the references of such agents with what they were given.
         history: as it was, with the detectors' states after the look, and tentative tracks after the frame.
         events: detectors that failed.
+        given: plate -> what the rows of its table are given.
     """
 
     found: dict[str, Found]
     owners: Mapping[str, tuple[str | None, ...]]
-    targets: Mapping[str, TargetState]
+    targets: Targets
     history: TrackHistory
     events: tuple[DetectorFailed | DetectionsCut, ...]
+    given: Mapping[str, Given]
 
 
-def associate_first(work: FrameWork, targets: Mapping[str, TargetState], history: TrackHistory) -> Associated:
+def associate_first(work: FrameWork, targets: Targets, history: TrackHistory) -> Associated:
     """Association of detections and targets, for plates with agents that measure by them."""
-    net, plates = work.net, work.engine.plates
-    started = work.engine.clock()
-    expected = {target: _predict_box(work, target, before) for target, before in targets.items()}
+    net, started = work.net, work.engine.clock()
+    tables = {rows.rule.plate: rows for rows in targets.gaussians}
+    apart = targets.apart()
 
     def held(plate: str) -> list[str]:
-        of_plate = (target for target in targets if net.targets[target].template == plate)
+        own = tables[plate].ids if plate in tables else ()
+        of_plate = (*own, *(target for target in apart if net.targets[target].template == plate))
         return [target for target in of_plate if net.targets[target].status != "lost"]
 
-    found, history, events = look(
-        work, history, lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4), held
-    )
-    given = dict(targets)
+    found, history, events = look(work, history, partial(_expected_boxes, work, targets), held)
     owners: dict[str, tuple[str | None, ...]] = {}
-    for plate, compiled in plates.items():
+    given: dict[str, Given] = {}
+    for plate, compiled in work.engine.plates.items():
         if not compiled.association_rules:
             continue
-        own = {target: one for target, one in targets.items() if net.targets[target].template == plate}
-        boxes = {target: expected[target] for target in own}
-        rule, whose = CrowdRule.of(compiled), tuple[str | None, ...]()
-        if rule is None:
-            whose, own, left = Sharing(work, plate, history, found.get(plate), boxes).share(own)
-            if left is not None:
-                history = replace(history, candidates={**history.candidates, plate: left})
-        else:
-            before = history.populations.get(plate)
-            own, whose, population = _divide(work, rule, (own, boxes), before, found.get(plate))
-            history = replace(history, populations={**history.populations, plate: population})
-        given |= own
+        own = {target: one for target, one in apart.items() if net.targets[target].template == plate}
+        several = Several(work, compiled, tables.get(plate), own)
+        share = several.assign if CrowdRule.of(compiled) is None else several.divide
+        done = share(history, found.get(plate))
+        history = done.history
+        apart |= done.others
+        if done.rows is not None:
+            given[plate] = done.rows
         if plate in found:
-            owners[plate] = whose
+            owners[plate] = done.owners
     work.charge("life", started)
-    return Associated(found, owners, given, history, events)
+    after = Targets(targets.gaussians, (), apart, [*apart])
+    return Associated(found, owners, after, history, events, given)
 
 
-def _divide(
-    work: FrameWork,
-    rule: CrowdRule,
-    crowd: tuple[Mapping[str, TargetState], Mapping[str, tuple[Floats, Floats]]],
-    population: Population | None,
-    found: Found | None,
-) -> tuple[dict[str, TargetState], tuple[str | None, ...], Population]:
-    """The targets of a plate as they exist after the look, with what each is given of the detections.
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """What the targets of a plate are given.
 
-    Also whose each detection is more probably than not, and what was learnt. `crowd` holds the targets and
-    the boxes that are expected.
+    Attributes:
+        rows: what its rows are given; None without any.
+        others: its other targets, with what they are given.
+        owners: (N,) whose each detection is.
+        history: with the tentative tracks, or what was learnt of all detections.
     """
-    targets, expected = crowd
-    names = list(targets)
 
-    def log_looks(row: int, boxes: Floats) -> Floats:
-        return (
-            score_looks(work, names[row], targets[names[row]], boxes)
-            if row < len(names)
-            else np.zeros(len(boxes))
+    rows: Given | None
+    others: Mapping[str, TargetState]
+    owners: tuple[str | None, ...]
+    history: TrackHistory
+
+
+@dataclass(frozen=True, eq=False)
+class Several:
+    """The targets of a plate before a look: those that are rows come first.
+
+    Attributes:
+        work: the frame.
+        compiled: the plate.
+        rows: its table; None without any.
+        others: its other targets.
+    """
+
+    work: FrameWork
+    compiled: CompiledPlate
+    rows: Rows | None
+    others: Mapping[str, TargetState]
+
+    def assign(self, history: TrackHistory, found: Found | None) -> Shared:
+        """The best assignment of what was `found` to targets and tentative tracks."""
+        compiled, names = self.compiled, self.names
+        agent, rule = next(iter(compiled.association_rules.items()))
+        seen = Found.none() if found is None else found
+        waiting = tentative_tracks(compiled, history)
+        expect, before = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
+        expected = Tracks(*expect(before.mean, before.covariance), before.observed)
+        owner = assign_detections(rule, expected, seen, self._log_looks)
+        own = own_detections(owner, seen.boxes, seen.scores)
+        after, refiltered = follow(rule, before, expected, owner, own, expect)
+        if waiting:
+            left = advance_tentative(compiled, waiting, after, own, found is not None)
+            history = replace(history, candidates={**history.candidates, compiled.plate.name: left})
+        is_given, count, rows = owner != NOBODY, self.count, None
+        if self.rows is not None:
+            live = slice(count)
+            rows = Given(
+                after.mean[live],
+                after.covariance[live],
+                own[live],
+                is_given[live],
+                self.rows.columns.existence,
+                after.observed[live],
+                seen.boxes,
+            )
+        others = {}
+        for row, (target, state) in enumerate(self.others.items(), count):
+            state = give_detection(state, compiled.association_rules, own[row : row + is_given[row]])
+            others[target] = remember_detections(state, agent, after.observed[row], refiltered.get(row))
+        return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
+
+    def divide(self, history: TrackHistory, found: Found | None) -> Shared:
+        """What was `found` by probability, among targets that exist with one and prospects."""
+        work, compiled, count, plate = self.work, self.compiled, self.count, self.compiled.plate.name
+        rule, seen = CrowdRule.of(compiled), Found.none() if found is None else found
+        assert rule is not None
+        before = self._tracks()
+        mean, covariance = predictor(work, compiled)(before.mean, before.covariance)
+        existence = np.array(
+            [1.0 if one.existence is None else one.existence for one in self.others.values()]
+        )
+        if self.rows is not None:
+            known = self.rows.columns.existence
+            existence = np.concatenate([known, existence]) if len(existence) else known
+        crowd = Crowd(
+            np.ascontiguousarray(mean[:, :4]),
+            np.ascontiguousarray(covariance[:, :4, :4]),
+            existence,
+            self.names,
+            self._log_looks,
+        )
+        done = divide(rule, work.cache.frames, crowd, history.populations.get(plate), found)
+        history = replace(history, populations={**history.populations, plate: done.population})
+        rows, live = None, slice(count)
+        if self.rows is not None:
+            rows = Given(
+                mean[live],
+                covariance[live],
+                own_detections(done.owner[live], seen.boxes, seen.scores),
+                np.diff(done.starts[: count + 1]) > 0,
+                done.existence[live],
+                self.rows.columns.observed,
+                seen.boxes,
+                done,
+            )
+        others = {}
+        for row, (target, state) in enumerate(self.others.items(), count):
+            which = slice(done.starts[row], done.starts[row + 1])
+            own = np.column_stack([seen.boxes[done.columns[which]], seen.scores[done.columns[which]]])
+            if rule.is_marginal:
+                own = np.column_stack([own, done.weights[which]])
+            state = give_detection(state, compiled.association_rules, own)
+            others[target] = replace(state, existence=float(done.existence[row]))
+        return Shared(rows, others, name_owners(done.owner, self.names, len(seen.boxes)), history)
+
+    @property
+    def count(self) -> int:
+        """How many are rows."""
+        return 0 if self.rows is None else len(self.rows.ids)
+
+    @property
+    def names(self) -> Sequence[str]:
+        """All of them."""
+        own = () if self.rows is None else self.rows.ids
+        return (*own, *self.others) if self.others else own
+
+    def _tracks(self) -> Tracks:
+        """Their beliefs after the last frame, and what is remembered of their detections."""
+        agent, rule = next(iter(self.compiled.association_rules.items()))
+        now, size = None if self.rows is None else self.rows.columns, len(self.compiled.motion.fields)
+        if now is not None and not self.others:
+            return Tracks(now.mean, now.covariance, now.observed)
+        states = self.others.values()
+        beliefs = [one.belief for one in states]
+        width = first_observed(rule, np.empty((0, 4)), size).shape[1]
+        observed = [remembered(rule, one.references.get(agent, {}), one.belief.mean) for one in states]
+        tracks = Tracks(
+            np.array([one.mean for one in beliefs]).reshape(-1, size),
+            np.array([one.covariance for one in beliefs]).reshape(-1, size, size),
+            np.array(observed).reshape(len(states), width),
+        )
+        if now is None:
+            return tracks
+        return Tracks(
+            np.concatenate([now.mean, tracks.mean]),
+            np.concatenate([now.covariance, tracks.covariance]),
+            np.concatenate([now.observed, tracks.observed]),
         )
 
-    mean = np.array([expected[target][0] for target in names]).reshape(-1, 4)
-    covariance = np.array([expected[target][1] for target in names]).reshape(-1, 4, 4)
-    existence = [one.existence for one in targets.values()]
-    before = np.array([1.0 if one is None else one for one in existence])
-    all_of = Crowd(mean, covariance, before, names, log_looks)
-    done = divide(rule, work.cache.frames, all_of, population, found)
-    seen = Found.none() if found is None else found
-    whose: list[str | None] = [None] * len(seen.boxes)
-    given = {}
-    for row, target in enumerate(names):
-        which = slice(done.starts[row], done.starts[row + 1])
-        columns = done.columns[which]
-        own = np.column_stack([seen.boxes[columns], seen.scores[columns]])
-        if rule.is_marginal:
-            own = np.column_stack([own, done.weights[which]])
-        state = give_detection(targets[target], work.plate_of(target).association_rules, own)
-        given[target] = replace(state, existence=float(done.existence[row]))
-        if done.owner[row] != NOBODY:
-            whose[done.owner[row]] = target
-    return given, tuple(whose), done.population
+    def _log_looks(self, row: int, boxes: Floats) -> Floats:
+        """(M,) log-likelihood of boxes (M, 4) by what a target looks like; 0 of one that nobody knows."""
+        at = row - self.count
+        if not 0 <= at < len(self.others):
+            return np.zeros(len(boxes))
+        target = [*self.others][at]
+        return score_looks(self.work, target, self.others[target], boxes)
 
 
-def _predict_box(work: FrameWork, target: str, before: TargetState) -> tuple[Floats, Floats]:
-    """(4,) mean and (4, 4) covariance of the box that the target is expected to have in this frame.
+def predictor(work: FrameWork, compiled: CompiledPlate) -> Predict:
+    """The prediction of the targets of a plate from the last frame to this one.
 
-    Exact of a Gaussian belief under linear motion, else by moments and the motion's derivative.
+    Exact of Gaussian beliefs under linear motion, else by moments and the motion's derivative.
     """
-    frame = work.frame
-    motion = confined(work.plate_of(target).motion, frame.width, frame.height)
-    belief, elapsed = before.belief, frame.time - before.time
-    mean, covariance = predict(belief.mean, belief.covariance, motion, elapsed, Gaussian())
-    return mean[:4], covariance[:4, :4]
+    frame, previous = work.frame, work.cache.frames.previous
+    elapsed = 1.0 if previous is None else frame.time - previous.time
+    rule = row_rule(work.engine, compiled.plate.name)
+    if rule is None:
+        motion = confined(compiled.motion, frame.width, frame.height)
+        return Predict(elapsed, partial(_predict_each, motion))
+    return Predict(elapsed, partial(_predict_rows, rule, image_of(rule, frame.width, frame.height)))
+
+
+def _predict_rows(
+    rule: RowRule, image: Floats, means: Floats, covariances: Floats, dt: float
+) -> tuple[Floats, Floats]:
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.row_kernels import predict_rows
+
+    return predict_rows(means, covariances, *_moves(rule, dt), image)
+
+
+# Rules are told apart by identity: to hash a motion takes as long as to predict a crowd.
+@lru_cache(maxsize=64)
+def image_of(rule: RowRule, width: int, height: int) -> Floats:
+    """(2,) width and height that targets are confined to."""
+    return Confined(rule.motion, width, height).extent
+
+
+@lru_cache(maxsize=64)
+def _moves(rule: RowRule, dt: float) -> tuple[Floats, Floats]:
+    return rule.motion.linearise(np.ones(len(rule.motion.fields)), dt)
+
+
+def _predict_each(
+    motion: MotionModel, means: Floats, covariances: Floats, dt: float
+) -> tuple[Floats, Floats]:
+    moved = [
+        predict(mean, covariance, motion, dt, Gaussian())
+        for mean, covariance in zip(means, covariances, strict=True)
+    ]
+    return (
+        np.array([mean for mean, _ in moved]).reshape(means.shape),
+        np.array([covariance for _, covariance in moved]).reshape(covariances.shape),
+    )
+
+
+def _expected_boxes(work: FrameWork, targets: Targets, names: Sequence[str]) -> Floats:
+    """(K, 4) the boxes that targets are expected to have in this frame."""
+    boxes = []
+    for target in names:
+        belief = targets[target].belief
+        mean, _ = predictor(work, work.plate_of(target))(belief.mean[None], belief.covariance[None])
+        boxes.append(mean[0, :4])
+    return np.array(boxes).reshape(-1, 4)

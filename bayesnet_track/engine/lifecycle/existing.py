@@ -139,7 +139,7 @@ def _share(
     log_nobody = population.log_density(boxes, area_px2) + math.log(rate)
     pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
     if crowd.log_looks is not None and rule.association.appearance > 0:
-        pairs = _with_looks(rule.association, pairs, crowd.log_looks, boxes)
+        pairs = with_looks(rule.association, pairs, crowd.log_looks, boxes)
     likelihoods = changed(pairs, values=pairs.values - 2.0 * LOG_TURN)
     return share(Expected(crowd.existence, detection), likelihoods, log_nobody)
 
@@ -163,9 +163,10 @@ def gate(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: Floats)
     return Pairs(*gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap))
 
 
-def _with_looks(
+def with_looks(
     rule: AssociationRule, pairs: Pairs, log_looks: Callable[[int, Floats], Floats], boxes: Floats
 ) -> Pairs:
+    """The pairs with what their targets look like: their values and appearance log L."""
     values = pairs.values.copy()
     for row in np.unique(pairs.rows).tolist():
         own = pairs.rows == row

@@ -14,11 +14,8 @@ from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_exi
 from bayesnet_track.engine.lifecycle.confirming import Births
 from bayesnet_track.engine.lifecycle.detecting import look
 from bayesnet_track.engine.lifecycle.ends import end_duplicates, end_lost
-from bayesnet_track.engine.lifecycle.track_table import LiveTable, table_of
+from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.outcome import Outcome
-from bayesnet_track.engine.rows.columns import RowStates
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
-from bayesnet_track.engine.rows.row_table import RowTable
 from bayesnet_track.numerics.records import changed
 
 
@@ -34,7 +31,7 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
     }
     if not rules:
         return outcome
-    tracks = live_table(work, outcome)
+    tracks = LiveTable.of(work.engine, outcome)
     tracks.count(rules.keys(), frame)
     if associated is None:
         found, tracks.history, events = look(work, tracks.history, tracks.boxes, tracks.held)
@@ -59,10 +56,3 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
         end_lost(tracks, plate, rule, frame)
     work.charge("life", started)
     return changed(tracks.outcome(outcome, frame), seconds=work.seconds)
-
-
-def live_table(work: FrameWork, outcome: Outcome) -> LiveTable:
-    """The targets as rows where they were advanced so, else an object each."""
-    if isinstance(outcome.state.targets, RowStates) and isinstance(outcome.metrics, RowMetrics):
-        return RowTable.of(work.engine, outcome)
-    return table_of(outcome)

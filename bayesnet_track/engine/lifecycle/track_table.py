@@ -4,96 +4,74 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.adapt.memory import LOST
-from bayesnet_track.engine.outcome import Outcome, State
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.frame_metrics import Lines
+from bayesnet_track.engine.outcome import Outcome
+from bayesnet_track.engine.rows.columns import Rows
+from bayesnet_track.engine.rows.finding import rows_of
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.targets import Records, Targets
 from bayesnet_track.graph.settings.lifecycle import Death
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 
 Ending = tuple[str, tuple[str, int, int]]
 """A target and why it ends, as `adapt.lifecycle.find_end_cause` has it."""
 
 
-class LiveTable(Protocol):
-    """The targets while one frame changes them, one by one (`TrackTable`) or as rows (`RowTable`)."""
-
-    net: Net
-    history: TrackHistory
-    events: list[Event]
-
-    def decide(self, *decisions: Decision) -> None:
-        """Write decisions down and carry them out."""
-
-    def count(self, plates: Collection[str], frame: Frame) -> None:
-        """One more frame for every live target of these plates."""
-
-    def state(self, target: str) -> TargetState:
-        """What is known of a target."""
-
-    def record(self, target: str) -> TrackRecord:
-        """What is counted of a target."""
-
-    def of_plate(self, plate: str) -> list[str]:
-        """Its live targets, in the order of their births."""
-
-    def held(self, plate: str) -> list[str]:
-        """Its live targets that are not lost."""
-
-    def boxes(self, targets: Sequence[str]) -> Floats:
-        """(K, 4) estimates of this frame."""
-
-    def beliefs(self, targets: Sequence[str]) -> tuple[Floats, Floats, Sequence[int]]:
-        """(K, 4) means and (K, 4, 4) covariances of the boxes, and the frames of the births."""
-
-    def mark_seen(self, targets: Iterable[str]) -> None:
-        """Targets have a detection of their own."""
-
-    def add(self, target: str, state: TargetState, record: TrackRecord, metrics: FrameMetrics) -> None:
-        """A target starts."""
-
-    def put_back(self, target: str, state: TargetState, record: TrackRecord) -> None:
-        """A target starts again."""
-
-    def ending(self, plate: str, rule: Death) -> list[Ending]:
-        """Targets whose time is over."""
-
-    def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
-        """Targets that exist with a smaller probability than `end`, and that probability."""
-
-    def end(self, decision: TargetDied | DuplicateEnded) -> None:
-        """A target ends."""
-
-    def outcome(self, before: Outcome, frame: Frame) -> Outcome:
-        """The outcome with all that was done here."""
-
-
 @dataclass(eq=False)
-class TrackTable:
-    """The targets, an object each.
+class LiveTable:
+    """The live targets: rows of tables, and others, which start or start again in the frame or fit no table.
 
     Attributes:
+        engine: the graph ready to run.
         net: the live nets.
-        targets: live target -> its state.
-        metrics: one entry per target that was live in this frame, the new ones included.
-        history: what is remembered.
+        tables: plate -> its rows as they were advanced in this frame.
+        states: other target -> its state.
+        records: other target -> what is counted of it.
+        metrics: one entry per target that was live in this frame, but for the new ones.
+        history: what is remembered, but for the records.
+        lines: those of targets that start.
+        gone: targets of the tables that ended, or started again.
         events: decisions and other events, in order.
     """
 
+    engine: Engine
     net: Net
-    targets: dict[str, TargetState]
-    metrics: list[FrameMetrics]
+    tables: dict[str, Rows]
+    states: dict[str, TargetState]
+    records: dict[str, TrackRecord]
+    metrics: Sequence[FrameMetrics]
     history: TrackHistory
+    lines: list[FrameMetrics] = field(default_factory=list)
+    gone: set[str] = field(default_factory=set)
     events: list[Event] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, engine: Engine, outcome: Outcome) -> LiveTable:
+        """That of a frame's outcome."""
+        state, targets = outcome.state, Targets.of(outcome.state.targets)
+        records = state.history.records
+        return cls(
+            engine,
+            state.net,
+            {rows.rule.plate: rows for rows in targets.gaussians},
+            targets.apart(),
+            dict(records.others if isinstance(records, Records) else records),
+            outcome.metrics,
+            state.history,
+        )
 
     def decide(self, *decisions: Decision) -> None:
         """Write decisions down and carry them out."""
@@ -102,12 +80,22 @@ class TrackTable:
 
     def count(self, plates: Collection[str], frame: Frame) -> None:
         """One more frame for every live target of these plates."""
+        numbers: list[int] = []
+        for plate, rows in self.tables.items():
+            is_new = rows.columns.since < 0
+            if plate in plates:
+                self.tables[plate] = rows.counted(frame.index, frame.time)
+            if is_new.any():  # the numbers of those that a table did not count before
+                new = (rows.ids[row] for row in np.flatnonzero(is_new).tolist())
+                numbers += [int(target) for target in new if target.isdecimal()]
         records = {}
-        for target, state in self.targets.items():
+        for target, state in self.states.items():
+            if target.isdecimal():
+                numbers.append(int(target))
             if self.net.targets[target].template not in plates:
                 continue
             lost = self.net.targets[target].status == "lost"
-            record = self.history.records.get(target)
+            record = self.records.get(target)
             if record is None or not (lost or state.memory.count(LOST)):
                 since = frame.index if record is None else record.since
                 unseen = 0 if record is None else record.unseen_frames
@@ -117,86 +105,177 @@ class TrackTable:
                 lost_frames=record.lost_frames + 1 if lost else 0,
                 unseen_frames=record.unseen_frames + 1,
             )
-        numbers = [int(target) for target in self.targets if target.isdecimal()]
-        self.history = replace(self.history, records=records, last_id=max([self.history.last_id, *numbers]))
+        self.records = records
+        if numbers:
+            self.history = changed(self.history, last_id=max([self.history.last_id, *numbers]))
 
     def state(self, target: str) -> TargetState:
         """What is known of a target."""
-        return self.targets[target]
+        if target in self.states:
+            return self.states[target]
+        rows = self._table_of(target)
+        return rows.state(rows.index[target])
 
     def record(self, target: str) -> TrackRecord:
         """What is counted of a target."""
-        return self.history.records[target]
+        if target in self.records:
+            return self.records[target]
+        rows = self._table_of(target)
+        return rows.record(rows.index[target])
+
+    def _table_of(self, target: str) -> Rows:
+        return next(rows for rows in self.tables.values() if target in rows.index)
+
+    def _ids(self, plate: str) -> Sequence[str]:
+        """The rows of a plate that are left."""
+        ids = self.tables[plate].ids if plate in self.tables else ()
+        return [target for target in ids if target not in self.gone] if self.gone else ids
 
     def of_plate(self, plate: str) -> list[str]:
-        """Its live targets, in the order of their births."""
-        return [target for target in self.targets if self.net.targets[target].template == plate]
+        """Its live targets, in the order of their births; those that are no row come last."""
+        others = (target for target in self.states if self.net.targets[target].template == plate)
+        return [*self._ids(plate), *others]
 
     def held(self, plate: str) -> list[str]:
         """Its live targets that are not lost."""
-        return [target for target in self.of_plate(plate) if self.net.targets[target].status != "lost"]
+        nets = self.net.targets
+        others = (target for target in self.states if nets[target].template == plate)
+        held = [target for target in others if nets[target].status != "lost"]
+        if plate not in self.tables:
+            return held
+        rows = self.tables[plate]
+        own = zip(rows.ids, rows.columns.is_lost.tolist(), strict=True)
+        gone = self.gone
+        return [*(target for target, is_lost in own if not (is_lost or target in gone)), *held]
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
-        at = {line.target: line.centre_box for line in self.metrics}
-        return np.array([at[target] for target in targets], dtype=np.float64).reshape(-1, 4)
+        known = self.metrics
+        if isinstance(known, RowMetrics):
+            if not (self.lines or known.born):
+                is_all = tuple(targets) == known.rows.ids
+                own = slice(None) if is_all else [known.rows.index[target] for target in targets]
+                return known.boxes[own].reshape(-1, 4)
+            index, boxes = known.rows.index, known.boxes
+            at = self._at(known.born)
+            found = [at[target] if target in at else boxes[index[target]] for target in targets]
+        else:
+            at = self._at(known)
+            found = [at[target] for target in targets]
+        return np.array(found, dtype=np.float64).reshape(-1, 4)
+
+    def _at(self, lines: Sequence[FrameMetrics]) -> dict[str, Sequence[float]]:
+        """Target -> its box, of lines and of those that start."""
+        boxes: Iterable[tuple[str, Sequence[float]]] = (
+            lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
+        )
+        return {**dict(boxes), **{line.target: line.centre_box for line in self.lines}}
 
     def beliefs(self, targets: Sequence[str]) -> tuple[Floats, Floats, Sequence[int]]:
-        """(K, 4) means and (K, 4, 4) covariances of the boxes, and the frames of the births."""
-        beliefs = [self.targets[target].belief for target in targets]
-        return (
-            np.array([one.mean[:4] for one in beliefs]).reshape(-1, 4),
-            np.array([one.covariance[:4, :4] for one in beliefs]).reshape(-1, 4, 4),
-            [self.history.records[target].since for target in targets],
-        )
+        """(K, 4) means and (K, 4, 4) covariances of the boxes, and the frames of the births.
+
+        All of a plate, those that are no row last.
+        """
+        apart = [target for target in targets if target in self.states]
+        beliefs = [self.states[target].belief for target in apart]
+        mean = np.array([one.mean[:4] for one in beliefs]).reshape(-1, 4)
+        covariance = np.array([one.covariance[:4, :4] for one in beliefs]).reshape(-1, 4, 4)
+        since = [self.records[target].since for target in apart]
+        own = targets[: len(targets) - len(apart)]
+        if not own:
+            return mean, covariance, since
+        table = self._table_of(own[0])
+        now = table.columns
+        rows = slice(None) if tuple(own) == table.ids else [table.index[target] for target in own]
+        births = now.since[rows].tolist()
+        if not apart:
+            return now.mean[rows, :4], now.covariance[rows, :4, :4], births
+        means, spreads = [now.mean[rows, :4], mean], [now.covariance[rows][:, :4, :4], covariance]
+        return np.concatenate(means), np.concatenate(spreads), births + since
 
     def mark_seen(self, targets: Iterable[str]) -> None:
         """Targets have a detection of their own."""
-        seen = {target: replace(self.history.records[target], unseen_frames=0) for target in targets}
-        self._keep({**self.history.records, **seen})
+        own: dict[str, list[int]] = {}
+        for target in targets:
+            if target in self.records:
+                self.records[target] = replace(self.records[target], unseen_frames=0)
+                continue
+            plate = self.net.targets[target].template
+            own.setdefault(plate, []).append(self.tables[plate].index[target])
+        for plate, seen in own.items():
+            rows = self.tables[plate]
+            unseen = rows.columns.unseen_frames.copy()
+            unseen[seen] = 0
+            self.tables[plate] = rows.with_columns(rows.columns.changed(unseen_frames=unseen), rows.time)
 
     def add(self, target: str, state: TargetState, record: TrackRecord, metrics: FrameMetrics) -> None:
         """A target starts."""
-        self.metrics.append(metrics)
+        self.lines.append(metrics)
         self.put_back(target, state, record)
 
     def put_back(self, target: str, state: TargetState, record: TrackRecord) -> None:
         """A target starts again."""
-        self.targets[target] = state
-        self._keep({**self.history.records, target: record})
+        if any(target in rows.index for rows in self.tables.values()):
+            self.gone.add(target)
+        self.states[target], self.records[target] = state, record
 
     def ending(self, plate: str, rule: Death) -> list[Ending]:
         """Targets whose time is over."""
-        causes = {
-            target: find_end_cause(self.history.records[target], rule) for target in self.of_plate(plate)
-        }
+        over: list[str] = []
+        if plate in self.tables:
+            rows = self.tables[plate]
+            is_over = rows.columns.lost_frames >= rule.lost_frames
+            if rule.unseen_frames is not None:
+                is_over |= rows.columns.unseen_frames >= rule.unseen_frames
+            over = [rows.ids[row] for row in np.flatnonzero(is_over).tolist()]
+        live = [target for target in over if target not in self.gone]
+        others = [target for target in self.states if self.net.targets[target].template == plate]
+        causes = {target: find_end_cause(self.record(target), rule) for target in (*live, *others)}
         return [(target, why) for target, why in causes.items() if why is not None]
 
     def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
         """Targets that exist with a smaller probability than `end`, and that probability."""
-        own = ((target, self.targets[target].existence) for target in self.of_plate(plate))
-        return [(target, value) for target, value in own if value is not None and value < end]
+        found: list[tuple[str, float]] = []
+        if plate in self.tables:
+            rows = self.tables[plate]
+            existence = rows.columns.existence
+            low = [(rows.ids[row], float(existence[row])) for row in np.flatnonzero(existence < end).tolist()]
+            found = [(target, value) for target, value in low if target not in self.gone]
+        own = [target for target in self.states if self.net.targets[target].template == plate]
+        others = ((target, self.states[target].existence) for target in own)
+        return [*found, *((target, value) for target, value in others if value is not None and value < end)]
 
     def end(self, decision: TargetDied | DuplicateEnded) -> None:
         """A target ends."""
         self.decide(decision)
-        del self.targets[decision.target]
-        records = self.history.records.items()
-        self._keep({target: record for target, record in records if target in self.targets})
+        self.records.pop(decision.target, None)
+        if self.states.pop(decision.target, None) is None:
+            self.gone.add(decision.target)
 
     def outcome(self, before: Outcome, frame: Frame) -> Outcome:
-        """The outcome with all that was done here."""
-        state = replace(
-            before.state, net=self.net, targets=self.targets, previous=frame, history=self.history
-        )
-        events = (*before.events, *self.events)
-        return replace(before, state=state, metrics=tuple(self.metrics), events=events)
-
-    def _keep(self, records: Mapping[str, TrackRecord]) -> None:
-        self.history = replace(self.history, records=records)
-
-
-def table_of(outcome: Outcome) -> TrackTable:
-    """The table of targets that are an object each."""
-    state: State = outcome.state
-    return TrackTable(state.net, dict(state.targets), list(outcome.metrics), state.history)
+        """The outcome with all that was done here: targets that start are rows where they fit."""
+        tables, nets = dict(self.tables), self.net.targets
+        for plate, rows in self.tables.items():
+            own = self.gone.intersection(rows.ids) if self.gone else ()
+            if own:
+                keep = np.array([target not in own for target in rows.ids], dtype=np.bool_)
+                tables[plate] = rows.take(keep)
+        if tables:
+            fit = rows_of(self.engine, nets, self.states, self.records, frame.time)
+            for plate, rows in fit.items():
+                tables[plate] = tables[plate].extended(rows) if plate in tables else rows
+                for target in rows.ids:
+                    del self.states[target], self.records[target]
+        gaussians = [rows.with_nets(nets) for rows in tables.values()]
+        targets: Mapping[str, TargetState] = self.states
+        records: Mapping[str, TrackRecord] = self.records
+        if gaussians:
+            targets, records = Targets(gaussians, (), self.states), Records(gaussians, self.records)
+        history = changed(self.history, records=records)
+        state = changed(before.state, net=self.net, targets=targets, previous=frame, history=history)
+        metrics = self.metrics
+        if self.lines and isinstance(metrics, RowMetrics):
+            metrics = metrics.with_born(self.lines)
+        elif self.lines:
+            metrics = (*metrics, *self.lines)
+        return changed(before, state=state, metrics=metrics, events=(*before.events, *self.events))

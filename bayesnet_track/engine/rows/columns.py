@@ -1,10 +1,11 @@
-"""The table: a row per target, and its states and records as others ask for them, made when they do."""
+"""Targets with a Gaussian belief as rows of a table; the state and the record of one are made on request."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import compress
 from typing import Any, Self
 
 import numpy as np
@@ -118,6 +119,34 @@ class Rows:
         after.__dict__["index"] = self.index
         return after
 
+    def take(self, keep: Bools) -> Rows:
+        """The targets for which (T,) `keep` is true."""
+        ids = tuple(compress(self.ids, keep.tolist()))
+        return Rows(self.rule, ids, self.columns.take(keep), self.time, self.checked)
+
+    def extended(self, others: Rows) -> Rows:
+        """These targets, then others of the same time."""
+        columns = self.columns.extend(others.columns)
+        return Rows(self.rule, (*self.ids, *others.ids), columns, self.time)
+
+    def counted(self, frame: int, time: float) -> Rows:
+        """The rows with one more frame counted of each."""
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.kernels.judging_kernels import count_frames
+
+        now = self.columns
+        counted = (now.since, now.lost_frames, now.unseen_frames)
+        since, lost, unseen, known = count_frames(counted, now.is_lost, now.memory.counts[:, 0], frame)
+        columns = now.changed(
+            since=since,
+            known_mean=np.where(known[:, None], now.mean, now.known_mean),
+            known_covariance=np.where(known[:, None, None], now.covariance, now.known_covariance),
+            known_time=np.where(known, time, now.known_time),
+            lost_frames=lost,
+            unseen_frames=unseen,
+        )
+        return self.with_columns(columns, self.time)
+
     def state(self, row: int) -> TargetState:
         """What is known of one target."""
         now, rule = self.columns, self.rule
@@ -133,6 +162,10 @@ class Rows:
             belief, references, now.memory.take([row]), rule.plan, self.time, existence=existence
         )
 
+    def covariance(self, target: str) -> Floats:
+        """(D, D) of the belief of one target."""
+        return np.asarray(self.columns.covariance[self.index[target]])
+
     def record(self, row: int) -> TrackRecord:
         """What is counted of one target."""
         now = self.columns
@@ -144,51 +177,6 @@ class Rows:
             int(now.lost_frames[row]),
             int(now.unseen_frames[row]),
         )
-
-
-class RowStates(Mapping[str, TargetState]):
-    """Target -> its state, of the rows of a table: each made when it is first asked for."""
-
-    def __init__(self, rows: Rows) -> None:
-        self.rows = rows
-        self._made: dict[str, TargetState] = {}
-
-    def __getitem__(self, target: str) -> TargetState:
-        if target not in self._made:
-            self._made[target] = self.rows.state(self.rows.index[target])
-        return self._made[target]
-
-    def __contains__(self, target: object) -> bool:
-        return target in self.rows.index
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.rows.ids)
-
-    def __len__(self) -> int:
-        return len(self.rows.ids)
-
-
-class RowRecords(Mapping[str, TrackRecord]):
-    """Target -> what is counted of it, in the same way."""
-
-    def __init__(self, rows: Rows) -> None:
-        self.rows = rows
-        self._made: dict[str, TrackRecord] = {}
-
-    def __getitem__(self, target: str) -> TrackRecord:
-        if target not in self._made:
-            row = self.rows.index[target]
-            if self.rows.columns.since[row] < 0:
-                raise KeyError(target)
-            self._made[target] = self.rows.record(row)
-        return self._made[target]
-
-    def __iter__(self) -> Iterator[str]:
-        known = self.rows.columns.since >= 0
-        return (target for target, is_known in zip(self.rows.ids, known.tolist(), strict=True) if is_known)
-
-    def __len__(self) -> int:
-        return int(np.count_nonzero(self.rows.columns.since >= 0))
 
 
 def make_rows(

@@ -1,37 +1,82 @@
-"""Whether a frame's targets go as rows: the one place where that is decided."""
+"""Live targets as rows of the tables that they fit; the others stay an object each."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from bayesnet_track.adapt.lifecycle import TrackRecord
+from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.outcome import State
-from bayesnet_track.engine.rows.columns import RowRecords, Rows, RowStates, make_rows
-from bayesnet_track.engine.rows.fitting import nets_fit, row_rule, states_fit
+from bayesnet_track.engine.rows.columns import Rows, make_rows
+from bayesnet_track.engine.rows.fitting import net_fits, row_rule, state_fits
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.targets import Records, Targets
+from bayesnet_track.journal.net.target_net import TargetNet
 
 
-def find_rows(work: FrameWork, state: State) -> Rows | None:
-    """The live targets as rows of a table, or None where some of them have to go one by one in this frame.
+def arrange(work: FrameWork, state: State) -> tuple[Targets, Mapping[str, TrackRecord]]:
+    """The live targets and their records, those that fit as rows of their plate's table.
 
-    They do where nothing came from outside, all are of one plate that fits, and nothing was decided about any
-    that a row has no place for.
+    A target that a person switches, that an agent gives no answer for, or about which more than its status
+    was decided, is an object for as long as that lasts.
     """
-    nets, before = work.net.targets, state.targets
-    if not before or work.by_hand or work.availability.known or state.net.joins:
-        return None
-    if isinstance(before, RowStates):
-        records = state.history.records
-        if not isinstance(records, RowRecords) or records.rows is not before.rows:
-            return None
-        rows = before.rows
-        if rows.checked is nets:
-            return rows
-        fits = nets_fit(rows.rule, (nets[target] for target in rows.ids))
-        return rows.with_nets(nets) if fits else None
-    plates = {nets[target].template for target in before}
-    rule = row_rule(work.engine, plates.pop()) if len(plates) == 1 else None
-    if rule is None or state.previous is None or not nets_fit(rule, (nets[target] for target in before)):
-        return None
-    if not states_fit(rule, before, state.previous.time):
-        return None
-    lost = [nets[target].status == "lost" for target in before]
-    rows = make_rows(rule, before, state.history.records, lost, state.previous.time)
-    return rows.with_nets(nets)
+    before, records = Targets.of(state.targets), state.history.records
+    if state.previous is None:
+        return before, records
+    nets = work.net.targets
+    odd = {*work.by_hand, *(target for target, _, _ in work.availability.known)}
+    tables: dict[str, Rows] = {}
+    left: dict[str, TargetState] = {}
+    for rows in before.gaussians:
+        kept = rows if rows.checked is nets and not odd else _kept(rows, nets, odd)
+        if kept is not rows:
+            left.update((one, before[one]) for one in rows.ids if one not in kept.index)
+        if kept.ids:
+            tables[rows.rule.plate] = kept
+    others = {**before.others, **left} if left else before.others
+    if others:
+        known = {target: records[target] for target in others if target in records}
+        able = {target: one for target, one in others.items() if target not in odd}
+        for plate, rows in rows_of(work.engine, nets, able, known, state.previous.time).items():
+            tables[plate] = tables[plate].extended(rows) if plate in tables else rows
+    gaussians = [rows if rows.checked is nets else rows.with_nets(nets) for rows in tables.values()]
+    if not others:
+        return Targets(gaussians, before.particles, {}, before.order), Records(gaussians, {})
+    placed = {target for rows in gaussians for target in rows.ids}
+    others = {target: one for target, one in others.items() if target not in placed}
+    order = [target for target in before if target not in placed]
+    apart = {target: one for target, one in known.items() if target not in placed}
+    return Targets(gaussians, before.particles, others, order), Records(gaussians, apart)
+
+
+def _kept(rows: Rows, nets: Mapping[str, TargetNet], odd: Collection[str]) -> Rows:
+    """The rows that still fit."""
+    keep = [target not in odd and net_fits(rows.rule, nets[target]) for target in rows.ids]
+    return rows.with_nets(nets) if all(keep) else rows.take(np.array(keep, dtype=np.bool_))
+
+
+def rows_of(
+    engine: Engine,
+    nets: Mapping[str, TargetNet],
+    states: Mapping[str, TargetState],
+    records: Mapping[str, TrackRecord],
+    time: float,
+) -> dict[str, Rows]:
+    """Plate -> the rows of those of the states, of that time, that fit."""
+    fit: dict[str, dict[str, TargetState]] = {}
+    for target, state in states.items():
+        net = nets[target]
+        rule = row_rule(engine, net.template)
+        if rule is not None and net_fits(rule, net) and state_fits(rule, state, time):
+            fit.setdefault(net.template, {})[target] = state
+    found = {}
+    for plate, several in fit.items():
+        rule = row_rule(engine, plate)
+        assert rule is not None
+        found[plate] = make_rows(
+            rule, several, records, [nets[one].status == "lost" for one in several], time
+        )
+    return found

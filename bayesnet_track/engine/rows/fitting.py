@@ -6,8 +6,8 @@ target's own detection. A target fits as long as nothing but its status was deci
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,9 +75,13 @@ class RowRule:
 
 def row_rule(engine: Engine, plate: str) -> RowRule | None:
     """What the rows of a plate have in common; None where its targets have to go one by one."""
-    compiled = engine.plates[plate]
+    return None if engine.joins else _rule_of(engine.plates[plate])
+
+
+@lru_cache(maxsize=64)
+def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     agents, motion = compiled.plate.agents, compiled.motion
-    if engine.joins or len(compiled.association_rules) != 1:
+    if len(compiled.association_rules) != 1:
         return None
     if compiled.plate.factors:
         return None
@@ -131,32 +135,25 @@ def _belief_fits(compiled: CompiledPlate, motion: LinearMotion) -> bool:
     return True
 
 
-def nets_fit(rule: RowRule, nets: Iterable[TargetNet]) -> bool:
-    """Whether nothing but their status was decided about live nets."""
-    return all(
-        net.template == rule.plate
-        and net.active == rule.active
+def net_fits(rule: RowRule, net: TargetNet) -> bool:
+    """True where nothing but its status was decided about a live net."""
+    return (
+        net.active == rule.active
         and net.status != "uncertain"
         and not (net.quarantined or net.by_hand or net.faults or net.shed or net.sampled or net.rest_count)
         and net.most_particles is None
-        for net in nets
     )
 
 
-def states_fit(rule: RowRule, states: Mapping[str, TargetState], time: float) -> bool:
-    """Whether the states are what a row holds, all of one time."""
-    return all(
+def state_fits(rule: RowRule, state: TargetState, time: float) -> bool:
+    """True where a state of that time is what a row holds."""
+    return (
         state.time == time
         and isinstance(state.belief, GaussianPosterior)
         and state.plan.active == rule.active
         and state.motion_context is None
         and not (state.watched.slow or state.watched.parted or state.watched.frames)
-        and _is_plain(state.scored)
+        and state.scored == Scored()
         and state.references.keys() <= {rule.agent}
         and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION, OBSERVED}
-        for state in states.values()
     )
-
-
-def _is_plain(scored: Scored) -> bool:
-    return scored == Scored()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
 from bayesnet_track.adapt.rule_inputs import Measures, Situation
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.rows.advancing import FilteredGaussians
 from bayesnet_track.engine.rows.columns import GIVEN, Columns, Rows
 from bayesnet_track.engine.rows.row_metrics import RowMeasures
 from bayesnet_track.journal.net.net import Decision
@@ -15,10 +19,30 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, NATS, UD
 
 
-def judge_rows(
-    work: FrameWork, rows: Rows, updated: Columns, numbers: Floats
-) -> tuple[Columns, RowMeasures, list[Decision]]:
+@dataclass(frozen=True, eq=False)
+class JudgedRows:
+    """The second half of the frame of rows.
+
+    Attributes:
+        before: the rows before the frame.
+        columns: what is known of them after it.
+        measured: what was measured.
+        decisions: those that are taken.
+    """
+
+    before: Rows
+    columns: Columns
+    measured: RowMeasures
+    decisions: tuple[Decision, ...]
+
+    def table(self, time: float, nets: Mapping[str, Any]) -> Rows:
+        """The rows after the frame, with the live nets after its decisions."""
+        return self.before.with_columns(self.columns, time).with_nets(nets)
+
+
+def judge_rows(work: FrameWork, filtered: FilteredGaussians) -> JudgedRows:
     """The memory of the rules with one frame more, what was measured, and the decisions that are taken."""
+    rows, updated, numbers = filtered.before, filtered.columns, filtered.numbers
     started, before, rule = work.engine.clock(), rows.columns, rows.rule
     plate, is_lost = rule.compiled.plate, before.is_lost
     now = RuleColumns(
@@ -34,13 +58,13 @@ def judge_rows(
         existence=None if rule.crowd is None else updated.existence,
     )
     made, memory = decide(now, before.memory)
-    decisions = [decision for of in made.values() for decision in of]
+    decisions = tuple(decision for of in made.values() for decision in of)
     if decisions:
         is_lost = is_lost.copy()
         is_lost[[*made]] = ~is_lost[[*made]]
     after = updated.changed(memory=memory, is_lost=is_lost)
     work.charge("measure", started)
-    return after, RowMeasures(numbers, memory.levels_px2(rule.root, rule.active)), decisions
+    return JudgedRows(rows, after, RowMeasures(numbers, memory.levels_px2(rule.root, rule.active)), decisions)
 
 
 def _see(work: FrameWork, rows: Rows, after: Columns, numbers: Floats, row: int) -> Situation:

@@ -23,10 +23,11 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
-from bayesnet_track.engine.rows.particle_table import ParticleStates, ParticleTable
+from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
+from bayesnet_track.engine.targets import Targets
 from bayesnet_track.inference.asking import Fault, score
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import is_elsewhere
@@ -50,11 +51,11 @@ def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> list[Filt
 
 def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[ParticleTable]:
     """The targets that fit, those together that are alike: those that are columns already come first."""
-    known = before.unchanged(work.net.targets) if isinstance(before, ParticleStates) else None
+    known = Targets.of(before).unchanged(work.net.targets)
     tables: dict[Hashable, ParticleTable] = {}
-    others = dict(before if known is None else known.others)
+    others = dict(known.others)
     key: Hashable
-    for table in () if known is None else known.tables:
+    for table in known.particles:
         if not _asks_here(work, table.compiled, table.plan):
             continue
         most = work.net.targets[table.ids[0]].most_particles

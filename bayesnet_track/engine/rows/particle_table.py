@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -146,50 +145,3 @@ class ParticleTable:
             references={agent: references[agent] for agent in self.references if agent in references},
             _made={},
         )
-
-
-class ParticleStates(Mapping[str, TargetState]):
-    """Target -> its state, of the rows of tables and of others.
-
-    Args:
-        tables: targets that are columns.
-        others: target -> its state.
-        order: all targets.
-    """
-
-    def __init__(
-        self, tables: Sequence[ParticleTable], others: Mapping[str, TargetState], order: Sequence[str]
-    ) -> None:
-        self.tables, self.others, self.order = tables, others, order
-
-    def __getitem__(self, target: str) -> TargetState:
-        for table in self.tables:
-            if target in table.index:
-                return table.state(table.index[target])
-        return self.others[target]
-
-    def __contains__(self, target: object) -> bool:
-        return target in self.others or any(target in table.index for table in self.tables)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.order)
-
-    def __len__(self) -> int:
-        return len(self.order)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
-
-    def unchanged(self, nets: Mapping[str, TargetNet]) -> ParticleStates:
-        """The same, targets whose live nets have changed as objects."""
-        tables: list[ParticleTable] = []
-        others = dict(self.others)
-        for table in self.tables:
-            known = [nets[target] is one for target, one in zip(table.ids, table.nets, strict=True)]
-            if not all(known):
-                changed_rows = [row for row, is_so in enumerate(known) if not is_so]
-                others.update((table.ids[row], table.state(row)) for row in changed_rows)
-                table = table.take([row for row, is_so in enumerate(known) if is_so])
-            if table.ids:
-                tables.append(table)
-        return ParticleStates(tables, others, self.order)
