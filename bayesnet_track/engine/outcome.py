@@ -25,8 +25,7 @@ from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, recompile
 from bayesnet_track.engine.targets import Records, Targets
-from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net, apply_decisions

@@ -7,12 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesnet_track.adapt.assign import assign_pairs
-from bayesnet_track.adapt.association import NOBODY, Owners
-from bayesnet_track.adapt.candidates import Candidate
+from bayesnet_track.adapt.association import (
+    NOBODY,
+    Owners,
+    Pass,
+    assign_pairs,
+    share_by_overlap,
+    share_in_passes,
+)
 from bayesnet_track.adapt.existence import Pairs
-from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
+from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
@@ -36,7 +40,7 @@ LEAST_LOG = -50.0
 def assign_detections(
     rule: AssociationRule, expected: Tracks, seen: Found, log_looks: Callable[[int, Floats], Floats]
 ) -> Owners:
-    """(T,) the detection of each track, or `NOBODY`; see `adapt.assign` and `adapt.passes`.
+    """(T,) the detection of each track, or `NOBODY`; see `adapt.association` and `adapt.association`.
 
     `log_looks` takes a row and boxes (M, 4) and gives (M,) log-likelihoods by what the target looks like.
     """

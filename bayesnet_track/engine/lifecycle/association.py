@@ -14,9 +14,8 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from bayesnet_track.adapt.association import NOBODY
+from bayesnet_track.adapt.association import NOBODY, first_observed, remembered
 from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import Confined, confined
@@ -40,7 +39,7 @@ from bayesnet_track.engine.rows.fitting import RowRule, row_rule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
-from bayesnet_track.journal.events.births import DetectionsCut, DetectorFailed
+from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
 from bayesnet_track.numerics.arrays import Bools, Floats
 
 
