@@ -27,14 +27,13 @@ from measuring import Image, environment, on_one_thread, table
 from sequences import find_sequences
 
 from bayesnet_track.engine.scoring.assurance import e_value, level_afterwards, next_rise
-from bayesnet_track.evaluate.calibration import OFF_TARGET
+from bayesnet_track.evaluate.calibration import OFF_TARGET, fit, score_of
 from bayesnet_track.evaluate.calibration_data import (
     CalibrationData,
     by_video,
     calibration_data,
     with_features,
 )
-from bayesnet_track.evaluate.fitting import fit, score_of
 from bayesnet_track.evaluate.guarantees import (
     Run,
     control_afterwards,

@@ -32,7 +32,7 @@ from real_video import LOOKS, Elsewhere, note
 from sequences import HALVES, Sequence, find_sequences
 
 from bayesnet_track import Tracker
-from bayesnet_track.evaluate.long_term import Confident, long_term
+from bayesnet_track.evaluate.scores import Confident, long_term
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 RETURN_FRAMES = 20

@@ -1,13 +1,17 @@
-"""GOSPA (Rahmathullah et al. 2017) of frames, and OSPA(2) (Beard, Vo & Vo 2020) of whole trajectories."""
+"""GOSPA of frames and of trajectories, and OSPA(2) of whole trajectories.
+
+The multi-dimensional assignment of trajectory GOSPA is relaxed to a linear program, which is a metric, too, and never larger.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesnet_track.evaluate.mot_pairs import FramePairs, Pairs, assign
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 
 CUTOFF_PX = 50.0
 """Distance of box centres from which on a track is not on a target."""
@@ -132,3 +136,156 @@ def track_distances(pairs: Pairs, cutoff_px: float) -> Floats:
         both[at] += 1
     either = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :] - both
     return np.asarray(cutoff_px - below / either, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class TrajectoryGospa:
+    """Trajectory GOSPA of a sequence, in parts that add up in its power p.
+
+    Attributes:
+        frames: number of frames K, those without boxes included.
+        localisation: sum of d^p over the matched pairs of all frames.
+        missed: true boxes without a match.
+        false: tracked boxes without a match.
+        switches: changes of the track; from or to none, a half. Like the two above it can be a fraction, as
+            relaxed assignments can.
+        cutoff_px: c.
+        order: p.
+        switch_px: gamma.
+    """
+
+    frames: int
+    localisation: float
+    missed: float
+    false: float
+    switches: float
+    cutoff_px: float
+    order: float
+    switch_px: float
+
+    @property
+    def total_px(self) -> float:
+        """The metric, divided by K^(1/p): without switches, GOSPA of the sequence."""
+        unmatched = unmatched_cost(self.cutoff_px, self.order) * (self.missed + self.false)
+        return self._mean_px(self.localisation + unmatched + self.switch_px**self.order * self.switches)
+
+    @property
+    def switches_px(self) -> float:
+        """Its part from changes of the track."""
+        return self._mean_px(self.switch_px**self.order * self.switches)
+
+    def _mean_px(self, total: float) -> float:
+        return float((max(total, 0.0) / self.frames) ** (1 / self.order)) if self.frames else 0.0
+
+
+def trajectory_gospa(
+    pairs: Pairs,
+    cutoff_px: float = CUTOFF_PX,
+    order: float = ORDER,
+    switch_px: float | None = None,
+) -> TrajectoryGospa:
+    """Trajectory GOSPA of a sequence.
+
+    `switch_px` (gamma) is c / 2^(1/p) unless given: a switch then costs as much as a missed box.
+
+    Raises:
+        ValueError: a cut-off of 0 or less, an order below 1, or a switch cost below 0.
+        RuntimeError: the linear program could not be solved.
+    """
+    check_metric(cutoff_px, order)
+    gamma = unmatched_cost(cutoff_px, order) ** (1 / order) if switch_px is None else switch_px
+    if not 0 <= gamma < np.inf:
+        raise ValueError(f"switch cost {gamma:g}; expected a distance from 0 px on")
+    gain = matched = switches = 0.0
+    for part in _parts(pairs, cutoff_px, order):
+        weights = _solve(part, gamma**order / 2)
+        gain += float((part.gains * weights).sum())
+        matched += float(weights[part.gains > 0].sum())
+        switches += float(np.abs(np.diff(weights, axis=0)).sum()) / 2
+    missed, false = float(pairs.true_boxes.sum()) - matched, float(pairs.tracked_boxes.sum()) - matched
+    localisation = cutoff_px**order * matched - gain
+    return TrajectoryGospa(pairs.length, localisation, missed, false, switches, cutoff_px, order, gamma)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Targets and tracks that have to do with each other, directly or through others, and nobody else.
+
+    Attributes:
+        gains: (F, P) c^p - d^p of each pair in each frame in which one of them is nearer than c; else 0.
+        true: (P,) the target of each pair that is ever nearer than c.
+        tracked: (P,) its track.
+    """
+
+    gains: Floats
+    true: Ints
+    tracked: Ints
+
+
+def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    frames, true, tracked, gains = [], [], [], []
+    for number, frame in enumerate(pairs.frames):
+        i, j = np.nonzero(frame.distance < cutoff_px)
+        frames.append(np.full(len(i), number))
+        true.append(frame.true[i])
+        tracked.append(frame.tracked[j])
+        gains.append(cutoff_px**order - frame.distance[i, j] ** order)
+    if not frames:
+        return
+    row, i, j, gain = (np.concatenate(one) for one in (frames, true, tracked, gains))
+    targets = len(pairs.true_boxes)
+    size = targets + len(pairs.tracked_boxes)
+    _, labels = connected_components(coo_array((np.ones(len(i)), (i, targets + j)), (size, size)), False)
+    for label in np.unique(labels[i]):
+        own = labels[i] == label
+        _, at = np.unique(row[own], return_inverse=True)  # frames without gain change nothing
+        both, pair = np.unique(np.stack([i[own], j[own]]), axis=1, return_inverse=True)
+        table = np.zeros((at.max() + 1, both.shape[1]))
+        table[at, pair.ravel()] = gain[own]
+        yield _Part(table, both[0], both[1])
+
+
+def _solve(part: _Part, half_switch: float) -> Floats:
+    """(F, P) weights 0..1 that gain most, at most 1 in all for a target or a track in a frame.
+
+    Where a pair gains nothing, its weight is constant until it gains again: the least weight of such a
+    stretch changes no gain, leaves more room for others, and costs no more in changes.
+    """
+    from scipy.optimize import linprog
+    from scipy.sparse import block_array, coo_array, eye_array
+
+    frames, count = part.gains.shape
+    if count == 1:
+        return np.ones((frames, 1))  # alone, a pair has nothing to gain from parting
+    gains = part.gains > 0
+    starts = np.vstack([np.ones((1, count), dtype=bool), gains[1:] | gains[:-1]])
+    weight = np.cumsum(starts.T).reshape(count, frames).T - 1  # number of each one that is free
+    size = int(weight.max()) + 1
+    groups = [side == one for side in (part.true, part.tracked) for one in np.unique(side)]
+    shared = [np.unique(weight[:, own], axis=0) for own in groups if own.sum() > 1]
+    limited = sum(len(sums) for sums in shared)
+    rows = np.repeat(np.arange(limited), np.concatenate([[sums.shape[1]] * len(sums) for sums in shared]))
+    columns = np.concatenate([sums.ravel() for sums in shared])
+    capacity = coo_array((np.ones(len(rows)), (rows, columns)), (limited, size))
+    later = weight[1:][starts[1:]]
+    changes = len(later)
+    each = np.arange(changes)
+    change = coo_array(
+        (np.repeat([1.0, -1.0], changes), (np.tile(each, 2), np.append(later, later - 1))), (changes, size)
+    )
+    localization_error = -eye_array(changes)
+    answer = linprog(
+        np.append(-np.bincount(weight.ravel(), part.gains.ravel(), size), np.full(changes, half_switch)),
+        A_ub=block_array(
+            [[capacity, None], [change, localization_error], [-change, localization_error]], format="csr"
+        ),
+        b_ub=np.append(np.ones(limited), np.zeros(2 * changes)),
+        bounds=(0, 1),
+        method="highs",
+    )
+    if answer.x is None:
+        raise RuntimeError(f"trajectory GOSPA: {answer.message}")
+    return np.asarray(answer.x[weight], dtype=np.float64)

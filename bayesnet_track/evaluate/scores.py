@@ -1,16 +1,15 @@
-"""Scores of one pass over a sequence, from its boxes and the true ones."""
+"""Scores of one pass over a sequence, from its boxes and the true ones, also by confidence."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.evaluate.long_term import Confident, LongTerm, long_term
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
@@ -268,3 +267,67 @@ def _coverage(
     bounds, centre = region[1:][counted[1:]], centre[1:][counted[1:]]
     inside = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
     return float(inside[0].mean()), float(inside[1].mean())
+
+
+@dataclass(frozen=True, eq=False)
+class Confident:
+    """One sequence, each frame after the first, which is given.
+
+    Attributes:
+        iou: (n,) overlap with the true box; 0 where the target is absent.
+        confidence: (n,) of the tracker.
+        present: (n,) whether the target has a true box.
+    """
+
+    iou: Floats
+    confidence: Floats
+    present: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LongTerm:
+    """The best point of the curve.
+
+    Attributes:
+        precision: mean overlap of the frames with a confidence of at least the threshold; 0 where absent.
+        recall: mean overlap of the frames in which the target is present; 0 below the threshold.
+        f: harmonic mean of both.
+        threshold: confidence at which `f` is largest, the highest such one.
+    """
+
+    precision: float
+    recall: float
+    f: float
+    threshold: float
+
+
+def long_term(sequences: Sequence[Confident]) -> LongTerm | None:
+    """Precision, recall and F at the confidence threshold with the largest F; None without a target to find.
+
+    Precision and recall of a threshold are means over sequences (Lukezic et al., Performance Evaluation
+    Methodology for Long-Term Single-Object Tracking, 2020). A sequence in which nothing is reported at a
+    threshold does not count for its precision; one without a frame that has the target, not for its recall.
+    """
+    shown = [one for one in sequences if len(one.iou)]
+    if not any(one.present.any() for one in shown):
+        return None
+    levels = np.unique(np.concatenate([one.confidence for one in shown]))
+    curves = [_curve(one, levels) for one in shown]
+    precision = np.nanmean([curve[0] for curve in curves], axis=0)
+    recall = np.nanmean(
+        [curve[1] for curve, one in zip(curves, shown, strict=True) if one.present.any()], axis=0
+    )
+    total = precision + recall
+    f = np.divide(2.0 * precision * recall, total, out=np.zeros_like(total), where=total > 0.0)
+    best = len(f) - 1 - int(np.argmax(f[::-1]))
+    return LongTerm(float(precision[best]), float(recall[best]), float(f[best]), float(levels[best]))
+
+
+def _curve(one: Confident, levels: Floats) -> tuple[Floats, Floats]:
+    """Precision and recall at each of the ascending levels; NaN precision where nothing is reported."""
+    order = np.argsort(one.confidence, kind="stable")
+    first = np.searchsorted(one.confidence[order], levels, side="left")
+    above = np.append(np.cumsum(one.iou[order][::-1])[::-1], 0.0)[first]
+    reported = (len(order) - first).astype(np.float64)
+    precision = np.divide(above, reported, out=np.full(len(levels), np.nan), where=reported > 0)
+    return precision, above / max(int(one.present.sum()), 1)

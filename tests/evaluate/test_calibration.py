@@ -11,17 +11,19 @@ from hypothesis import strategies as st
 
 from bayesnet_track.evaluate.calibration import (
     HEAVY_TAIL,
+    SIGNS,
     auroc,
     below_on_target,
     brier,
+    fit,
     fit_levels,
     fit_localization_error,
     fit_logistic,
+    leave_one_out,
     longest_run,
     reliability,
 )
 from bayesnet_track.evaluate.calibration_data import CalibrationData
-from bayesnet_track.evaluate.fitting import SIGNS, fit, leave_one_out
 from bayesnet_track.graph.settings.scores import FEATURES
 
 

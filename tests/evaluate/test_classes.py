@@ -5,9 +5,15 @@ import json
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.evaluate.classes import class_names, class_table, of_classes, score_classes
-from bayesnet_track.evaluate.mot import score_mot, score_mot_files
-from bayesnet_track.evaluate.mot_files import read_mot_tracks, read_mot_truth
+from bayesnet_track.evaluate.mot import (
+    class_names,
+    class_table,
+    of_classes,
+    score_classes,
+    score_mot,
+    score_mot_files,
+)
+from bayesnet_track.evaluate.mot_pairs import read_mot_tracks, read_mot_truth
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 PERSON = [f"{f},1,{10 + f},10,20,20,1,1,1" for f in range(1, 6)]

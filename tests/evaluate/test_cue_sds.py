@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cues import color_blobs, motion
-from bayesnet_track.evaluate.cue_sds import fit_sd, fit_sds, residuals_of, shares_inside
+from bayesnet_track.evaluate.cue_parameters import cue_residuals, fit_sd, fit_sds, shares_inside
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.cue import Residual
@@ -74,7 +74,7 @@ def test_hue_of_blobs_is_found_as_it_was_painted():
             image[18:42, 18:42] = (0, level[k], 255) if hue[k] >= 0 else (level[k], 0, 255)
 
         truth = np.tile([18.0, 18, 24, 24], (100, 1))
-        videos.append(residuals_of(graph("color_blobs"), painted(draw, 100), truth))
+        videos.append(cue_residuals(graph("color_blobs"), painted(draw, 100), truth))
     value = fit_sd([np.concatenate(one["a", "sd_hue_deg"]) for one in videos]).value
     assert value == pytest.approx(6.0, rel=0.35)  # 198 residuals: 7 %, four of them, and rounding
 
@@ -93,7 +93,7 @@ def test_flow_at_true_boxes_is_found_as_the_target_was_moved():
             image[y : y + 32, x : x + 32] = pattern
 
         truth = np.column_stack([place, np.full((100, 2), 32)]).astype(float)
-        found = residuals_of(graph("motion"), painted(draw, 100), truth)
+        found = cue_residuals(graph("motion"), painted(draw, 100), truth)
         flow = np.diff(place, axis=0).astype(float)
         change = np.diff(flow, axis=0)
         assert len(found["a", "sd_x_px"]) > 80
@@ -136,7 +136,7 @@ def test_fitted_sds_hold_on_other_scenes():
             geometry = random_geometry(np.random.Generator(np.random.Philox(seed)))
             scene = two_squares(seed, geometry)
             frames = (Frame(k, float(k), image) for k, image in enumerate(islice(scene.frames, 80)))
-            yield residuals_of(checked, frames, scene.truth)
+            yield cue_residuals(checked, frames, scene.truth)
 
     fitted, unseen = fit_sds(list(residuals(range(340, 344)))), list(residuals(range(350, 354)))
     assert set(fitted) == {("motion", "sd_x_px"), ("motion", "sd_y_px")}

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cues.intensity import CUE as INTENSITY
-from bayesnet_track.evaluate.fusion import (
+from bayesnet_track.evaluate.cue_parameters import (
     fit_correlation,
     lattice,
     learned_pools,
     own_estimate,
-    residuals_of,
+    pool_errors,
 )
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses
@@ -118,7 +118,7 @@ def test_the_correlation_of_agents_in_a_video():
     """Errors of sd 1 px in 119 frames, x and y: 4.5 sds of the estimate, (1 - r^2) / sqrt(238)."""
     count, correlation = 120, 0.6
     truth = np.tile([60.0 - SIDE / 2 + 0.5, 45.0 - SIDE / 2 + 0.5, SIDE, SIDE], (count, 1))
-    found = residuals_of(net(correlation), frames(count), truth)
+    found = pool_errors(net(correlation), frames(count), truth)
     fitted = fit_correlation([found["p"]])
     assert fitted.frames > 110
     assert fitted.value == pytest.approx(correlation, abs=4.5 * (1.0 - correlation**2) / np.sqrt(238))

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.evaluate.gospa import gospa, ospa2, track_distances
+from bayesnet_track.evaluate.gospa import gospa, ospa2, track_distances, trajectory_gospa
 from bayesnet_track.evaluate.mot_pairs import Tracks, pair
-from bayesnet_track.evaluate.trajectory_gospa import trajectory_gospa
 
 C = 10.0
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.evaluate.clear_mot import clear_mot
+from bayesnet_track.evaluate.identity import clear_mot
 from bayesnet_track.evaluate.mot import identity
 from bayesnet_track.evaluate.mot_pairs import Tracks, pair
 

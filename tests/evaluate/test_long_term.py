@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.evaluate.long_term import Confident, LongTerm, long_term
-from bayesnet_track.evaluate.scores import score
+from bayesnet_track.evaluate.scores import Confident, LongTerm, long_term, score
 
 
 def seen(iou, confidence, present):

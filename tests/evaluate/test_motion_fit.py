@@ -8,9 +8,8 @@ from scipy import stats
 
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.simulating import Simulation, simulate
-from bayesnet_track.evaluate.motion.evidence import Hypothesis, log_evidence
-from bayesnet_track.evaluate.motion.fit import ERRORS, fit_motion
-from bayesnet_track.evaluate.motion.parameters import MotionFitError, parameters_of, with_value
+from bayesnet_track.evaluate.motion_evidence import Hypothesis, log_evidence
+from bayesnet_track.evaluate.motion_fit import ERRORS, MotionFitError, fit_motion, parameters_of, with_value
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.graph.text.load import read_graph

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.evaluate.motion.scales import MOST_STARTS, bounds_of, places_of, starts_of, values_at
+from bayesnet_track.evaluate.motion_fit import MOST_STARTS, bounds_of, places_of, starts_of, values_at
 
 VELOCITY = ("constant_velocity", "sd_velocity_px")
 BEGIN = {

@@ -24,7 +24,7 @@ from bayesnet_track.runtime.smoothing import smooth
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.sources.stereo_source import open_stereo_source
-from bayesnet_track.vision.stereo.chessboard import calibrate
+from bayesnet_track.vision.calibration import calibrate
 
 
 def test_a_black_first_frame_is_said_in_the_words_of_the_reader(tmp_path, capsys):

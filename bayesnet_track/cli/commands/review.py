@@ -161,10 +161,9 @@ def score(options: argparse.Namespace) -> int:
 def _score_several(
     tracks: Path, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
 ) -> int:
-    from bayesnet_track.evaluate.classes import class_names, class_table, of_classes, score_classes
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
-    from bayesnet_track.evaluate.mot import score_mot
-    from bayesnet_track.evaluate.mot_files import read_pair
+    from bayesnet_track.evaluate.mot import class_names, class_table, of_classes, score_classes, score_mot
+    from bayesnet_track.evaluate.mot_pairs import read_pair
     from bayesnet_track.evaluate.runs import frames_of_run, say_misplaced
 
     if options.target is not None:

@@ -38,8 +38,8 @@ BEFORE = ("sds", "policy", "fusion")
 
 def fit(options: argparse.Namespace) -> int:
     """Estimate, print or write."""
-    from bayesnet_track.evaluate.fitting import SIGNS, leave_one_out
-    from bayesnet_track.evaluate.fitting import fit as estimate
+    from bayesnet_track.evaluate.calibration import SIGNS, leave_one_out
+    from bayesnet_track.evaluate.calibration import fit as estimate
     from bayesnet_track.graph.text.load import load_graph
 
     promises = options.guarantee is not None or options.alarm is not None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
     """The graph's text with the `correlation` of every learned pool."""
-    from bayesnet_track.evaluate.fusion import fit_correlation, learned_pools, residuals_of
+    from bayesnet_track.evaluate.cue_parameters import fit_correlation, learned_pools, pool_errors
     from bayesnet_track.graph.settings.net import pool_exponents
     from bayesnet_track.graph.text.change import set_value
 
@@ -25,7 +25,7 @@ def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
     found = []
     for video in videos:
         with frames_of(video, end) as frames, users_mistake():
-            found.append(residuals_of(graph, frames, video.truth))
+            found.append(pool_errors(graph, frames, video.truth))
     for pool, children in pools.items():
         with users_mistake():
             fitted = fit_correlation([one[pool] for one in found])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from bayesnet_track.evaluate.motion.fit import Estimate, FittedMotion
+    from bayesnet_track.evaluate.motion_fit import Estimate, FittedMotion
     from bayesnet_track.graph.checked import CheckedGraph
 
     Tracks = Sequence[NDArray[np.float64]]
@@ -27,7 +27,7 @@ def fit_motion_text(text: str, graph: CheckedGraph, options: argparse.Namespace)
     Raises:
         UsageError: options that do not go with it, no boxes, or a motion that cannot be fitted.
     """
-    from bayesnet_track.evaluate.motion.fit import fit_motion
+    from bayesnet_track.evaluate.motion_fit import fit_motion
 
     for name in ("what", "guarantee", "alarm", "leave_one_out"):
         if getattr(options, name):
@@ -46,7 +46,7 @@ def tracks_of(options: argparse.Namespace) -> Tracks:
     """(T, 4) centre boxes of each track of `--truth` and `--folder`, up to `--end`."""
     import numpy as np
 
-    from bayesnet_track.evaluate.mot_files import read_mot_tracks
+    from bayesnet_track.evaluate.mot_pairs import read_mot_tracks
     from bayesnet_track.evaluate.truth import is_mot, read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
 

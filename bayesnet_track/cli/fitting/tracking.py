@@ -13,7 +13,7 @@ from bayesnet_track.cli.fitting.videos import Video, frames_of
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
-    from bayesnet_track.evaluate.cue_sds import FittedSd
+    from bayesnet_track.evaluate.cue_parameters import FittedSd
     from bayesnet_track.evaluate.policies import Chosen, Policy, Trial
     from bayesnet_track.graph.checked import CheckedGraph
 
@@ -28,13 +28,13 @@ def check_text(text: str, name: str) -> CheckedGraph:
 
 def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
     """The graph's text with the standard deviations of its cues."""
-    from bayesnet_track.evaluate.cue_sds import MEMORY_FRAMES, residuals_of
-    from bayesnet_track.evaluate.cue_sds import fit_sds as estimate
+    from bayesnet_track.evaluate.cue_parameters import MEMORY_FRAMES, cue_residuals
+    from bayesnet_track.evaluate.cue_parameters import fit_sds as estimate
 
     found = []
     for video in videos:
         with frames_of(video, end) as frames, users_mistake():
-            found.append(residuals_of(graph, frames, video.truth))
+            found.append(cue_residuals(graph, frames, video.truth))
     with users_mistake():
         fitted = estimate(found)
     for (agent, parameter), one in fitted.items():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
-    from bayesnet_track.evaluate.fitting import Checked, Fitted
+    from bayesnet_track.evaluate.calibration import Checked, Fitted
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.graph.spec import Logistic
 
@@ -23,7 +23,7 @@ def further_features(graph: CheckedGraph) -> tuple[str, ...]:
 
 def used_features(graph: CheckedGraph) -> tuple[str, ...]:
     """The features that the first plate's score goes by; without a score, the usual ones."""
-    from bayesnet_track.evaluate.fitting import USUAL_FEATURES
+    from bayesnet_track.evaluate.calibration import USUAL_FEATURES
 
     score = _score_of(graph)
     used = () if score is None else tuple(name for name, slope in score.coefficients.items() if slope)

@@ -1,27 +1,201 @@
-"""Noise and modes of a motion, found by maximum evidence of measured boxes, with intervals."""
+"""Noise and modes of a motion that maximise the evidence of measured boxes, with intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
+from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.modes import make_modes
-from bayesnet_track.belief.motion.noise import is_log
-from bayesnet_track.evaluate.motion.evidence import Hypothesis, log_evidence, noisy_columns
-from bayesnet_track.evaluate.motion.parameters import (
-    MotionFitError,
-    Path,
-    check_motion,
-    parameters_of,
-    with_value,
-)
-from bayesnet_track.evaluate.motion.scales import bounds_of, places_of, starts_of, values_at
+from bayesnet_track.belief.motion.noise import is_log, noisy
+from bayesnet_track.evaluate.motion_evidence import Hypothesis, log_evidence, noisy_columns
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
+
+DRIVING = ("sd_velocity_px", "sd_acceleration_px")
+PARTS = {"sd_px": ("x", "y", "w", "h"), "sd_box": ("x", "y"), "sd_log": ("scale", "aspect")}
+
+Path = tuple[str, ...]
+
+
+class MotionFitError(ValueError):
+    """A motion that cannot be fitted to boxes, or boxes that are too few."""
+
+
+def check_motion(root: spec.InferenceNode) -> None:
+    """Check that a motion's evidence has a closed form.
+
+    Raises:
+        MotionFitError: says which key stands in the way, and what is allowed.
+    """
+    motions = [("motion", root.motion)]
+    motions += [(f"modes.{name}.motion", mode.motion) for name, mode in (root.modes or {}).items()]
+    allowed = "random_walk, constant_velocity, damped_velocity, constant_acceleration"
+    for where, chosen in motions:
+        if chosen is None:
+            continue
+        settings = chosen.settings
+        if not isinstance(settings, spec.RandomWalk | spec.ConstantVelocity | spec.ConstantAcceleration):
+            raise MotionFitError(f"{where}: {chosen.kind} cannot be fitted; allowed: {allowed}")
+        for key, why in (
+            ("camera", "boxes do not tell how the camera moves"),
+            ("size_reversion", "its long-run sd cannot be told from few frames"),
+            ("borders", "reflection has no closed form"),
+        ):
+            if getattr(settings, key) is not None:
+                raise MotionFitError(f"{where}.{chosen.kind}.{key}: {why}; fit without it, with --set")
+    for name, mode in (root.modes or {}).items():
+        if mode.hidden is not None:
+            raise MotionFitError(
+                f"modes.{name}.hidden: boxes do not tell when a target is hidden; fit a graph without it"
+            )
+    kinds = {_shape(chosen) for _, chosen in motions if chosen is not None}
+    if len(kinds) > 1:
+        raise MotionFitError(
+            "modes: they differ in the fields of their state or in what has noise; make them alike"
+        )
+    if not dict(parameters_of(root)):
+        raise MotionFitError("motion: every sd is 0; only those above 0 are fitted: give one a value")
+
+
+def parameters_of(root: spec.InferenceNode) -> Iterator[tuple[Path, float]]:
+    """Path and value of each parameter that is fitted: sds above 0, heavy tails, durations of modes."""
+    assert root.motion is not None
+    uses = root.modes is None or any(mode.motion is None for mode in root.modes.values())
+    chosen: list[tuple[Path, Any]] = [(("motion", root.motion.kind), root.motion.settings)] if uses else []
+    for name, mode in (root.modes or {}).items():
+        if mode.motion is not None:
+            chosen.append((("modes", name, "motion", mode.motion.kind), mode.motion.settings))
+        if mode.mean_frames is not None:
+            yield ("modes", name, "mean_frames"), mode.mean_frames
+    for where, settings in chosen:
+        for key in DRIVING:
+            if getattr(settings, key, 0.0) > 0:
+                yield (*where, key), getattr(settings, key)
+        for key, parts in PARTS.items():
+            for part in parts:
+                if getattr(getattr(settings, key), part) > 0:
+                    yield (*where, key, part), getattr(getattr(settings, key), part)
+        if settings.heavy_tail is not None:
+            yield (*where, "heavy_tail", "weight"), settings.heavy_tail.weight
+            yield (*where, "heavy_tail", "factor"), settings.heavy_tail.factor
+
+
+def with_value(model: Any, path: Path, value: float) -> Any:
+    """A copy of settings with the value at `path`."""
+    name = path[0]
+    inner = model[name] if isinstance(model, Mapping) else getattr(model, name)
+    new = value if len(path) == 1 else with_value(inner, path[1:], value)
+    if isinstance(model, Mapping):
+        return {**model, name: new}
+    kept = {key: getattr(model, key) for key in type(model).model_fields}
+    return type(model).model_construct(**kept | {name: new})
+
+
+def _shape(chosen: spec.Motion) -> tuple[int, tuple[bool, ...], bool]:
+    motion = make_motion(chosen)
+    return motion.order, tuple(noisy(motion.noise)), is_log(motion.noise)
+
+
+REACH = 1000.0
+"""Estimates are sought within this factor of where the search begins."""
+LEAST_WEIGHT, MOST_WEIGHT = 0.001, 0.95
+LEAST_FACTOR = 1.05
+MOST_TRIED, MOST_STARTS = 5000, 300
+FACTORS = {"sd": (1.0, 0.3, 3.0, 0.1, 10.0), "error": (1.0, 0.3, 3.0), "mean_frames": (1.0, 0.3, 3.0)}
+"""Factors on the graph's own values at the starts. Every sd of a mode has the same one."""
+VALUES = {"weight": (0.05, 0.3), "factor": (3.0, 10.0)}
+"""Values at the starts, beside the graph's own."""
+
+
+def places_of(paths: Sequence[Path], values: Floats) -> Floats:
+    """Values (..., P) on the scales of the search: log odds of a share, logarithms of the rest."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # others than shares may be 1 or more
+        return np.asarray(np.log(values) - np.where(_are_shares(paths), np.log1p(-values), 0.0))
+
+
+def values_at(paths: Sequence[Path], places: Floats) -> Floats:
+    """The values (..., P) at places."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.where(_are_shares(paths), 1.0 / (1.0 + np.exp(-places)), np.exp(places)))
+
+
+def bounds_of(paths: Sequence[Path], first: Floats) -> tuple[Floats, Floats]:
+    """Least and largest places: durations of at least a frame, tails that are wider and not all there is."""
+    low, high = first - np.log(REACH), first + np.log(REACH)
+    for k, path in enumerate(paths):
+        if path[-1] == "mean_frames":
+            low[k] = 0.0
+        elif path[-1] == "factor":
+            low[k] = np.log(LEAST_FACTOR)
+        elif path[-1] == "weight":
+            low[k], high[k] = places_of([path] * 2, np.array([LEAST_WEIGHT, MOST_WEIGHT]))
+    return low, high
+
+
+def starts_of(begin: Mapping[Path, float]) -> Floats:
+    """(S, P) values from which the search may begin, the given ones first; at most `MOST_STARTS`.
+
+    At each of them the sds of modes are in the order of the given ones: the graph alone says which mode is
+    the calm one.
+    """
+    tried = [_tried(group, begin) for group in sorted({_group(path) for path in begin})]
+    counts = [len(each) for each in tried]
+    rng = np.random.default_rng(0)
+    if prod(counts) <= MOST_TRIED:
+        chosen = list(product(*map(range, counts)))
+    else:
+        chosen = [(0,) * len(counts), *rng.integers(0, counts, (MOST_TRIED, len(counts))).tolist()]
+    rows = []
+    for numbers in chosen:
+        row = dict(begin)
+        for each, number in zip(tried, numbers, strict=True):
+            row |= each[number]
+        if _order(row) == _order(begin):
+            rows.append(list(row.values()))
+    further = np.sort(1 + rng.permutation(len(rows) - 1)[: MOST_STARTS - 1])
+    return np.array(rows)[[0, *further]]
+
+
+def _group(path: Path) -> tuple[str, str]:
+    """Kind of a parameter and, of an sd, its mode: what is in a group changes together at the starts."""
+    if path[-1] in VALUES or path[-1] == "mean_frames":
+        return path[-1], ""
+    if path[0] == "error":
+        return "error", ""
+    return "sd", path[1] if path[0] == "modes" else ""
+
+
+def _tried(group: tuple[str, str], begin: Mapping[Path, float]) -> list[dict[Path, float]]:
+    """What a group's parameters are at the starts, as they are given first."""
+    kind = group[0]
+    own = {path: value for path, value in begin.items() if _group(path) == group}
+    if kind in VALUES:
+        return [own, *(dict.fromkeys(own, value) for value in VALUES[kind])]
+    least = 1.0 if kind == "mean_frames" else 0.0
+    return [{path: max(factor * value, least) for path, value in own.items()} for factor in FACTORS[kind]]
+
+
+def _order(values: Mapping[Path, float]) -> dict[Path, list[str]]:
+    """Key of an sd -> the modes that have it, from the smallest value on."""
+    found: dict[Path, list[tuple[float, str]]] = {}
+    for path, value in values.items():
+        kind, mode = _group(path)
+        if kind == "sd":
+            key = path[4:] if path[0] == "modes" else path[2:]  # without the names of mode and motion
+            found.setdefault(key, []).append((value, mode))
+    return {key: [mode for _, mode in sorted(each)] for key, each in found.items()}
+
+
+def _are_shares(paths: Sequence[Path]) -> NDArray[np.bool_]:
+    return np.array([path[-1] == "weight" for path in paths])
+
 
 FEWEST_FRAMES = 20
 QUANTILE = 1.6448536269514722

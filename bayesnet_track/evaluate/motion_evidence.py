@@ -1,4 +1,4 @@
-"""Log-evidence of measured boxes under a motion: a Kalman filter, or one per regime that interact.
+"""Log-evidence of measured boxes under a motion, by a Kalman filter or one per regime that interact.
 
 In the coordinates of the motion's noise (x, y, and the size in px or in logarithms) kinematic motion is
 linear and Gaussian, so that the evidence of boxes with Gaussian errors has a closed form. `sd_box` is taken

@@ -1,1 +1,0 @@
-"""Noise and modes of a motion by maximum evidence of measured boxes."""
