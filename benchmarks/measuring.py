@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.sources.scenes import Scene
-from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, gray_cells, shaded_cells
 from bayesnet_track.sources.scenes.scene import assemble
 from bayesnet_track.sources.scenes.squares import bouncing
-from bayesnet_track.sources.scenes.texture import ORANGE, gray_cells, shaded_cells
 
 Image = NDArray[np.uint8]
 

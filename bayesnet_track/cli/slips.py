@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from bayesnet_track.cli.overview import describe_commands
-from bayesnet_track.sources.network.address import hide_secrets
+from bayesnet_track.sources.paths import hide_secrets
 
 _CHOICE = re.compile(
     r"argument (?P<what>.*?): invalid choice: '?(?P<word>.*?)'?"

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.evaluate.truth import IGNORED, TruthForm
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.sources.entrances.line_forms import refuse_shares
-from bayesnet_track.sources.entrances.misfits import explain_lengths
+from bayesnet_track.sources.entrances.boxes import explain_lengths, refuse_shares
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.mot_lines import MotLines, parse_mot, read_text
 

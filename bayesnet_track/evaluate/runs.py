@@ -22,7 +22,7 @@ from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.settings import setting
-from bayesnet_track.sources.entrances.misfits import explain_places
+from bayesnet_track.sources.entrances.boxes import explain_places
 from bayesnet_track.sources.entrances.notices import notice
 
 E = TypeVar("E", bound=Event)

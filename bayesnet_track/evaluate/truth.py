@@ -11,14 +11,14 @@ import numpy as np
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation.settings import setting, to_caller
-from bayesnet_track.sources.entrances.column_names import CORNERS, is_kitti, layout_of, plain
-from bayesnet_track.sources.entrances.line_forms import (
+from bayesnet_track.sources.entrances.boxes import (
     count_up,
     is_mot_of_8,
     refuse_corners,
     refuse_scores,
     refuse_shares,
 )
+from bayesnet_track.sources.entrances.columns import CORNERS, is_kitti, layout_of, plain
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import Lines, explain_word, is_number, split_lines
 from bayesnet_track.sources.mot_lines import LARGEST_FRAME, MotLines, parse_mot, read_text

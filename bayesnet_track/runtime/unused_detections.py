@@ -15,7 +15,7 @@ from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
 from bayesnet_track.observation.settings import setting
-from bayesnet_track.sources.entrances.misfits import LONG, LONG_SHARE, QUESTION, explain_corners
+from bayesnet_track.sources.entrances.boxes import LONG, LONG_SHARE, QUESTION, explain_corners
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.vision.detectors.selection import left_out
 

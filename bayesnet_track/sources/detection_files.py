@@ -1,4 +1,4 @@
-"""Detections that stand in a file, MOT or JSON Lines, as a detector."""
+"""Detections as text, MOT or JSON Lines: a frame's as lines, and a file of them as a detector."""
 
 from __future__ import annotations
 
@@ -12,14 +12,45 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
 from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
-from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
-from bayesnet_track.sources.entrances.foreign import JSON_LINES, refuse_foreign
-from bayesnet_track.sources.entrances.line_forms import refuse_shares
+from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.sources.entrances.boxes import describe_unusable, refuse_shares, usable
 from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.text_lines import JSON_LINES, refuse_foreign
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
+
+DIGITS, SCORE_DIGITS = 3, 6
+
+
+def format_frame(frame: Frame, detections: Detections, as_json: bool) -> list[str]:
+    """The lines of one frame.
+
+    MOT: ``frame, -1, left, top, width, height, score, -1, -1, -1``, frames from 1, pixels from 0. JSON: one
+    object with frame (from 0), time_s, and detections, each with box (the same four numbers), score, label.
+    """
+    if not as_json:
+        return format_mot(frame.index, detections)
+    corners = corner_from_centre(detections.boxes)
+    found = [
+        {
+            "box": [round(float(value), DIGITS) for value in box],
+            "score": round(float(score), SCORE_DIGITS),
+            "label": label,
+        }
+        for box, score, label in zip(corners, detections.scores, detections.labels, strict=True)
+    ]
+    return [json.dumps({"frame": frame.index, "time_s": round(frame.time_s, 6), "detections": found})]
+
+
+def format_mot(index: int, detections: Detections) -> list[str]:
+    """The MOT lines of the frame with this index, from 0; see `format_frame`."""
+    return [
+        f"{index + 1},-1,{','.join(f'{value + 0.0:.{DIGITS}f}' for value in box)},"
+        f"{score:.{SCORE_DIGITS}f},-1,-1,-1"
+        for box, score in zip(corner_from_centre(detections.boxes), detections.scores, strict=True)
+    ]
+
 
 MISSING = -1.0
 """A confidence that says: none is known."""

@@ -1,4 +1,4 @@
-"""What every source of frames has in common: its items, its errors, and the rules of time and size.
+"""Frames of every source: raw images, items with their time, errors, and the rules of time and size.
 
 A *reader* (images, video, camera) gives raw pictures; `Source` turns them into frames and into the journal's
 events about the source. The rules, the same for every kind of source:
@@ -15,14 +15,15 @@ events about the source. The rules, the same for every kind of source:
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator, Iterable, Iterator
-from dataclasses import replace
-from typing import Any, Literal, Self
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.journal.events.runs import (
+    OUTDATED,
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,
@@ -33,11 +34,104 @@ from bayesnet_track.observation.depth import Depth
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import few
-from bayesnet_track.sources.entrances.stamps import changed_since, stamps
-from bayesnet_track.sources.network.address import hide_secrets
-from bayesnet_track.sources.origin import Origin
-from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.readers import Damage, Dropped, Reader, Stalled
+from bayesnet_track.sources.origin import Origin, changed_since, stamps
+from bayesnet_track.sources.paths import SourceError, hide_secrets
+
+Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture of a reader.
+
+    Attributes:
+        index: its number, from 0.
+        time: its time in nominal frame intervals.
+        time_s: the same in seconds.
+        pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
+        skipped: how many before it were dropped, since something newer was there.
+        complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
+            PictureError.
+    """
+
+    index: int
+    time: float
+    time_s: float
+    pixels: Pixels
+    complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
+    skipped: int = 0
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Something a reader could not read.
+
+    Attributes:
+        index: number of the next picture.
+        reason: what the decoder said.
+        truncated: True when the source ends before its declared end.
+    """
+
+    index: int
+    reason: str
+    truncated: bool = False
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Pictures of a live source that were dropped since this was last told.
+
+    Attributes:
+        index: number of the next picture.
+        pictures: how many.
+        reason: why.
+    """
+
+    index: int
+    pictures: int
+    reason: str = OUTDATED
+
+
+@dataclass(frozen=True)
+class Stalled:
+    """A live source gave no picture for a while, and is connected to anew.
+
+    Attributes:
+        index: number of the next picture.
+        seconds: since the last picture.
+        reason: what was wrong.
+        attempt: how often it has been tried since the last picture, this time included.
+    """
+
+    index: int
+    seconds: float
+    reason: str
+    attempt: int
+
+
+ReaderItem = Picture | Damage | Dropped | Stalled
+
+
+class Reader(Protocol):
+    """Raw pictures in order."""
+
+    @property
+    def declared_frames(self) -> int | None:
+        """Number of frames that the source declares, or None."""
+
+    @property
+    def frame_interval_s(self) -> float:
+        """Nominal seconds between frames."""
+
+    @property
+    def gap_from(self) -> float:
+        """Steps of time from this length on, in nominal intervals, count as a gap."""
+
+    def __iter__(self) -> Iterator[ReaderItem]: ...
+
+    def close(self) -> None:
+        """Let go of files and devices."""
+
 
 SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
 OnResize = Literal["stop", "rescale"]

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.readers import Damage, Dropped, Picture, ReaderItem, Stalled
+from bayesnet_track.sources.frames import Damage, Dropped, Picture, ReaderItem, Stalled
 
 STALL_S = 2.0
 """Seconds without a picture after which a connection counts as stalled."""

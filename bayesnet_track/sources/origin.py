@@ -1,18 +1,49 @@
-"""How a source was opened: enough to open it again, and to see whether it still holds the same frames."""
+"""Origin of frames: enough to open a source again, and to see that it still holds the same frames."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from errno import EINVAL
 from pathlib import Path
 from stat import S_ISREG
 from typing import Literal
 
-from bayesnet_track.sources.network.address import hide_secrets, shown_address
-from bayesnet_track.sources.paths import depth_files, files_of, is_broken_link, is_file
+from bayesnet_track.sources.paths import (
+    depth_files,
+    files_of,
+    hide_secrets,
+    is_broken_link,
+    is_file,
+    shown_address,
+)
+
+Stamp = tuple[int, int, int]
+"""Inode, size in bytes, and time of the last change of the contents in ns."""
+
+
+def stamps(paths: Iterable[Path]) -> dict[Path, Stamp]:
+    """Of each file that is there.
+
+    >>> stamps([Path("nowhere.csv")])
+    {}
+    """
+    found = {}
+    for path in paths:
+        with suppress(OSError):
+            held = path.stat()
+            found[path] = (held.st_ino, held.st_size, held.st_mtime_ns)
+    return found
+
+
+def changed_since(before: Mapping[Path, Stamp]) -> list[Path]:
+    """The files that are others now; one that was removed was read, or its reader says what is missing."""
+    now = stamps(before)
+    return [path for path, stamp in before.items() if now.get(path, stamp) != stamp]
+
 
 Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
 

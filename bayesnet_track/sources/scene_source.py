@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import EndReason
 from bayesnet_track.sources.origin import Origin
-from bayesnet_track.sources.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes.library import make_scene
+from bayesnet_track.sources.scenes.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.entrances.stacks import is_animated_png
-from bayesnet_track.sources.frames import OnResize, Source, SourceItem
-from bayesnet_track.sources.network.address import shown_address
+from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceItem
+from bayesnet_track.sources.images import is_animated_png
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import (
     _SCHEME,
@@ -23,9 +22,9 @@ from bayesnet_track.sources.paths import (
     _matching,
     _nearest,
     natural_key,
+    shown_address,
 )
-from bayesnet_track.sources.readers import Reader
-from bayesnet_track.sources.stride import strided
+from bayesnet_track.sources.timing import strided
 
 if TYPE_CHECKING:
     from bayesnet_track.sources.video import VideoReader
@@ -176,8 +175,7 @@ def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
 
 
 def _images(text: str, paths: list[Path], value_range: ValueRange | None) -> Reader:
-    from bayesnet_track.sources.entrances.sequences import check_names, say_other_images, say_strays
-    from bayesnet_track.sources.images import ImageReader
+    from bayesnet_track.sources.images import ImageReader, check_names, say_other_images, say_strays
 
     check_names(text, paths)
     if Path(text).is_dir():

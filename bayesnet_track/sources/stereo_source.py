@@ -20,15 +20,13 @@ from bayesnet_track.observation.image_files import read_checked
 from bayesnet_track.observation.image_size import PictureError, check_size
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange
-from bayesnet_track.sources.frames import OnResize, Source
+from bayesnet_track.sources.frames import Damage, OnResize, Picture, Reader, ReaderItem, Source
 from bayesnet_track.sources.images import ImageReader, times_of
 from bayesnet_track.sources.live import LiveReader
-from bayesnet_track.sources.network.address import shown_address
 from bayesnet_track.sources.origin import Kind, Origin
-from bayesnet_track.sources.paths import SourceError, depth_files
-from bayesnet_track.sources.readers import Damage, Picture, Reader, ReaderItem
+from bayesnet_track.sources.paths import SourceError, depth_files, shown_address
 from bayesnet_track.sources.sources import check_range, make_reader
-from bayesnet_track.sources.stride import strided
+from bayesnet_track.sources.timing import strided
 from bayesnet_track.vision.calibration import RectifiedPair, Rectifier, read_calibration
 
 Completed = tuple[Image, Depth]

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.sources.frames import Damage, Picture, Reader
 from bayesnet_track.sources.live import Image, LiveReader, Unreadable
-from bayesnet_track.sources.network.flow import Flow
-from bayesnet_track.sources.readers import Damage, Picture, Reader
+from bayesnet_track.sources.timing import Flow
 
 MOST_AHEAD_S = 5.0
 """Times of a playlist that jump by more than this are those of another recording, which begins now."""

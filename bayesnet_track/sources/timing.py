@@ -1,12 +1,15 @@
-"""The clock of a video: its nominal frame interval, what counts as a gap, and its declared length."""
+"""Time of a source: its nominal interval and gaps, its end, and every K-th frame of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
+
+from bayesnet_track.sources.frames import Picture, Reader, ReaderItem
+from bayesnet_track.sources.paths import SourceError
 
 DEFAULT_RATE = Fraction(25)
 FEW_STEPS = 8
@@ -131,3 +134,93 @@ def _seconds(text: str) -> float | None:
         return None
     total = 3600 * hours + 60 * minutes + seconds
     return total if 0 < total < 1e9 else None
+
+
+SEGMENTED = frozenset({"hls", "dash"})
+"""FFmpeg's demuxers of playlists: pictures come by the segment, some seconds of them at once."""
+
+WITHOUT_RATE = frozenset({"mpjpeg", "mjpeg"})
+"""FFmpeg's demuxers that say 25 pictures a second, whatever comes."""
+
+
+@dataclass(frozen=True)
+class Flow:
+    """How the pictures of a network source come.
+
+    Attributes:
+        endless: why it seems to have no end, or None where it has one.
+        is_sure: whether nothing else could be meant by that.
+        in_segments: whether they come some seconds at once.
+        has_rate: whether the source says how many come in a second.
+    """
+
+    endless: str | None = None
+    is_sure: bool = True
+    in_segments: bool = False
+    has_rate: bool = True
+
+
+def flow_of(container: Any, stream: Any) -> Flow:
+    """The flow of what PyAV has opened over the network.
+
+    A multipart stream and a playlist that may still grow have no end. Anything else without a length in
+    bytes, frames or seconds may have one that the server does not tell.
+    """
+    names = set(container.format.name.split(","))
+    in_segments, has_rate = bool(names & SEGMENTED), not names & WITHOUT_RATE
+    if "mpjpeg" in names:
+        return Flow("a multipart stream of images", True, in_segments, has_rate)
+    lengths = (container.duration, stream.duration, stream.frames)
+    if any(length is not None and length > 0 for length in lengths):
+        return Flow(None, True, in_segments, has_rate)
+    if in_segments:
+        return Flow("a playlist without an end", True, in_segments, has_rate)
+    if container.size is None or container.size < 0:  # None from PyAV 19 on
+        return Flow("the server declares no length", False, in_segments, has_rate)
+    return Flow(None, True, in_segments, has_rate)
+
+
+class Strided:
+    """The pictures of a reader whose number is `start`, `start` + `stride`, ...; others are not converted.
+
+    Pictures that are left out count as skipped, so that they are not missing.
+
+    Raises:
+        SourceError: the reader is live: it leaves out what there is no time for.
+    """
+
+    def __init__(self, text: str, reader: Reader, start: int, stride: int) -> None:
+        if stride < 1:
+            raise SourceError(text, f"stride {stride}", "a whole number from 1 on", "give another stride")
+        if getattr(reader, "is_live", False):
+            raise SourceError(
+                text,
+                "a live source with a stride",
+                "a stride with files",
+                "leave it out: a live source drops the frames that there is no time for",
+            )
+        self._reader, self._start, self.stride = reader, start, stride
+        self.declared_frames, self.frame_interval_s = reader.declared_frames, reader.frame_interval_s
+        self.gap_from = reader.gap_from
+
+    def __iter__(self) -> Iterator[ReaderItem]:
+        for item in self._reader:
+            if not isinstance(item, Picture):
+                yield item
+            elif item.index >= self._start and (item.index - self._start) % self.stride == 0:
+                yield replace(item, skipped=item.skipped + self.stride - 1)
+
+    def close(self) -> None:
+        """Let go of the files."""
+        self._reader.close()
+
+
+def strided(text: str, reader: Reader, start: int | None, stride: int) -> Reader:
+    """The reader itself where `stride` is 1; otherwise as `Strided`, closed where that is refused."""
+    if stride == 1:
+        return reader
+    try:
+        return Strided(text, reader, start or 0, stride)
+    except SourceError:
+        reader.close()
+        raise

@@ -11,7 +11,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.detector import Detections
-from bayesnet_track.sources.detections import format_mot
+from bayesnet_track.sources.detection_files import format_mot
 from simulated.walkers import HEIGHTS_PX, WIDTH_SHARE, Crowd
 
 Merging = Literal["none", "front", "hull"]

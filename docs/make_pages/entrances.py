@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from bayesnet_track.sources.entrances.entrance import Entrance
-from bayesnet_track.sources.entrances.table import ENTRANCES
+from bayesnet_track.sources.entrances.table import ENTRANCES, Entrance
 
 HEAD = """\
 # What you give, and what is not used

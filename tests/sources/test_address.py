@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.sources.network.address import hide_secrets, shown_address
 from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.paths import hide_secrets, shown_address
 
 SECRET = [
     "rtsp://admin:geheim@10.0.0.7:554/live",

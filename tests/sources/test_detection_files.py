@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.observation.detector import Detections, Detector
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.sources.detection_files import file_detector, parse_detections
-from bayesnet_track.sources.detections import format_frame
+from bayesnet_track.sources.detection_files import file_detector, format_frame, parse_detections
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bayesnet_track.sources.network.flow import flow_of
+from bayesnet_track.sources.timing import flow_of
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ import pytest
 
 from bayesnet_track.observation.detector import detections_of
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.detection_files import parse_detections
-from bayesnet_track.sources.detections import format_frame
+from bayesnet_track.sources.detection_files import format_frame, parse_detections
 
 CORNERS = np.array([[10, 20, 51, 51], [100, 50, 120, 90]], np.float32)
 

@@ -12,8 +12,7 @@ from typing import Any
 
 from bayesnet_track.cli.batch.jobs import BatchError, Video
 from bayesnet_track.sources.mot_lines import read_text
-from bayesnet_track.sources.network.address import shown_address
-from bayesnet_track.sources.paths import is_junk
+from bayesnet_track.sources.paths import is_junk, shown_address
 
 COLUMNS = ("source", "name", "init", "init_from", "truth")
 """Columns of a list; only the source is needed."""

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from bayesnet_track.sources.network.address import hide_secrets
+from bayesnet_track.sources.paths import hide_secrets
 
 OK, FAILED, USAGE, BAD_GRAPH, BAD_SOURCE, INCOMPLETE, BAD_OUTPUT = range(7)
 

@@ -88,7 +88,7 @@ def _detect_all(
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.recording.videowriter import VideoWriter
     from bayesnet_track.runtime.results import interval_of
-    from bayesnet_track.sources.detections import format_frame
+    from bayesnet_track.sources.detection_files import format_frame
     from bayesnet_track.view.overlay import draw_detections
 
     with users_mistake():

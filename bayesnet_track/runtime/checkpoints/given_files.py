@@ -15,7 +15,7 @@ from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue_files import CueFile
 from bayesnet_track.observation.detector import detectors_of_graphs
 from bayesnet_track.sources.entrances.notices import few, notice
-from bayesnet_track.sources.entrances.stamps import changed_since, stamps
+from bayesnet_track.sources.origin import changed_since, stamps
 from bayesnet_track.sources.paths import SourceError
 
 AGAIN = "start again once nothing writes it"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.sources.scenes.render import Sprite, paint
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, paint, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 WIDTH, HEIGHT, BALL, FRAMES = 320, 240, 26.0, 50
 SPEED, GRAVITY = 5.2, 0.16

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 WIDTH, HEIGHT, FRAMES, NOISE_SD = 320, 240, 180, 4.0
 GREEN = (70.0, 190.0, 60.0)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 WIDTH, HEIGHT, FRAMES, BALL = 320, 240, 45, 22.0
 LEFT, RIGHT = (64.0, 132.0), (252.0, 136.0)

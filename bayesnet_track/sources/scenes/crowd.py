@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, flat, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.texture import ORANGE, flat, smooth_background
 
 WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 28.0, 4.0
 SPEEDS = (1.5, 4.0)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 WIDTH, HEIGHT, SIDE, SPEED, FRAMES = 320, 240, 40.0, 4.0, 60
 STEEL = (150.0, 125.0, 100.0)

@@ -6,9 +6,8 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.sources.scenes.render import Movie, Sprite
+from bayesnet_track.sources.scenes.render import Movie, Sprite, gray_cells, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, ScenePart, visible_share
-from bayesnet_track.sources.scenes.texture import gray_cells, shaded_cells, smooth_background
 
 WIDTH, HEIGHT = 360, 240
 SIZE = (52.0, 120.0)

@@ -8,9 +8,8 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.sources.scenes.render import Movie, Sprite
+from bayesnet_track.sources.scenes.render import Movie, Sprite, flat, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene
-from bayesnet_track.sources.scenes.texture import flat, smooth_background
 
 Colour = tuple[float, float, float]
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.render import ORANGE, Sprite, flat, gray_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.texture import ORANGE, flat, gray_cells, smooth_background
 
 Point = tuple[float, float]
 

@@ -8,11 +8,9 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.depth import StereoGeometry
-from bayesnet_track.sources.scenes.render import Movie, Sprite
+from bayesnet_track.sources.scenes.render import Movie, Sprite, gray_cells, shaded_cells
 from bayesnet_track.sources.scenes.room import Pane, Room
-from bayesnet_track.sources.scenes.scene import Scene, assemble
-from bayesnet_track.sources.scenes.stereo_view import StereoView
-from bayesnet_track.sources.scenes.texture import gray_cells, shaded_cells
+from bayesnet_track.sources.scenes.scene import Scene, StereoView, assemble
 
 WIDTH, HEIGHT, NOISE_SD = 320, 240, 2.0
 GEOMETRY = StereoGeometry(focal_px=300.0, baseline_m=0.2, centre_x_px=159.5, centre_y_px=99.5)

@@ -9,13 +9,11 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.sources.scenes.render import Movie, Sprite, Veil
+from bayesnet_track.sources.scenes.render import Movie, Sprite, Veil, shaded_cells
 from bayesnet_track.sources.scenes.room import Room
-from bayesnet_track.sources.scenes.scene import Scene
+from bayesnet_track.sources.scenes.scene import Scene, StereoView
 from bayesnet_track.sources.scenes.silhouettes import PARTS, dress
 from bayesnet_track.sources.scenes.stereo import CAMERA_HEIGHT_M, GEOMETRY, HEIGHT, NOISE_SD, WIDTH
-from bayesnet_track.sources.scenes.stereo_view import StereoView
-from bayesnet_track.sources.scenes.texture import shaded_cells
 
 Colour = tuple[float, float, float]
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from bayesnet_track.sources.entrances.misfits import explain_lengths, explain_places
+from bayesnet_track.sources.entrances.boxes import explain_lengths, explain_places
 
 
 @pytest.mark.parametrize(

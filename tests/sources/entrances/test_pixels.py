@@ -9,8 +9,8 @@ import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.entrances.levels import explain_pixels
 from bayesnet_track.sources.entrances.notices import InputNotice
-from bayesnet_track.sources.entrances.pixels import explain_pixels
 from bayesnet_track.sources.sources import open_source
 
 BOX = (20, 12, 16, 16)

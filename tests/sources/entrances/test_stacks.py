@@ -10,7 +10,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.entrances import sequences, stacks
+from bayesnet_track.sources import images
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.images import read_image
 from bayesnet_track.sources.sources import SourceError, open_source
@@ -19,7 +19,7 @@ from bayesnet_track.sources.stereo_source import open_stereo_source
 SHADES = (10, 60, 110, 160, 210)
 
 
-def images(dtype=np.uint8, shape=(24, 32, 3)):
+def coloured(dtype=np.uint8, shape=(24, 32, 3)):
     """One for each shade, with a corner that is black."""
     scale = 257 if dtype == np.uint16 else 1
     found = [np.full(shape, scale * shade, dtype) for shade in SHADES]
@@ -41,7 +41,7 @@ def write_animation(path, frames, milliseconds=(40, 40, 40, 40, 40)):
 
 
 def write(folder, name, dtype=np.uint8, shape=(24, 32, 3)):
-    path, frames = folder / name, images(dtype, shape)
+    path, frames = folder / name, coloured(dtype, shape)
     if path.suffix == ".ppm":
         write_netpbm(path, frames)
     elif path.suffix == ".tif":
@@ -79,7 +79,7 @@ def test_every_image_of_a_file_is_a_frame(tmp_path, name, dtype, shape):
 
 
 def test_a_page_of_another_size_changes_the_frames(tmp_path):
-    frames = images()
+    frames = coloured()
     frames[3] = frames[3][:, :20]
     assert cv2.imwritemulti(str(tmp_path / "a.tif"), frames)
     found, events = read(tmp_path / "a.tif")
@@ -93,7 +93,7 @@ def test_start_end_and_stride_count_pages(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.webp", "a.png"])
 def test_an_animation_has_its_own_clock(tmp_path, name):
-    write_animation(tmp_path / name, images(), (40, 40, 120, 40, 40))
+    write_animation(tmp_path / name, coloured(), (40, 40, 120, 40, 40))
     found, events = read(tmp_path / name)
     assert [frame.time_s for frame in found] == pytest.approx([0, 0.04, 0.08, 0.2, 0.24])
     assert events == [FramesMissing(3, pytest.approx(2.0))]
@@ -101,7 +101,7 @@ def test_an_animation_has_its_own_clock(tmp_path, name):
 
 def test_a_stack_beside_other_images_is_said(tmp_path):
     write(tmp_path, "1.tif")
-    assert cv2.imwrite(str(tmp_path / "2.tif"), images()[0])
+    assert cv2.imwrite(str(tmp_path / "2.tif"), coloured()[0])
     found, events = read(tmp_path)
     assert len(found) == 1 and isinstance(events[0], SourceDamaged)
     assert "1.tif: 5 images in one TIFF file" in events[0].reason
@@ -115,7 +115,7 @@ def test_an_animated_webp_is_refused_where_opencv_reads_one_frame_of_it(tmp_path
 
 
 def test_a_stack_that_is_too_large_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(stacks, "MOST_BYTES", 1000)
+    monkeypatch.setattr(images, "MOST_BYTES", 1000)
     with pytest.raises(SourceError, match="allowed: 0 MB"):
         open_source(str(write(tmp_path, "a.tif")))
 
@@ -123,7 +123,7 @@ def test_a_stack_that_is_too_large_is_refused(tmp_path, monkeypatch):
 def test_a_damaged_page_keeps_its_number(tmp_path):
     path = write(tmp_path, "a.tif")
     data = bytearray(path.read_bytes())
-    places = stacks.stack_of(path)._pages.places
+    places = images.stack_of(path)._pages.places
     data[places[2] + 2 : places[2] + 60] = b"\xff" * 58
     path.write_bytes(data)
     found, events = read(path)
@@ -156,7 +156,7 @@ def test_depth_is_not_a_stack(tmp_path):
 def test_two_sequences_in_a_folder_are_refused_and_both_are_named(tmp_path, names):
     for number in range(1, 4):
         for name in names:
-            assert cv2.imwrite(str(tmp_path / name.format(number)), images()[number])
+            assert cv2.imwrite(str(tmp_path / name.format(number)), coloured()[number])
     with pytest.raises(SourceError) as caught:
         open_source(str(tmp_path))
     assert all(name.format("*") in str(caught.value) for name in names)
@@ -168,25 +168,25 @@ def test_two_sequences_in_a_folder_are_refused_and_both_are_named(tmp_path, name
 def test_names_with_the_time_of_day_are_one_sequence(tmp_path):
     for minute in (1, 2):
         for second in (10, 20, 30):
-            assert cv2.imwrite(str(tmp_path / f"12-0{minute}-{second}.png"), images()[0])
+            assert cv2.imwrite(str(tmp_path / f"12-0{minute}-{second}.png"), coloured()[0])
     with pytest.warns(InputNotice, match="2 sequences"):
         assert len(read(tmp_path)[0]) == 6
 
 
 def test_numbers_that_meet_by_chance_are_no_second_sequence():
     names = [f"a{number}.png" for number in range(1, 11)] + [f"b{number}.png" for number in range(10, 21)]
-    assert sequences.overlapping([Path(name) for name in names]) == {}
+    assert images.overlapping([Path(name) for name in names]) == {}
 
 
 def test_names_that_go_on_with_another_text_are_one_sequence(tmp_path, recwarn):
     for name in ("a_1", "a_2", "a_3", "b_4", "b_5", "b_6", "cover"):
-        assert cv2.imwrite(str(tmp_path / f"{name}.png"), images()[0])
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), coloured()[0])
     assert len(read(tmp_path)[0]) == 7
     assert not recwarn.list
 
 
 def test_images_of_a_format_that_is_not_read_are_said(tmp_path):
-    assert cv2.imwrite(str(tmp_path / "1.png"), images()[0])
+    assert cv2.imwrite(str(tmp_path / "1.png"), coloured()[0])
     for number in range(2, 4):
         (tmp_path / f"{number}.HEIC").write_bytes(b"x")
     with pytest.warns(InputNotice, match=r"2\.HEIC, 3\.HEIC"):

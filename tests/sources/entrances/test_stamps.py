@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from bayesnet_track.sources.entrances.stamps import changed_since, stamps
+from bayesnet_track.sources.origin import changed_since, stamps
 
 
 def test_contents_of_the_same_length_replacements_and_growth_are_changes(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import InputNotice
-from bayesnet_track.sources.entrances.streams import explain_stream
 from bayesnet_track.sources.sources import open_source
+from bayesnet_track.sources.video import explain_stream
 
 ONE, UNIT = 1 << 16, 1 << 30
 STRAIGHT = (ONE, 0, 0, 0, ONE, 0, 0, 0, UNIT)

@@ -10,9 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.sources.entrances.own_files import OWN_FILES
-from bayesnet_track.sources.entrances.table import ENTRANCES
-from bayesnet_track.sources.entrances.table_of_frames import FRAMES
+from bayesnet_track.sources.entrances.table import ENTRANCES, FRAMES, OWN_FILES
 from make_pages.entrances import entrances_page
 
 ROOT = Path(__file__).parents[3]

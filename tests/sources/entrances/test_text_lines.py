@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.evaluate.truth import parse_truth
-from bayesnet_track.sources.entrances.box_rows import LEAST, MOST
-from bayesnet_track.sources.entrances.line_forms import are_corners, count_up, refuse_shares
+from bayesnet_track.sources.entrances.boxes import are_corners, count_up, refuse_shares
 from bayesnet_track.sources.entrances.text_lines import split_lines, split_words, whole
-from bayesnet_track.sources.mot_lines import parse_mot
+from bayesnet_track.sources.mot_lines import LEAST, MOST, parse_mot
 
 ROWS = st.lists(
     st.tuples(

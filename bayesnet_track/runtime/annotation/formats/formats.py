@@ -17,8 +17,8 @@ from bayesnet_track.runtime.annotation.formats.mot import as_mot, read_mot
 from bayesnet_track.runtime.annotation.formats.texts import read_json
 from bayesnet_track.runtime.annotation.formats.yolo import as_yolo, read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.sources.entrances.foreign import IMPORT, explain_json
 from bayesnet_track.sources.entrances.notices import heard, notice
+from bayesnet_track.sources.entrances.text_lines import IMPORT, explain_json
 
 WRITERS: Mapping[str, Callable[[Document], Mapping[str, bytes]]] = {
     "coco": lambda document: {"coco.json": as_coco(document)},
