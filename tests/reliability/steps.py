@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from concurrent.futures import Future
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -59,24 +58,6 @@ class Counted:
         for name in CHANGES:
             setattr(disk, name, before(getattr(disk, name)))
         disk.open_raw = lambda path, mode: File(str(path), mode.replace("b", ""))
-
-
-class AtOnce:
-    """In place of the thread that writes checkpoints: a step has the same number in every run."""
-
-    def __init__(self, *_: object) -> None:
-        pass
-
-    def submit(self, call: Callable[..., None], *arguments: Any) -> Future[None]:
-        done: Future[None] = Future()
-        try:
-            done.set_result(call(*arguments))
-        except OSError as error:
-            done.set_exception(error)
-        return done
-
-    def shutdown(self) -> None:
-        pass
 
 
 class Killed(BaseException):

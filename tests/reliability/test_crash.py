@@ -30,13 +30,9 @@ Crashed = Callable[[str, Path, int | str], int]
 
 pytestmark = [
     pytest.mark.reliability,
+    pytest.mark.usefixtures("at_once"),
     pytest.mark.skipif(sys.platform == "win32", reason="there is no fork"),
 ]
-
-
-@pytest.fixture(autouse=True)
-def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.checkpoint.ThreadPoolExecutor", at_once)
 
 
 @pytest.fixture(scope="module", params=["mkv", "mp4"])

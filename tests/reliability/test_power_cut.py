@@ -243,8 +243,7 @@ def files(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(autouse=True)
-def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.checkpoint.ThreadPoolExecutor", at_once)
+def in_order(at_once: None) -> None:
     cv2.setNumThreads(1)
 
 

@@ -364,10 +364,8 @@ def given(nursery: ModuleType, steps: ModuleType, tmp_path_factory: pytest.TempP
     return Given(folder, nursery.place, steps)
 
 
-def test_any_order_leaves_what_the_model_says(
-    given: Given, at_once: type, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.checkpoint.ThreadPoolExecutor", at_once)
+@pytest.mark.usefixtures("at_once")
+def test_any_order_leaves_what_the_model_says(given: Given) -> None:
     run_state_machine_as_test(
         lambda: Machine(given),
         settings=settings(

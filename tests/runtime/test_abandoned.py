@@ -7,6 +7,7 @@ import cv2
 import pytest
 
 from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 
@@ -20,6 +21,21 @@ for result in results:
         break
 if "raise" in sys.argv:
     raise RuntimeError("of the program itself")
+"""
+
+LATE = """
+import atexit, sys, threading, time
+from bayesnet_track import track
+
+def go_through():
+    for result in track("two_squares", "frames", (250, 170, 40, 40), out="run", checkpoint_every=1e-6):
+        time.sleep(.02)
+    print("last", result.frame.index)
+
+if sys.argv[1] == "thread":
+    threading.Thread(target=go_through).start()
+else:
+    atexit.register(go_through)
 """
 
 
@@ -50,3 +66,11 @@ def test_it_goes_on_behind_the_last_frame_that_the_program_saw(frames, monkeypat
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert [result.frame.index for result in resume("run")] == [5]
+
+
+@pytest.mark.parametrize("where", ["thread", "atexit"])
+def test_a_run_goes_on_to_its_end_while_the_program_ends(frames, monkeypatch, where):
+    monkeypatch.chdir(frames)
+    done = run_program(LATE, where)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "last 5\n", "")
+    assert verify("run").status == "verified"

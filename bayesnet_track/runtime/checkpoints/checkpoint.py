@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import Self
 
@@ -21,6 +21,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint_file import (
 )
 from bayesnet_track.runtime.checkpoints.machine import describe_machine
 from bayesnet_track.runtime.checkpoints.state_codec import StateError, encode_state
+from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.record import Recorder, Written
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.run import RunPosition
@@ -76,7 +77,7 @@ class Checkpoints:
         self._due: float | None = clock() + every_s
         self._last: RunPosition | None = None
         describe_machine()  # takes some ms the first time: not between two frames
-        self._writer = ThreadPoolExecutor(1, "checkpoints")
+        self._writer = Background("checkpoints")
         self._writing: Future[None] | None = None
 
     def reached(self, now: RunPosition) -> None:
@@ -95,9 +96,8 @@ class Checkpoints:
         """Make one of the last frame; where that fails, the one before it is good enough."""
         if self._due is not None and self._last is not None:
             with suppress(OutputError):
-                made = self._made(self._last)
-                if made is not None:
-                    self._write(made)  # here: an interpreter that ends starts no thread any more
+                self._make(self._last)
+                self._written()
 
     def ended(self) -> None:
         """Wait for the last one; it stays until the run is finished.
