@@ -38,10 +38,8 @@ from sequences import HALVES, Sequence, find_sequences
 
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.annotation.answers import Answer, Box
-from bayesnet_track.runtime.annotation.asking import Asking, annotate
-from bayesnet_track.runtime.annotation.fusing import iou
+from bayesnet_track.runtime.annotation.asking import Asking, Found, TrackerRuns, annotate, iou
 from bayesnet_track.runtime.annotation.session import by_target
-from bayesnet_track.runtime.annotation.tracked import Found, TrackerRuns
 
 Floats = NDArray[np.float64]
 CONFIRMED_IOU = 0.7

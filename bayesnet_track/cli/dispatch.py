@@ -96,7 +96,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.observation.capabilities import CueError
-    from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
+    from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
     from bayesnet_track.runtime.checkpoints.recipe import RecipeError
     from bayesnet_track.runtime.checkpoints.resume import ResumeError
     from bayesnet_track.runtime.recording.beliefs import UnkeptBeliefError

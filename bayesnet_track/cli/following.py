@@ -25,7 +25,7 @@ from bayesnet_track.numerics.compile_watch import WATCH
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.runtime.live_view.view import LiveView
-    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.pace import Progress
     from bayesnet_track.runtime.results import Result, Summary
     from bayesnet_track.runtime.stop import StopRequest
 
@@ -61,7 +61,7 @@ def follow(
 
     A `view` may hold it between two frames, and stop it.
     """
-    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.pace import Progress
 
     shows_progress = not (options.quiet or options.verbose)
     progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)

@@ -23,16 +23,12 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.runtime.arguments import whole
-from bayesnet_track.runtime.frame_kind import FrameKind
+from bayesnet_track.runtime.arguments import say_unused_by_cues, whole
 from bayesnet_track.runtime.resizing import Resizing
-from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
-from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknown
+from bayesnet_track.runtime.results import FrameKind
+from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, image_users, refuse_unknown
 from bayesnet_track.runtime.updates.given_detections import read_given
-from bayesnet_track.runtime.updates.looking import image_users
-from bayesnet_track.runtime.updates.standing import Standing
-from bayesnet_track.runtime.updates.storable import Storable
-from bayesnet_track.runtime.updates.turns import Turns
+from bayesnet_track.runtime.updates.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
 

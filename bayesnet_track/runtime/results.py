@@ -1,10 +1,13 @@
-"""What a run reads and gives: the source of its frames, the result of a frame, who is told, the summary."""
+"""Data that a run reads and gives: kinds of frames, outside inputs, results, the summary."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +17,10 @@ from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Switch
+from bayesnet_track.journal.reader import Notice, read_inputs
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
@@ -23,6 +28,115 @@ from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.entrances.levels import to_bgr
 from bayesnet_track.sources.frames import EndReason, SourceItem
 from bayesnet_track.view.overlay import draw_targets
+
+
+@dataclass(frozen=True)
+class FrameKind:
+    """Size, colour and pixels of a frame.
+
+    Attributes:
+        width: columns.
+        height: rows.
+        has_color: whether it has colour; None for either.
+        channels: values per pixel.
+        dtype: name of their type.
+    """
+
+    width: int
+    height: int
+    has_color: bool | None
+    channels: int
+    dtype: str
+
+    @classmethod
+    def of(cls, frame: Frame) -> Self:
+        """That of a frame."""
+        image = frame.image
+        channels = image.shape[2] if image.ndim == 3 else 1
+        return cls(frame.width, frame.height, frame.has_color, channels, image.dtype.name)
+
+    @property
+    def of_either_color(self) -> Self:
+        """The same, whether or not it has colour."""
+        return replace(self, has_color=None)
+
+    def __str__(self) -> str:
+        """In words: "640x480 colour"."""
+        shade = {True: " colour", False: " gray", None: ""}[self.has_color]
+        is_usual = (self.channels, self.dtype) == (3, "uint8")
+        pixels = "" if is_usual else f" with {plural(self.channels, 'channel')} of {self.dtype}"
+        return f"{self.width}x{self.height}{shade}{pixels}"
+
+    def check(self, frame: Frame, otherwise: str) -> None:
+        """Refuse a frame of another kind; `otherwise` says what else can be done. Raises ValueError."""
+        kind = FrameKind.of(frame)
+        if (kind.of_either_color if self.has_color is None else kind) != self:
+            raise ValueError(
+                f"frame {frame.index} is {kind}, the frames before it are {self}; "
+                f"bring it to their size and channels, or {otherwise}"
+            )
+
+
+InputsAt = Callable[[int], Sequence[Input]]
+"""Frame index -> what came from outside for it; asked once, right before the frame."""
+
+
+def nothing(frame: int) -> Sequence[Input]:
+    """Nothing comes from outside."""
+    return ()
+
+
+def replay_inputs(path: Path, notice: Notice | None = None) -> InputsAt:
+    """What came from outside in an earlier run, by its ``inputs.jsonl``.
+
+    Raises:
+        OSError: the file cannot be read.
+        JournalError: it is damaged; says file and line.
+    """
+    by_frame: dict[int, list[Input]] = {}
+    for one in read_inputs(path, notice):
+        by_frame.setdefault(one.frame, []).append(one)
+    known: Mapping[int, Sequence[Input]] = by_frame
+    return lambda frame: known.get(frame, ())
+
+
+def as_inputs(given: str | PathLike[str] | InputsAt | None) -> InputsAt:
+    """A file as `replay_inputs`, a function as it is, nothing for None."""
+    if given is None:
+        return nothing
+    return given if callable(given) else replay_inputs(Path(given))
+
+
+class Switchboard:
+    """Takes what people ask for while a run goes on, from any thread, and hands it to the next frame.
+
+    >>> board = Switchboard()
+    >>> board.switch("1", "motion", on=False)
+    >>> board(7)
+    (Toggled(frame=7, target='1', node='motion', on=False),)
+    >>> board(8)
+    ()
+    """
+
+    def __init__(self) -> None:
+        self._asked: SimpleQueue[Callable[[int], Input]] = SimpleQueue()
+
+    def switch(self, target: str, agent: str, on: bool) -> None:
+        """Switch an agent on or off, until it is released."""
+        self._asked.put(lambda frame: Toggled(frame, target, agent, on))
+
+    def release(self, target: str, agent: str) -> None:
+        """Give an agent back to the rules."""
+        self._asked.put(lambda frame: Released(frame, target, agent))
+
+    def __call__(self, frame: int) -> Sequence[Input]:
+        """All that was asked for since the last frame, in order."""
+        asked: list[Input] = []
+        while True:
+            try:
+                asked.append(self._asked.get_nowait()(frame))
+            except Empty:
+                return tuple(asked)
 
 
 class FrameSource(Protocol):

@@ -24,12 +24,10 @@ from bayesnet_track.journal.events.runs import JOURNAL_VERSION, FrameSizeChanged
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.checkpoints.versions import versions
-from bayesnet_track.runtime.deadline import Deadline
-from bayesnet_track.runtime.frame_kind import FrameKind
-from bayesnet_track.runtime.inputs import InputsAt, nothing
+from bayesnet_track.runtime.checkpoints.origins import versions
+from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.resizing import Resizing
-from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
+from bayesnet_track.runtime.results import FrameKind, FrameSource, InputsAt, Result, Sink, Summary, nothing
 from bayesnet_track.sources.frames import SourceItem
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
@@ -111,7 +109,7 @@ def run(
         engine: an engine made from `graph`, to share between runs; made here when None.
         inputs: files from outside that the engine reads, besides the source -> their SHA-256, to be told.
         external_inputs: asked before each frame for what came from outside, by the frame's index: a
-            `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replay_inputs` of an earlier run.
+            `results.Switchboard` of a live view, or `results.replay_inputs` of an earlier run.
         deadline: the time that a frame may take: what is late is told to the engine, which sheds load.
         checkpointer: told after each frame how far the run is.
         after: go on from there: `source` was read so far, and sinks know already what was before.

@@ -17,15 +17,20 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
-from bayesnet_track.runtime.arguments import check_video, longest_side, milliseconds, whole
+from bayesnet_track.runtime.arguments import (
+    GivenFrames,
+    check_video,
+    frames_of,
+    longest_side,
+    milliseconds,
+    say_unused_by_cues,
+    whole,
+)
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
-from bayesnet_track.runtime.checkpoints.given_files import file_sha256, model_files, steady
-from bayesnet_track.runtime.checkpoints.recipe import make_recipe
-from bayesnet_track.runtime.checkpoints.recipe_options import options_of
-from bayesnet_track.runtime.deadline import Deadline
+from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, steady
+from bayesnet_track.runtime.checkpoints.recipe import make_recipe, options_of
 from bayesnet_track.runtime.executors import Executing, make_executor
-from bayesnet_track.runtime.inputs import InputsAt, as_inputs
-from bayesnet_track.runtime.open_runs import closed_at_exit
+from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.preparation import (
     begin,
     make_checkpointer,
@@ -41,10 +46,17 @@ from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
+from bayesnet_track.runtime.results import (
+    FrameSource,
+    InputsAt,
+    Result,
+    Sink,
+    Summary,
+    as_inputs,
+    interval_of,
+)
 from bayesnet_track.runtime.run import run
-from bayesnet_track.runtime.unused_by_cues import frames_of, say_unused_by_cues
-from bayesnet_track.runtime.unused_detections import GivenFrames
+from bayesnet_track.runtime.stop import closed_at_exit
 from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
 
@@ -134,7 +146,7 @@ def track(
         sinks: further observers.
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
-            is asked before each frame, such as a `runtime.inputs.Switchboard`.
+            is asked before each frame, such as a `runtime.results.Switchboard`.
         budget_ms: wall-clock milliseconds that a frame may take; where frames take longer, agents that say
             little and then hypotheses are done without. None for as long as it takes.
         checkpoint_every: seconds after which it is kept in `out` how far the run is, for

@@ -1,15 +1,19 @@
-"""Stop when a signal arrives: between two frames, so that every file ends with a whole line, or at once."""
+"""Ends from outside: signals that stop a run between two frames, programs that end with open runs."""
 
 from __future__ import annotations
 
+import atexit
 import signal
 import socket
 import sys
 import threading
+from collections.abc import Callable, Generator
 from contextlib import suppress
+from functools import wraps
 from queue import Empty, SimpleQueue
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Any, ParamSpec, Self, TypeVar
+from weakref import WeakSet
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -181,3 +185,31 @@ def _send(number: int) -> None:
         signal.raise_signal(number)
     else:
         signal.pthread_kill(main, number)
+
+
+P = ParamSpec("P")
+Item = TypeVar("Item")
+
+OPEN: WeakSet[Generator[Any, None, None]] = WeakSet()
+
+
+def closed_at_exit(
+    make: Callable[P, Generator[Item, None, None]],
+) -> Callable[P, Generator[Item, None, None]]:
+    """A generator function whose generators are closed when the program ends before they do."""
+
+    @wraps(make)
+    def remembered(*args: P.args, **more: P.kwargs) -> Generator[Item, None, None]:
+        results = make(*args, **more)
+        OPEN.add(results)
+        return results
+
+    return remembered
+
+
+@atexit.register
+def close_all() -> None:
+    """Close every generator that is left, but for one that a thread is in."""
+    for results in list(OPEN):
+        with suppress(ValueError):
+            results.close()

@@ -28,15 +28,12 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.arguments import longest_side, whole
-from bayesnet_track.runtime.frame_kind import FrameKind
+from bayesnet_track.runtime.arguments import longest_side, say_unused_by_cues, whole
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
-from bayesnet_track.runtime.unused_by_cues import say_unused_by_cues
-from bayesnet_track.runtime.updates.frame_clock import FrameClock, refuse_unknown
-from bayesnet_track.runtime.updates.standing import Standing
-from bayesnet_track.runtime.updates.storable import Storable
-from bayesnet_track.runtime.updates.turns import Turns
+from bayesnet_track.runtime.results import FrameKind
+from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, refuse_unknown
+from bayesnet_track.runtime.updates.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.view.overlay import draw_targets
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.annotation.fusing import iou
+from bayesnet_track.runtime.annotation.asking import iou
 from bayesnet_track.sources.scenes import make_scene
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,7 @@ from bayesnet_track import Start, Tracker, track
 from bayesnet_track.cues.readings import CUE, ReadingsError, read_readings
 from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.runtime.checkpoints.given_files import file_sha256
+from bayesnet_track.runtime.checkpoints.origins import file_sha256
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scene_source import SceneSource

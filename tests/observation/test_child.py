@@ -17,7 +17,7 @@ import pytest
 from bayesnet_track.cli.batch import places
 from bayesnet_track.cli.batch.jobs import Job, Video
 from bayesnet_track.observation.child import cut, end_with, python, tie
-from bayesnet_track.runtime.executors.fork_server import ForkServer
+from bayesnet_track.runtime.executors.workers import ForkServer
 
 TOLD = "import json, sys; print(json.dumps(sys.path))"
 posix = pytest.mark.skipif(os.name != "posix", reason="nothing of the kind is known elsewhere")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.annotation.answers_file import Header
+from bayesnet_track.runtime.annotation.answers import Header
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.session import open_session
 

@@ -27,9 +27,9 @@ from hypothesis.stateful import (
 
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.load import Released, Toggled
-from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.checkpoints.standing import inputs_before
 from bayesnet_track.runtime.recording.manifest import ManifestError, passing
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.recording.verify import verify

@@ -8,10 +8,10 @@ import pytest
 
 from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.lifetimes import KeptBeliefsError
 from bayesnet_track.runtime.recording import arviz_file
 from bayesnet_track.runtime.recording.arviz_file import ArvizError, beliefs_as_dataset, write_arviz
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
+from bayesnet_track.runtime.smoothing import KeptBeliefsError
 from bayesnet_track.sources.scene_source import SceneSource
 
 xarray = pytest.importorskip("xarray")

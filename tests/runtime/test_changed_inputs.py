@@ -17,7 +17,7 @@ from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime import session
-from bayesnet_track.runtime.checkpoints.given_files import file_sha256
+from bayesnet_track.runtime.checkpoints.origins import file_sha256
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.results import Result, Summary

@@ -14,7 +14,7 @@ from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Spar
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.reader import read_inputs
-from bayesnet_track.runtime.deadline import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
+from bayesnet_track.runtime.pace import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene

@@ -14,7 +14,7 @@ from bayesnet_track import DetectionsTracker
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.runtime.detections_tracker import NO_TARGET, owners
-from bayesnet_track.runtime.updates.looking import image_users
+from bayesnet_track.runtime.updates.frame_clock import image_users
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 

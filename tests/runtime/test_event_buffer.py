@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
+from bayesnet_track.runtime.live_view.feed import EventBuffer
 
 
 @given(st.lists(st.binary(max_size=40), max_size=30), st.integers(0, 35), st.integers(0, 200))

@@ -7,7 +7,7 @@ import os
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
+from bayesnet_track.runtime.checkpoints.recipe import change_texts, hide_bytes, restore_bytes
 
 
 @given(st.binary(max_size=20))

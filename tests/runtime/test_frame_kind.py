@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.frame_kind import FrameKind
+from bayesnet_track.runtime.results import FrameKind
 
 GRAY = Frame(3, 3.0, np.zeros((4, 6, 3), np.uint8), False)
 

@@ -8,7 +8,7 @@ from bayesnet_track.journal.events.load import InputRefused, Released, Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import replay
 from bayesnet_track.journal.reader import read_events, read_inputs
-from bayesnet_track.runtime.inputs import Switchboard
+from bayesnet_track.runtime.results import Switchboard
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene

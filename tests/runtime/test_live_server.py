@@ -10,14 +10,15 @@ import time
 import pytest
 
 from bayesnet_track.runtime.live_view import server as serving
-from bayesnet_track.runtime.live_view.connections import (
+from bayesnet_track.runtime.live_view.controls import Refused
+from bayesnet_track.runtime.live_view.server import (
     MOST_PROVEN,
     MOST_UNPROVEN,
     MOST_UNPROVEN_OF_ONE,
     Connections,
+    Handler,
+    Server,
 )
-from bayesnet_track.runtime.live_view.controls import Refused
-from bayesnet_track.runtime.live_view.server import Handler, Server
 
 
 class Served:

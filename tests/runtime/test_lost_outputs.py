@@ -13,7 +13,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError
-from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
+from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.recording.manifest import FOREIGN
 from bayesnet_track.runtime.recording.record import Recorder

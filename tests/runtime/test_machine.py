@@ -16,7 +16,7 @@ from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import MachineChanged, RunEnded
 from bayesnet_track.journal.reader import read_events
-from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_differences
+from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.scene_source import SceneSource
 
@@ -89,7 +89,7 @@ def test_a_run_without_a_checkpoint_is_compared_by_its_versions(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (run / "checkpoint").unlink()
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.unchanged.versions", lambda: {"numpy": "1.0"})
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.standing.versions", lambda: {"numpy": "1.0"})
     with pytest.raises(ResumeError, match=r"numpy .*, now 1\.0"):
         list(resume(run))
 

@@ -21,7 +21,7 @@ from bayesnet_track.graphs import graph_folder
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, installed_cues
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.checkpoints.unchanged import ResumeError, check_files
+from bayesnet_track.runtime.checkpoints.standing import ResumeError, check_files
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 6

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from bayesnet_track.runtime.progress import Progress
+from bayesnet_track.runtime.pace import Progress
 
 
 def run_of(seconds, rate, **settings):

@@ -10,8 +10,7 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError, make_recipe
-from bayesnet_track.runtime.checkpoints.recipe_options import VIDEO_FORMAT
+from bayesnet_track.runtime.checkpoints.recipe import VIDEO_FORMAT, Recipe, RecipeError, make_recipe
 from bayesnet_track.sources.origin import Origin, fingerprint
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.reopen import reopen

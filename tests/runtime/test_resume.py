@@ -16,14 +16,13 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime import preparation
-from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
+from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.checkpoints.standing import Standing, standing
-from bayesnet_track.runtime.inputs import Switchboard
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.results import Result, Summary
+from bayesnet_track.runtime.results import Result, Summary, Switchboard
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 10

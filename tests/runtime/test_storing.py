@@ -19,8 +19,7 @@ from bayesnet_track.engine.starts import Start, has_births
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.runtime.updates import storing
-from bayesnet_track.runtime.updates.storable import Storable
-from bayesnet_track.runtime.updates.storing import StoredError, stored_classes
+from bayesnet_track.runtime.updates.storing import Storable, StoredError, stored_classes
 from bayesnet_track.sources.frames import Frame
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene, scene_names

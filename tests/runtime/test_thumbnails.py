@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.live_view import thumbnails
-from bayesnet_track.runtime.live_view.thumbnails import Thumbnails, encode
+from bayesnet_track.runtime.live_view import feed
+from bayesnet_track.runtime.live_view.feed import Thumbnails, encode
 
 NOISE = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
 
@@ -60,13 +60,13 @@ def test_the_budget_thins_what_is_old_and_spares_what_must_be(made):
 
 def test_an_encoder_that_hangs_holds_up_nobody(made, monkeypatch):
     gate = threading.Event()
-    monkeypatch.setattr(thumbnails, "encode", lambda image: gate.wait(60) and b"x")
+    monkeypatch.setattr(feed, "encode", lambda image: gate.wait(60) and b"x")
     shelf = made(per_second=1e9)
     began = time.monotonic()
     for frame in range(10_000):
         shelf.offer(frame, NOISE)
     assert time.monotonic() - began < 1.0
-    assert len(shelf._waiting) == thumbnails.WAITING
+    assert len(shelf._waiting) == feed.WAITING
     gate.set()
 
 

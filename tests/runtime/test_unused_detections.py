@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.detector import Detections
-from bayesnet_track.runtime.unused_detections import explain_unused
+from bayesnet_track.runtime.arguments import explain_unused
 
 SEEN = Detections(np.array([[20.0, 30.0, 20.0, 20.0]]), np.ones(1), ("",))
 POOR = Detections(np.array([[20.0, 30.0, 20.0, 20.0]]), np.array([0.1]), ("",))

@@ -25,10 +25,10 @@ from bayesnet_track.cli.options.sources import add_range_option, add_size_option
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
-    from bayesnet_track.runtime.annotation.answers_file import Header
+    from bayesnet_track.runtime.annotation.answers import Header
+    from bayesnet_track.runtime.annotation.asking import TrackerRuns
     from bayesnet_track.runtime.annotation.frame_store import FrameStore
     from bayesnet_track.runtime.annotation.session import Session
-    from bayesnet_track.runtime.annotation.tracked import TrackerRuns
     from bayesnet_track.runtime.stop import StopRequest
 
 FORMATS = ("coco", "mot", "cvat", "label-studio", "yolo")
@@ -37,7 +37,7 @@ COUNTED = ("given", "tracked", "interpolated", "gone")
 
 def annotate(options: argparse.Namespace) -> int:
     """Open or go on with a session, in the browser or without; write the annotations at its end."""
-    from bayesnet_track.runtime.annotation.answers_file import AnswersFileError
+    from bayesnet_track.runtime.annotation.answers import AnswersFileError
     from bayesnet_track.runtime.recording.lock import lock_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
@@ -59,11 +59,11 @@ def annotate(options: argparse.Namespace) -> int:
 def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
     """The session, and whether the whole video was read and every answer is tracked."""
     from bayesnet_track.graph.text.load import load_graph
-    from bayesnet_track.runtime.annotation.answers_file import NAME, read_answers
+    from bayesnet_track.runtime.annotation.answers import NAME, read_answers
+    from bayesnet_track.runtime.annotation.asking import TrackerRuns
     from bayesnet_track.runtime.annotation.formats.formats import read_annotations, write_formats
     from bayesnet_track.runtime.annotation.frame_store import FrameStore
     from bayesnet_track.runtime.annotation.session import open_session
-    from bayesnet_track.runtime.annotation.tracked import TrackerRuns
     from bayesnet_track.sources.paths import image_names
     from bayesnet_track.sources.sources import open_source
 
@@ -105,7 +105,7 @@ def make_header(
     from importlib.metadata import version
 
     from bayesnet_track.graph.text.write import graph_sha256, write_graph
-    from bayesnet_track.runtime.annotation.answers_file import Header
+    from bayesnet_track.runtime.annotation.answers import Header
     from bayesnet_track.runtime.annotation.asking import PATIENCE, THRESHOLD
 
     def chosen(name: str, usual: Any) -> Any:

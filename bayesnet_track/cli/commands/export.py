@@ -63,9 +63,9 @@ def _judged(run: Run) -> Run:
 
 def _export_beliefs(options: argparse.Namespace) -> int:
     """Write draws of the kept beliefs for ArviZ."""
-    from bayesnet_track.runtime.lifetimes import KeptBeliefsError
     from bayesnet_track.runtime.recording.arviz_file import ArvizError, write_arviz
     from bayesnet_track.runtime.recording.run_reader import open_run
+    from bayesnet_track.runtime.smoothing import KeptBeliefsError
 
     if options.lost or options.no_lost:
         raise UsageError("--lost and --no-lost are not for --format arviz, which writes every belief")

@@ -12,10 +12,10 @@ from bayesnet_track.cli.options.arguments import whole_number
 
 def smooth(options: argparse.Namespace) -> int:
     """Smooth a run and write the result."""
-    from bayesnet_track.runtime.lifetimes import KeptBeliefsError
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
     from bayesnet_track.runtime.recording.smoothed import write_smoothed
+    from bayesnet_track.runtime.smoothing import KeptBeliefsError
     from bayesnet_track.runtime.smoothing import smooth as smooth_run
 
     try:

@@ -86,9 +86,8 @@ def track_source(
     view: LiveView | None = None,
 ) -> int:
     """Track from the start boxes and write the run to `out`; the exit code."""
-    from bayesnet_track.runtime.inputs import replay_inputs
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
-    from bayesnet_track.runtime.results import Summary
+    from bayesnet_track.runtime.results import Summary, replay_inputs
     from bayesnet_track.runtime.session import track
     from bayesnet_track.sources.detection_files import file_detector
     from bayesnet_track.sources.mot_lines import COLUMNS

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.cli.commands.compare import check_page, show_comparison
-    from bayesnet_track.runtime.checkpoints.unchanged import check_cues, check_files
+    from bayesnet_track.runtime.checkpoints.standing import check_cues, check_files
     from bayesnet_track.runtime.recording.manifest import add_output
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory

@@ -10,9 +10,14 @@ from typing import Any
 
 from bayesnet_track.journal.writer import LineFile, OutputError, write_atomically
 from bayesnet_track.observation.settings import setting
-from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, read_answer
+from bayesnet_track.runtime.annotation.answers import (
+    Answer,
+    AnswerError,
+    describe_mended,
+    mend_names,
+    read_answer,
+)
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.runtime.annotation.names import describe_mended, mend_names
 from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE
 from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 

@@ -1,17 +1,198 @@
-"""The annotations that answers give, and the frame to ask about next: pure functions."""
+"""Tracks between answers, the annotations that they give, and the frame to ask about next."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import islice, pairwise
+from typing import Literal, Protocol
 
 import numpy as np
 
-from bayesnet_track.runtime.annotation.answers import Answer
-from bayesnet_track.runtime.annotation.fusing import Mark, between, fuse
-from bayesnet_track.runtime.annotation.tracked import Runs
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.numerics.arrays import Image
+from bayesnet_track.runtime.annotation.answers import Answer, Box
+from bayesnet_track.runtime.tracker import Tracker
 from bayesnet_track.sources.entrances.boxes import usable
+
+Key = tuple[int, Box, int]
+"""Frame and box that a run starts with, and 1 forward or -1 backward."""
+
+AT_ONCE = 8
+"""Trackers that are kept ready to go on: each holds frames."""
+
+
+class Frames(Protocol):
+    """The frames of a video, in any order."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+
+    def image(self, frame: int) -> Image:
+        """A frame (H, W, 3) uint8, BGR."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in a frame: a box, and how sure it is.
+
+    Attributes:
+        probability: of being on target, IoU above 0.5.
+        sd: standard deviations of the centre, px.
+        status: tracking, uncertain or lost.
+    """
+
+    box: Box
+    probability: float
+    sd: tuple[float, float]
+    status: str
+
+
+class Runs(Protocol):
+    """Where a target is found in `frame` by a run that starts with `box` in `start`."""
+
+    def at(self, start: int, box: Box, frame: int) -> Found:
+        """Forward where `frame` is later than `start`, else backward."""
+
+
+@dataclass
+class TrackerRuns:
+    """Runs of the tracker, each as far as it was asked for. They are kept: the same question costs nothing.
+
+    A run begins with references learnt from its own box, so that a correction is what is learnt from; and
+    it depends on nothing but its start, so that taking an answer back gives what there was before.
+    """
+
+    graph: CheckedGraph
+    frames: Frames
+    seed: int = 0
+    max_side: int | None = None
+    _runs: dict[Key, _Run] = field(default_factory=dict)
+    _live: list[Key] = field(default_factory=list)
+
+    def at(self, start: int, box: Box, frame: int) -> Found:
+        """See `Runs`."""
+        step = 1 if frame > start else -1
+        key = (start, box, step)
+        run = self._runs.setdefault(key, _Run(partial(self._find, start, box, step)))
+        if not run.reaches(abs(frame - start) - 1):
+            self._live = [one for one in self._live if one != key] + [key]
+            for old in self._live[:-AT_ONCE]:
+                self._runs[old].rest()
+            self._live = self._live[-AT_ONCE:]
+        return run.at(abs(frame - start) - 1)
+
+    def _find(self, start: int, box: Box, step: int) -> Iterator[Found]:
+        tracker = Tracker(self.graph, self.seed, max_side=self.max_side)
+        tracker.init(self.frames.image(start), box)
+        found = Found(box, 1.0, (0.0, 0.0), "tracking")
+        last = len(self.frames) if step > 0 else -1
+        for frame in range(start + step, last, step):
+            tracker.update(self.frames.image(frame))
+            yield (found := _found(tracker, found))
+
+
+def _found(tracker: Tracker, before: Found) -> Found:
+    try:
+        line = tracker.metrics
+    except RuntimeError:  # it has ended: a person corrects the box where it was last
+        return replace(before, probability=0.0, status="lost")
+    x, y, w, h = (float(value) for value in line.xywh)
+    return Found((x, y, w, h), line.score, (float(line.sd[0]), float(line.sd[1])), tracker.status)
+
+
+class _Run:
+    def __init__(self, begin: Callable[[], Iterator[Found]]) -> None:
+        self._begin, self._found = begin, list[Found]()
+        self._ahead: Iterator[Found] | None = None
+
+    def reaches(self, number: int) -> bool:
+        return len(self._found) > number
+
+    def at(self, number: int) -> Found:
+        if self._ahead is None and not self.reaches(number):
+            self._ahead = islice(self._begin(), len(self._found), None)
+        try:
+            while self._ahead is not None and not self.reaches(number):
+                self._found.append(next(self._ahead))
+        except BaseException:
+            self.rest()  # an iterator that raised gives nothing more
+            raise
+        return self._found[number]
+
+    def rest(self) -> None:
+        """Let go of the tracker; to go on it has to begin anew."""
+        self._ahead = None
+
+
+How = Literal["given", "tracked", "interpolated", "gone"]
+
+AGREE_IOU = 0.5
+"""Two boxes that overlap by more are the same finding."""
+
+BY_CHANCE = 0.1
+"""Probability that two runs that are both off target agree."""
+
+LEAST_TRACKED = 0.5
+"""Below this probability of the better run, the straight line between the given boxes is taken."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A target in a frame of the annotations.
+
+    Attributes:
+        box: None where it is gone.
+        how: given by a person (drawn or confirmed), tracked, interpolated between two given boxes, or gone.
+        probability: of being on target (IoU above 0.5): 1 where given.
+    """
+
+    frame: int
+    box: Box | None
+    how: How
+    probability: float = 1.0
+
+
+def iou(one: Box, other: Box) -> float:
+    """Intersection over union of two corner boxes."""
+    wide = min(one[0] + one[2], other[0] + other[2]) - max(one[0], other[0])
+    tall = min(one[1] + one[3], other[1] + other[3]) - max(one[1], other[1])
+    if wide <= 0 or tall <= 0:
+        return 0.0
+    both = wide * tall
+    return both / (one[2] * one[3] + other[2] * other[3] - both)
+
+
+def between(one: Box, other: Box, share: float) -> Box:
+    """The box at `share` of the way from one to the other."""
+    x, y, w, h = ((1.0 - share) * a + share * b for a, b in zip(one, other, strict=True))
+    return x, y, w, h
+
+
+def fuse(frame: int, forward: Found, backward: Found, line: Box) -> Mark:
+    """The more probable box of the two runs, or their mean where they agree.
+
+    Of two runs that disagree at most one is on target; where they agree, either both are, or both went
+    wrong alike, by chance. `line` is the straight line between the two given boxes: it is taken if no run
+    is probable.
+    """
+    p, q = forward.probability, backward.probability
+    if iou(forward.box, backward.box) > AGREE_IOU:
+        right, wrong = p * q, BY_CHANCE * (1.0 - p) * (1.0 - q)
+        box = between(forward.box, backward.box, q / (p + q) if p + q > 0 else 0.5)
+        return Mark(frame, box, "tracked", _share(right, wrong))
+    of_forward, of_backward, of_none = p * (1.0 - q), q * (1.0 - p), (1.0 - p) * (1.0 - q)
+    best = max(of_forward, of_backward)
+    probability = _share(best, of_forward + of_backward + of_none - best)
+    if probability < LEAST_TRACKED:
+        return Mark(frame, line, "interpolated", probability)
+    return Mark(frame, (forward if of_forward >= of_backward else backward).box, "tracked", probability)
+
+
+def _share(part: float, rest: float) -> float:
+    return part / (part + rest) if part + rest > 0 else 0.0
+
 
 THRESHOLD, PATIENCE = 0.8, 20
 """Chosen on 13 videos: docs/annotate.md has the figures, and those of 12 others."""

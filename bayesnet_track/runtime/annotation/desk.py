@@ -13,9 +13,8 @@ import cv2
 
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.annotation.answers import AnswerError, in_force
-from bayesnet_track.runtime.annotation.fusing import Mark
+from bayesnet_track.runtime.annotation.asking import Frames, Mark, Runs
 from bayesnet_track.runtime.annotation.session import Session
-from bayesnet_track.runtime.annotation.tracked import Frames, Runs
 from bayesnet_track.runtime.live_view.controls import Refused
 from bayesnet_track.runtime.live_view.server import Server
 from bayesnet_track.view.run_page import annotate_page

@@ -12,29 +12,36 @@ from typing import Any
 from bayesnet_track.engine.starts import Start, StartError, check_box
 from bayesnet_track.journal.writer import LineFile, output_error, write_atomically
 from bayesnet_track.runtime.annotation.answers import (
+    BEFORE,
+    NAME,
     UNDO,
     Answer,
     AnswerError,
-    Box,
-    in_force,
-    read_answer,
-)
-from bayesnet_track.runtime.annotation.answers_file import (
-    BEFORE,
-    NAME,
     AnswersFileError,
+    Box,
     Header,
     append_answers,
+    describe_mended,
+    find_alike,
     first_difference,
+    in_force,
+    mend_names,
+    read_answer,
     read_answers,
     write_answers,
 )
-from bayesnet_track.runtime.annotation.asking import Annotations, Asking, Question, annotate_target, fail
-from bayesnet_track.runtime.annotation.formats.document import Document
+from bayesnet_track.runtime.annotation.asking import (
+    Annotations,
+    Asking,
+    Found,
+    Mark,
+    Question,
+    Runs,
+    annotate_target,
+    fail,
+)
+from bayesnet_track.runtime.annotation.formats.reading import Document
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.runtime.annotation.fusing import Mark
-from bayesnet_track.runtime.annotation.names import describe_mended, find_alike, mend_names
-from bayesnet_track.runtime.annotation.tracked import Found, Runs
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.sources.entrances.notices import few, notice
 

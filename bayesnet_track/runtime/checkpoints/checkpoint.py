@@ -19,7 +19,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint_file import (
     pixels_of,
     write_checkpoint,
 )
-from bayesnet_track.runtime.checkpoints.machine import describe_machine
+from bayesnet_track.runtime.checkpoints.origins import describe_machine
 from bayesnet_track.runtime.checkpoints.state_codec import StateError, encode_state
 from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.record import Recorder, Written

@@ -49,7 +49,7 @@ class Checkpoint:
         reconfigurations: how many times an agent was switched on or off.
         lost_frames: frames in which a target was lost.
         written: how far the outputs are written.
-        machine: what its numbers were computed on; see `runtime.checkpoints.machine`.
+        machine: what its numbers were computed on; see `runtime.checkpoints.origins`.
         state: the engine's state, as `encode_state` has it.
     """
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -18,25 +18,18 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.engine.starts import Start
+from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import write_atomically
+from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue, file_of
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
-from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
-from bayesnet_track.runtime.checkpoints.given_files import GivenFile, given_cue, given_file, model_files
-from bayesnet_track.runtime.checkpoints.recipe_options import (
-    ALL_HYPOTHESES,
-    HORIZON,
-    KEEPS_BELIEFS,
-    MAX_SIDE,
-    VIDEO_FORMAT,
-)
-from bayesnet_track.runtime.checkpoints.versions import versions
+from bayesnet_track.runtime.checkpoints.origins import GivenFile, given_cue, given_file, model_files, versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
 
@@ -44,6 +37,87 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.sources.frames import Source
     from bayesnet_track.sources.scene_source import SceneSource
+
+
+BYTES_AT = 0x10FF00
+"""Private characters for bytes in names of files (PEP 383), which pydantic takes for no text."""
+
+
+def hide_bytes(text: str) -> str:
+    """The text with private characters for bytes that are no text."""
+    return "".join(chr(BYTES_AT + ord(c) - 0xDC00) if "\udc80" <= c <= "\udcff" else c for c in text)
+
+
+def restore_bytes(text: str) -> str:
+    """The text with its bytes again: the inverse of `hide_bytes`."""
+    first, last = chr(BYTES_AT + 0x80), chr(BYTES_AT + 0xFF)
+    return "".join(chr(ord(c) - BYTES_AT + 0xDC00) if first <= c <= last else c for c in text)
+
+
+def change_texts(value: Any, change: Callable[[str], str]) -> Any:
+    """The value with every text in it changed."""
+    if isinstance(value, str):
+        return change(value)
+    if isinstance(value, Mapping):
+        return {key: change_texts(item, change) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(change_texts(item, change) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {item.name: change_texts(getattr(value, item.name), change) for item in fields(value)}
+        return replace(value, **own)
+    return value
+
+
+KEEPS_BELIEFS = "keep_beliefs"
+"""The option by which a recipe says that beliefs are kept for smoothing."""
+
+ALL_HYPOTHESES = "all_hypotheses"
+"""The option by which a recipe says that hypotheses are written however many targets a frame has."""
+
+HORIZON = "horizon"
+"""The option by which a recipe says how many frames ahead targets are forecast."""
+
+MAX_SIDE = "max_side"
+"""The option by which a recipe says what the longest side of the frames is that are tracked in."""
+
+VIDEO_FORMAT = "video"
+"""The option by which a recipe says that the annotated video is `mp4`; without it, it is Matroska."""
+
+
+def options_of(
+    engine: Engine,
+    budget_ms: float | None,
+    written: Collection[str],
+    horizon: int = 0,
+    max_side: int | None = None,
+) -> dict[str, bool | int | float | str]:
+    """What else the recipe remembers: the budget, and what of other packages is at work.
+
+    `written` is what the run writes besides what every run has: `beliefs`, `hypotheses`, `mp4`.
+    """
+    options: dict[str, bool | int | float | str] = {}
+    if budget_ms is not None:
+        options["budget_ms"] = budget_ms
+    if "beliefs" in written:
+        options[KEEPS_BELIEFS] = True
+    if "hypotheses" in written:
+        options[ALL_HYPOTHESES] = True
+    if horizon:
+        options[HORIZON] = horizon
+    if max_side is not None:
+        options[MAX_SIDE] = max_side
+    if "mp4" in written:
+        options[VIDEO_FORMAT] = "mp4"
+    named: set[str] = set()
+    for compiled in engine.plates.values():
+        named |= {chosen.cue for _, _, chosen in compiled.plate.spec.cue_choices()}
+        if compiled.lifecycle is not None and compiled.lifecycle.birth is not None:
+            named.add(compiled.lifecycle.birth.detector.detector)
+    theirs = sorted(named & plugins.allowed())
+    if theirs:
+        options["allow_plugins"] = ",".join(theirs)
+    return options
+
 
 RECIPE_VERSION = 1
 

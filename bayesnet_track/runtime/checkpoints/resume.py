@@ -19,31 +19,30 @@ from bayesnet_track.journal.writer import PART, OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S
-from bayesnet_track.runtime.checkpoints.checkpoint_file import (
+from bayesnet_track.runtime.checkpoints.checkpoint import (
+    EVERY_S,
     Checkpoint,
     CheckpointError,
     drop_damaged,
     newest_checkpoint,
     remove,
 )
-from bayesnet_track.runtime.checkpoints.given_files import file_sha256, steady
-from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before, keep_pending
+from bayesnet_track.runtime.checkpoints.origins import file_sha256, steady
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
-from bayesnet_track.runtime.checkpoints.standing import standing
-from bayesnet_track.runtime.checkpoints.unchanged import (
+from bayesnet_track.runtime.checkpoints.standing import (
     ResumeError,
     check_cues,
     check_files,
     check_outputs,
     check_plain,
     check_same,
+    inputs_before,
+    keep_pending,
     permit_move,
+    standing,
 )
-from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
-from bayesnet_track.runtime.inputs import InputsAt, as_inputs
-from bayesnet_track.runtime.open_runs import closed_at_exit
+from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.preparation import (
     held_files,
     make_checkpointer,
@@ -59,8 +58,17 @@ from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
-from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
+from bayesnet_track.runtime.results import (
+    FrameSource,
+    InputsAt,
+    Result,
+    Sink,
+    Summary,
+    as_inputs,
+    interval_of,
+)
 from bayesnet_track.runtime.run import Resumed, RunPosition, run
+from bayesnet_track.runtime.stop import closed_at_exit
 from bayesnet_track.sources.detection_files import file_detector
 
 __all__ = ["ResumeError", "resume"]

@@ -14,9 +14,8 @@ from bayesnet_track.observation.cue_files import GivenCue, file_of, own_cues
 from bayesnet_track.observation.plugins import given
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.checkpoint_file import Checkpoint
-from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_differences
+from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences, versions
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
-from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.results import FrameSource
 

@@ -1,25 +1,74 @@
-"""Make an executor by its name, and ready an engine to be run by it."""
+"""An executor by its name, and an engine ready to be run by it, with one thread inside each agent."""
 
 from __future__ import annotations
 
+import ctypes
 import os
-from collections.abc import Mapping
-from contextlib import ExitStack
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from pathlib import Path
 from types import MappingProxyType
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.observation.cue import CueDeclaration
-from bayesnet_track.runtime.executors.placing import (
-    Place,
-    agent_specs,
-    places_of,
-    with_proxies,
-)
+from bayesnet_track.runtime.executors.placing import Place, agent_specs, places_of, with_proxies
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
-from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
 from bayesnet_track.runtime.system import has_workers, no_workers
+
+NAMES = ("scipy_openblas_{}64_", "scipy_openblas_{}", "openblas_{}64_", "openblas_{}")
+
+
+@contextmanager
+def one_thread_inside(opencv: bool) -> Iterator[None]:
+    """While entered, NumPy's matrix products use one thread each, and so do, with `opencv`, its functions.
+
+    The last bits of a matrix product depend on the number of its threads. Workers have one, and so the engine
+    must, for the same bytes; none of OpenCV's functions that are used here depends on it.
+    """
+    import cv2
+
+    blas = _blas()
+    before = cv2.getNumThreads(), [get() for get, _ in blas]
+    if opencv:
+        cv2.setNumThreads(1)
+    for _, set_threads in blas:
+        set_threads(1)
+    try:
+        yield
+    finally:
+        if opencv:
+            cv2.setNumThreads(before[0])
+        for (_, set_threads), threads in zip(blas, before[1], strict=True):
+            set_threads(threads)
+
+
+@cache
+def _blas() -> list[tuple[Any, Any]]:
+    """What gets and sets the number of threads of each OpenBLAS in the wheels of NumPy and SciPy."""
+    site = Path(np.__file__).parent.parent
+    found = []
+    for package in ("numpy", "scipy"):
+        if package not in sys.modules:
+            continue
+        for file in sorted((site / f"{package}.libs").glob("*openblas*")):
+            try:
+                library = ctypes.CDLL(str(file))
+            except OSError:
+                continue
+            for name in NAMES:
+                get = getattr(library, name.format("get_num_threads"), None)
+                set_threads = getattr(library, name.format("set_num_threads"), None)
+                if get is not None and set_threads is not None:
+                    found.append((get, set_threads))
+                    break
+    return found
+
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2

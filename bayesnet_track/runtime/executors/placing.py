@@ -9,8 +9,8 @@ from typing import Literal
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.settings import to_caller
+from bayesnet_track.runtime.executors.placing import SentFrames, Transport, make_proxy
 from bayesnet_track.runtime.executors.processes import PlacingError
-from bayesnet_track.runtime.executors.proxy import SentFrames, Transport, make_proxy
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 
 Place = Literal["engine", "process"]

@@ -14,10 +14,8 @@ from typing import Any
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import Making
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
-from bayesnet_track.runtime.executors.pending import Pending
-from bayesnet_track.runtime.executors.questions import Answer, Call, Foreign
+from bayesnet_track.runtime.executors.messages import Answer, Call, Foreign
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import (
     Late,
@@ -27,6 +25,35 @@ from bayesnet_track.runtime.executors.workers import (
     WorkerGone,
     WorkerLost,
 )
+from bayesnet_track.runtime.pace import Patience
+
+
+class Pending:
+    """A question on its way.
+
+    Attributes:
+        asked: of whom, and what.
+        patience: for how long its answer is waited for; None for as long as it takes.
+        is_sent: whether a worker has it.
+        until: the moment by which the answer is needed, since it was sent.
+        outcome: the answer, or why there is none.
+        lost: why workers that had it gave none.
+    """
+
+    __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
+
+    def __init__(self, asked: Call, patience: Patience | None) -> None:
+        self.agent = asked.agent
+        self.asked, self.patience = asked, patience
+        self.is_sent, self.sent_at = False, 0.0
+        self.until: float | None = None
+        self.outcome: Answer | Exception | None = None
+        self.lost: list[str] = []
+
+    def until_from(self, now: float) -> float | None:
+        """The moment by which the answer is needed, when it is asked for `now`."""
+        return None if self.patience is None else self.patience.until(self.agent, now)
+
 
 COMING_S = 0.002
 """Seconds after which it is looked whether a worker that is being started is there."""

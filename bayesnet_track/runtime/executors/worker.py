@@ -1,11 +1,9 @@
-"""The program of the fork server and of its worker processes, which answer questions about agents.
+"""The program of the fork server and of its workers: cues at work in another process.
 
-What it reads from its input are the engine's cue files.
-
-`fork_server.ForkServer` starts it.
-
-The fork server imports once what cues need. A worker forked from it is ready within milliseconds, and shares
-that memory. It has one thread, so that forking is safe.
+`workers.ForkServer` starts it; its input are the engine's cue files. The fork server imports once what cues
+need. A worker forked from it is ready within milliseconds, and shares that memory. It has one thread, so that
+forking is safe. It holds nothing between frames but copies of what the engine told it, so that a new one
+answers alike.
 """
 
 from __future__ import annotations
@@ -16,11 +14,152 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from bayesnet_track.observation.child import die_with, end_with
-from bayesnet_track.runtime.executors.fork_server import END_S, NUMBER, READY, UNKNOWN, WORKER
-from bayesnet_track.runtime.executors.memory import limit_memory
+from bayesnet_track.observation.cue import AnyCue, Measurement
+from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, text_of
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.shared import shown
+from bayesnet_track.runtime.executors.messages import (
+    LEARN_AND_BLEND,
+    Answer,
+    Call,
+    EncodedReference,
+    Foreign,
+    Received,
+)
+from bayesnet_track.runtime.executors.workers import END_S, NUMBER, READY, UNKNOWN, WORKER
+
+
+def own_bytes() -> int:
+    """Address space of this process, bytes; on systems that do not tell, its largest resident size."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        return pages * resource.getpagesize()
+    except OSError:
+        import resource
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+def limit_memory(megabytes: int) -> None:
+    """Let this process have so much above what it has now; 0 does not limit it."""
+    if megabytes > 0:
+        import resource
+
+        limit = own_bytes() + (megabytes << 20)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+CACHES = 2
+"""Pairs of frames whose planes are kept."""
+
+
+class AgentHost:
+    """Cues by agent, the planes of the current frames, and the references that were told.
+
+    `frame_of` fetches a frame from where `Call.frames` says that it lies; `is_limited` says that memory
+    is, so that running out of it is nothing that the cue does everywhere.
+    """
+
+    def __init__(self, frame_of: Callable[[Any], Frame], is_limited: bool = False) -> None:
+        self._frame_of, self._is_limited = frame_of, is_limited
+        self._cues: dict[str, AnyCue] = {}
+        self._received = Received()
+        self._caches: dict[tuple[int, int], PlaneCache] = {}
+
+    def assign(self, agent: str, make: Callable[[Any], AnyCue], parameters: Any) -> None:
+        """Make the cue of an agent."""
+        self._cues[agent] = make(parameters)
+
+    def unassign(self, agent: str) -> None:
+        """Drop the cue of an agent."""
+        self._cues.pop(agent, None)
+
+    def answer(self, question: Call) -> Answer:
+        """What the cue says; whatever it raises is told, not raised."""
+        started = time.perf_counter()
+        try:
+            value = self._ask(question)
+            return Answer(value, seconds=time.perf_counter() - started)
+        except FAULTS as error:  # a guest's code: the engine decides what comes of it
+            seconds = time.perf_counter() - started
+            if self._is_limited and _is_shortage(error):
+                return Answer(out_of_memory=True, seconds=seconds)
+            return Answer(raised=(type(error).__name__, text_of(error)), seconds=seconds)
+
+    def _ask(self, question: Call) -> Any:
+        received = self._received
+        received.forget(question.forget)
+        cue: Any = self._cues[question.agent]
+        arguments: list[Any] = [
+            shown(received.reference(part)) if isinstance(part, EncodedReference) else part
+            for part in question.arguments
+        ]
+        if question.frames is not None:
+            assert question.region is not None
+            planes = self._cache(question.frames).planes(cue.needs, question.region)
+            arguments.insert(1 if question.method == LEARN_AND_BLEND else 0, planes)
+        if question.method == LEARN_AND_BLEND:
+            learn, seen, old, rate, *box = arguments
+            returned = cue.blend(old, getattr(cue, learn)(seen, *box), rate)
+        else:
+            returned = getattr(cue, question.method)(*arguments)
+        match question.method:
+            case "log_likelihood":
+                numbers = real_numbers(returned)
+                return Foreign(numbers) if isinstance(numbers, str) else numbers
+            case "measure":
+                return _measurement(returned)
+        if returned is None and question.method == "adapt":
+            return None
+        # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
+        reference: Mapping[str, Any] = dict(returned.items())
+        given = [part for part in question.arguments if isinstance(part, EncodedReference)]
+        return received.encode(reference, given, question.next_number)
+
+    def _cache(self, frames: tuple[Any, Any]) -> PlaneCache:
+        current, previous = frames
+        key = (current.number, -1 if previous is None else previous.number)
+        cache = self._caches.get(key)
+        if cache is None:
+            while len(self._caches) >= CACHES:
+                del self._caches[next(iter(self._caches))]
+            pair = FramePair(self._frame_of(current), None if previous is None else self._frame_of(previous))
+            cache = self._caches[key] = PlaneCache(pair)
+        return cache
+
+
+def _measurement(returned: Any) -> Measurement | Foreign | None:
+    """A measurement of plain arrays, which the engine checks; another object as what it is not."""
+    if returned is None:
+        return None
+    is_measurement = isinstance(returned, Measurement)
+    foreign = foreign_part(returned) if is_measurement else type(returned).__name__
+    if foreign:
+        return Foreign(foreign)
+    fields = tuple(str(name) for name in returned.fields)
+    mean, covariance = np.array(returned.mean, float), np.array(returned.covariance, float)
+    choices: list[tuple[float, Measurement]] = []
+    for weight, one in returned.choices:
+        own = _measurement(one)
+        if not isinstance(own, Measurement):
+            return Foreign("Measurement with a choice that is none")
+        choices.append((float(weight), own))
+    return Measurement(fields, mean, covariance, returned.floor, tuple(choices), returned.confidence)
+
+
+def _is_shortage(error: BaseException) -> bool:
+    return isinstance(error, MemoryError) or "Insufficient memory" in text_of(error)
+
 
 POLL_S = 0.002
 
@@ -78,9 +217,7 @@ def _load(cue_files: bytes) -> None:
 
     import bayesnet_track.inference.compile
     import bayesnet_track.numerics.kernels.kinematic_kernels
-    import bayesnet_track.runtime.executors.frames
-    import bayesnet_track.runtime.executors.host
-    import bayesnet_track.runtime.executors.wire  # noqa: F401
+    import bayesnet_track.runtime.executors.frames  # noqa: F401
     from bayesnet_track.observation.cue_files import unpack
 
     cv2.setNumThreads(1)
@@ -124,9 +261,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
     from bayesnet_track.observation.planes import Region
     from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame
-    from bayesnet_track.runtime.executors.host import AgentHost
-    from bayesnet_track.runtime.executors.questions import Call
-    from bayesnet_track.runtime.executors.wire import DISMISS, EMPLOY, receive, send
+    from bayesnet_track.runtime.executors.messages import DISMISS, EMPLOY, Call, receive, send
 
     host = AgentHost(FrameView(frames).get, is_limited)
     known_frames: dict[int | None, SharedFrame | None] = {None: None}

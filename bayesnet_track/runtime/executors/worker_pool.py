@@ -1,9 +1,9 @@
-"""Which worker has which agents: workers started, agents packed, set apart and let go."""
+"""Agents and their workers: workers started, agents packed, set apart and let go."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from threading import Thread
@@ -11,9 +11,47 @@ from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import AnyCue
-from bayesnet_track.runtime.executors.fork_server import ForkServer
-from bayesnet_track.runtime.executors.packing import pack, repack
-from bayesnet_track.runtime.executors.workers import Late, Limits, NoWorkerError, Worker, WorkerLost
+from bayesnet_track.runtime.executors.workers import (
+    ForkServer,
+    Late,
+    Limits,
+    NoWorkerError,
+    Worker,
+    WorkerLost,
+)
+
+WORTH_MOVING = 0.8
+"""Agents are packed anew when the busiest worker would then have less than this share of its work."""
+NOTEWORTHY_S = 0.0005
+"""... and it spends more than this on a frame."""
+
+
+def pack(costs: Mapping[str, float], workers: int) -> list[set[str]]:
+    """Agents for each worker: the most expensive first, each to the worker that has least to do.
+
+    >>> [sorted(own) for own in pack({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
+    [['a'], ['b', 'c']]
+    """
+    loads, own = [0.0] * workers, [set[str]() for _ in range(workers)]
+    for agent in sorted(costs, key=lambda name: (-costs[name], name)):
+        worker = loads.index(min(loads))
+        own[worker].add(agent)
+        loads[worker] += costs[agent]
+    return own
+
+
+def busiest(costs: Mapping[str, float], packing: Sequence[set[str]]) -> float:
+    """The load of the worker that has most to do."""
+    return max((sum(costs[agent] for agent in own) for own in packing), default=0.0)
+
+
+def repack(costs: Mapping[str, float], packing: Sequence[set[str]]) -> list[set[str]] | None:
+    """A better packing of the same agents, or None where moving them is not worth it."""
+    now, better = busiest(costs, packing), pack(costs, len(packing))
+    if now < NOTEWORTHY_S or busiest(costs, better) >= WORTH_MOVING * now:
+        return None
+    return better
+
 
 IDLE_FRAMES = 30
 """After so many frames without a question an agent leaves its worker, and a worker without agents ends."""

@@ -12,10 +12,19 @@ from typing import Any
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.child import cut
 from bayesnet_track.observation.settings import setting
-from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
-from bayesnet_track.runtime.executors.questions import Answer, Call, EncodedReference, Sent
-from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
+from bayesnet_track.runtime.executors.messages import (
+    ASK,
+    DISMISS,
+    EMPLOY,
+    Answer,
+    Call,
+    EncodedReference,
+    Sent,
+    receive,
+    send,
+)
+from bayesnet_track.runtime.executors.workers import ForkServer
 
 
 class WorkerLost(Exception):

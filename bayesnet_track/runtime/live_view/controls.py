@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bayesnet_track.engine.starts import Start, StartError
-from bayesnet_track.runtime.inputs import Switchboard
+from bayesnet_track.runtime.results import Switchboard
 
 POLL_S = 0.05
 """Seconds between two looks for what gives no notice, such as a signal."""

@@ -15,9 +15,8 @@ from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.live_view.controls import POLL_S, Controls, GiveUp, never
-from bayesnet_track.runtime.live_view.feed import Feed
+from bayesnet_track.runtime.live_view.feed import Feed, Thumbnails
 from bayesnet_track.runtime.live_view.server import Server
-from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.results import FrameSource, Result
 from bayesnet_track.view.run_page import live_page
 

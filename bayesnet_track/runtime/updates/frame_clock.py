@@ -1,11 +1,20 @@
-"""Times of the frames that a program hands over one by one."""
+"""A tracker between two calls: times of its frames, where it stands, whether it looks at images."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Never, Self
 
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.step import Engine, State
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.runtime.resizing import Resizing
+from bayesnet_track.runtime.results import FrameKind
 from bayesnet_track.sources.entrances.notices import notice
 
 ASSUMED_FPS = 25.0
@@ -138,3 +147,53 @@ def _number(value: object) -> float:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+def image_users(engine: Engine) -> tuple[str, ...]:
+    """What needs the pixels of each frame, in words; nothing where given detections are all that is used."""
+    return tuple(
+        f"{name} of {plate}" if len(engine.plates) > 1 else name
+        for plate, compiled in engine.plates.items()
+        for name in _of_plate(compiled)
+    )
+
+
+def _of_plate(compiled: CompiledPlate) -> Iterator[str]:
+    for agent, cue in compiled.cues.items():
+        if cue.needs:
+            yield f"agent {agent}"
+    birth = compiled.plate.spec.birth
+    if birth is not None and birth.detector.detector != GIVEN:
+        yield f"births by {birth.detector.detector}"
+    if compiled.finder is not None:
+        yield "relocalize by a detector"
+    if compiled.moving is not None and compiled.moving.camera is not None:
+        yield "motion with camera"
+    if compiled.verifiers:
+        yield f"score with {', '.join(compiled.verifiers)}"
+    lost = compiled.plate.inference(compiled.plate.root).lost
+    if lost is not None and lost.scene_cut is not None:
+        yield "lost with scene_cut"
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """All that a tracker knows after a frame: replaced as a whole, so that who reads it never sees half.
+
+    Attributes:
+        state: the engine's state.
+        clock: at the last frame.
+        metrics: what was measured in it, in the pixels of the frames that are given.
+        events: what was decided in it.
+        kind: of the frames.
+        resizing: how these become those that the engine sees.
+        nets_before: nets that were live before it.
+    """
+
+    state: State
+    clock: FrameClock
+    metrics: Sequence[FrameMetrics]
+    events: tuple[Event, ...]
+    kind: FrameKind
+    resizing: Resizing
+    nets_before: Mapping[str, TargetNet] = field(default_factory=dict)

@@ -208,7 +208,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "cli.commands.init.init",
             "cli.doctor.check_package",
             "cli.doctor.installed",
-            "runtime.executors.memory.own_bytes",
+            "runtime.executors.worker.own_bytes",
             "view.run_page._built",
         ),
         "the fingerprint of a source, which changes nothing but a comparison": ("sources.origin._samples",),
@@ -248,7 +248,7 @@ BOXES = (
         "`--detections FILE`; `track(..., detections=)`",
         (
             "sources.detection_files: file_detector",
-            "runtime.unused_detections: explain_unused",
+            "runtime.arguments: explain_unused",
             "sources.mot_lines: parse_mot",
             "sources.entrances.text_lines: read_text split_words",
         ),
@@ -292,13 +292,13 @@ BOXES = (
         "`annotate --import`: COCO, CVAT, Label Studio, YOLO, MOT, or a zip of one",
         (
             "runtime.annotation.formats.formats: read_annotations",
-            "runtime.annotation.formats.coco: read_coco",
-            "runtime.annotation.formats.cvat_reading: read_cvat",
-            "runtime.annotation.formats.label_studio: read_label_studio",
-            "runtime.annotation.formats.mot: read_mot _classes",
+            "runtime.annotation.formats.json_formats: read_coco",
+            "runtime.annotation.formats.cvat: read_cvat",
+            "runtime.annotation.formats.json_formats: read_label_studio",
+            "runtime.annotation.formats.formats: read_mot _classes",
             "runtime.annotation.formats.yolo: read_yolo _frames _about _about_of_yaml",
-            "runtime.annotation.formats.texts: read_json read_xml",
-            "runtime.annotation.formats.archives: _unpack text_of",
+            "runtime.annotation.formats.reading: read_json read_xml",
+            "runtime.annotation.formats.reading: _unpack text_of",
         ),
         "boxes of frames that the video does not have, outside of the frame, without an area or an "
         "identity, between key frames, of confidence 0 (MOT), or there twice; targets without any; shapes "
@@ -385,7 +385,7 @@ FILES = (
     Entrance(
         "stored trackers",
         "`Tracker.load`, `DetectionsTracker.load`, `pickle`",
-        ("runtime.updates.storable: Storable.load",),
+        ("runtime.updates.storing: Storable.load",),
         "nothing: all of it is used",
         "a file of another version, of another graph or kind of tracker, or one that is damaged",
         "none: the file names what it holds",
@@ -393,7 +393,7 @@ FILES = (
     Entrance(
         "inputs of an earlier run",
         "`--inputs FILE`; `track(..., inputs=)`",
-        ("runtime.inputs: replay_inputs",),
+        ("runtime.results: replay_inputs",),
         "switches of targets and agents that the run does not have, in its journal",
         "lines that are no inputs; a budget or a view beside it",
         "none",

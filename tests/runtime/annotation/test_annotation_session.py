@@ -7,19 +7,21 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.runtime.annotation import tracked
-from bayesnet_track.runtime.annotation.answers import UNDO, Answer, AnswerError
-from bayesnet_track.runtime.annotation.answers_file import (
+from bayesnet_track.runtime.annotation import asking
+from bayesnet_track.runtime.annotation.answers import (
+    UNDO,
+    Answer,
+    AnswerError,
     AnswersFileError,
     Header,
     append_answers,
     first_difference,
     read_answers,
 )
+from bayesnet_track.runtime.annotation.asking import Found, TrackerRuns
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS
 from bayesnet_track.runtime.annotation.frame_store import FrameStore, Video
 from bayesnet_track.runtime.annotation.session import open_session
-from bayesnet_track.runtime.annotation.tracked import Found, TrackerRuns
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scene_source import SceneSource
 
@@ -201,7 +203,7 @@ def test_a_run_whose_tracker_was_let_go_goes_on_as_if_nothing_had_been(monkeypat
     graph = load_graph("gray_square")
     with FrameStore.of(source, "two_squares", 0.04) as store:
         straight = [TrackerRuns(graph, store).at(0, (x, y, w, h), frame) for frame in (3, 6)]
-        monkeypatch.setattr(tracked, "AT_ONCE", 1)
+        monkeypatch.setattr(asking, "AT_ONCE", 1)
         runs = TrackerRuns(graph, store)
         first = runs.at(0, (x, y, w, h), 3)
         runs.at(2, (x, y, w, h), 3)

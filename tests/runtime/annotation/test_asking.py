@@ -11,10 +11,8 @@ from bayesnet_track.runtime.annotation.answers import (
     in_force,
     read_answer,
 )
-from bayesnet_track.runtime.annotation.asking import Asking, annotate
-from bayesnet_track.runtime.annotation.fusing import Mark, fuse, iou
+from bayesnet_track.runtime.annotation.asking import Asking, Found, Mark, annotate, fuse, iou
 from bayesnet_track.runtime.annotation.session import by_target
-from bayesnet_track.runtime.annotation.tracked import Found
 
 START = (10.0, 10.0, 20.0, 20.0)
 

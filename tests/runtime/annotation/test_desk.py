@@ -8,11 +8,11 @@ import urllib.request
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.annotation.answers_file import Header
+from bayesnet_track.runtime.annotation.answers import Header
+from bayesnet_track.runtime.annotation.asking import Found
 from bayesnet_track.runtime.annotation.desk import Desk
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.session import open_session
-from bayesnet_track.runtime.annotation.tracked import Found
 
 HEADER = Header(Video("made_up.mp4", 30, 320, 240, 0.04, "abc"), "general", "0" * 64, 0, 0.5, 1, "1.0")
 

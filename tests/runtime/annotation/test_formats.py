@@ -5,15 +5,18 @@ import random
 
 import pytest
 
-from bayesnet_track.runtime.annotation.formats.coco import read_coco
-from bayesnet_track.runtime.annotation.formats.cvat_reading import read_cvat
-from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError, label_of
-from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations, write_formats
-from bayesnet_track.runtime.annotation.formats.label_studio import read_label_studio
-from bayesnet_track.runtime.annotation.formats.mot import read_mot
+from bayesnet_track.runtime.annotation.asking import Mark
+from bayesnet_track.runtime.annotation.formats.cvat import read_cvat
+from bayesnet_track.runtime.annotation.formats.formats import (
+    WRITERS,
+    read_annotations,
+    read_mot,
+    write_formats,
+)
+from bayesnet_track.runtime.annotation.formats.json_formats import read_coco, read_label_studio
+from bayesnet_track.runtime.annotation.formats.reading import Document, MismatchError, label_of
 from bayesnet_track.runtime.annotation.formats.yolo import read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.runtime.annotation.fusing import Mark
 
 VIDEO = Video("street.mp4", 6, 320, 240, 0.04)
 FILES = {

@@ -9,13 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, read_answer
-from bayesnet_track.runtime.annotation.answers_file import BEFORE, Header, read_answers
+from bayesnet_track.runtime.annotation.answers import (
+    BEFORE,
+    Answer,
+    AnswerError,
+    Header,
+    describe_fault,
+    mend_names,
+    read_answer,
+    read_answers,
+)
+from bayesnet_track.runtime.annotation.asking import Found
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.runtime.annotation.names import describe_fault, mend_names
 from bayesnet_track.runtime.annotation.session import open_session
-from bayesnet_track.runtime.annotation.tracked import Found
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 VIDEO = Video("made_up.mp4", 6, 320, 240, 0.04, "abc")

@@ -8,13 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.annotation.formats.archives import annotations_in, unpacked
-from bayesnet_track.runtime.annotation.formats.document import MismatchError
-from bayesnet_track.runtime.annotation.formats.numbering import frames_of_names
-from bayesnet_track.runtime.annotation.formats.rows import NO_FRAME
-from bayesnet_track.runtime.annotation.formats.shapes import ellipse_box, mask_box, turned_box
-from bayesnet_track.runtime.annotation.formats.texts import identity, number, whole
-from bayesnet_track.runtime.annotation.formats.yolo_lines import boxes_of, parse_line
+from bayesnet_track.runtime.annotation.formats.reading import (
+    MismatchError,
+    annotations_in,
+    ellipse_box,
+    identity,
+    mask_box,
+    number,
+    turned_box,
+    unpacked,
+    whole,
+)
+from bayesnet_track.runtime.annotation.formats.rows import NO_FRAME, frames_of_names
+from bayesnet_track.runtime.annotation.formats.yolo import boxes_of, parse_line
 from bayesnet_track.runtime.annotation.frame_store import Video
 
 VIDEO = Video("clip.mp4", 12, 160, 120, 0.04)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.runtime.annotation.formats.document import Document
+from bayesnet_track.runtime.annotation.asking import Mark
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations, write_formats
+from bayesnet_track.runtime.annotation.formats.reading import Document
 from bayesnet_track.runtime.annotation.frame_store import Video
-from bayesnet_track.runtime.annotation.fusing import Mark
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "annotations"

@@ -15,8 +15,8 @@ from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.reader import read_inputs
-from bayesnet_track.runtime.deadline import WARM_UP, Deadline
-from bayesnet_track.runtime.inputs import replay_inputs
+from bayesnet_track.runtime.pace import WARM_UP, Deadline
+from bayesnet_track.runtime.results import replay_inputs
 
 pytestmark = pytest.mark.slow
 

@@ -19,10 +19,10 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
-from bayesnet_track.runtime.executors.host import AgentHost
-from bayesnet_track.runtime.executors.proxy import SentFrames
-from bayesnet_track.runtime.executors.proxy import make_proxy as place
-from bayesnet_track.runtime.executors.questions import LEAST_BYTES, EncodedReference, Sent
+from bayesnet_track.runtime.executors.messages import LEAST_BYTES, EncodedReference, Sent
+from bayesnet_track.runtime.executors.placing import SentFrames
+from bayesnet_track.runtime.executors.placing import make_proxy as place
+from bayesnet_track.runtime.executors.worker import AgentHost
 
 PROTOCOLS = (Cue, MeasuringCue, AssociatingCue, LocallyAdaptable, Turnable)
 
@@ -106,7 +106,7 @@ def test_answers_are_those_of_the_cue_and_a_reference_crosses_once(placed, acros
 @pytest.mark.parametrize("most", [20_000, 10_000])
 def test_arrays_that_were_forgotten_are_sent_again(monkeypatch, across, placed, most):
     """The smaller limit is less than the arrays of one question take."""
-    monkeypatch.setattr("bayesnet_track.runtime.executors.questions.MOST_BYTES", most)
+    monkeypatch.setattr("bayesnet_track.runtime.executors.messages.MOST_BYTES", most)
     cue, _, proxy = across()
     references = [{"box": np.zeros(4), "big": np.full(1000, float(n))} for n in range(8)]
     for n in (0, 1, 2, 3, 4, 5, 6, 7, 0, 3, 7, 1):

@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors import PlacingError
-from bayesnet_track.runtime.executors.fork_server import ForkServer
+from bayesnet_track.runtime.executors.workers import ForkServer
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 

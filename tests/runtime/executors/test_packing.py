@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.executors.packing import busiest, pack, repack
+from bayesnet_track.runtime.executors.worker_pool import busiest, pack, repack
 
 costs = st.dictionaries(st.text("abcdef", min_size=1, max_size=3), st.floats(0.001, 1.0), max_size=8)
 

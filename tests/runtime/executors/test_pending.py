@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bayesnet_track.runtime.deadline import Patience
-from bayesnet_track.runtime.executors.pending import Pending
-from bayesnet_track.runtime.executors.questions import Call
+from bayesnet_track.runtime.executors.messages import Call
+from bayesnet_track.runtime.executors.processes import Pending
+from bayesnet_track.runtime.pace import Patience
 
 
 def test_an_answer_is_needed_in_time_only_where_there_is_a_budget():

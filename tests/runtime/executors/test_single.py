@@ -6,8 +6,8 @@ import sys
 import cv2
 import pytest
 
-from bayesnet_track.runtime.executors.memory import own_bytes
-from bayesnet_track.runtime.executors.single import one_thread_inside
+from bayesnet_track.runtime.executors.factory import one_thread_inside
+from bayesnet_track.runtime.executors.worker import own_bytes
 
 
 @pytest.mark.parametrize("opencv", [True, False])
@@ -27,7 +27,7 @@ def test_threads_are_as_before_whatever_happens_inside(opencv):
 def test_a_process_takes_no_more_memory_than_it_may():
     code = "\n".join(
         (
-            "from bayesnet_track.runtime.executors.memory import limit_memory",
+            "from bayesnet_track.runtime.executors.worker import limit_memory",
             "limit_memory(64)",
             "bytearray(16 << 20)",
             "try:",

@@ -12,8 +12,7 @@ import pytest
 
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region
-from bayesnet_track.runtime.executors.questions import EncodedReference
-from bayesnet_track.runtime.executors.wire import HEAD, receive, send
+from bayesnet_track.runtime.executors.messages import HEAD, EncodedReference, receive, send
 
 VALUES = np.random.default_rng(0).normal(size=(7, 10))
 ARRAYS = {

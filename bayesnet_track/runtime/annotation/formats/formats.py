@@ -7,14 +7,21 @@ from pathlib import Path
 
 from bayesnet_track.journal.writer import output_error, write_atomically
 from bayesnet_track.runtime.annotation.answers import Answer
-from bayesnet_track.runtime.annotation.formats.archives import annotations_in, unpacked
-from bayesnet_track.runtime.annotation.formats.coco import as_coco, read_coco
-from bayesnet_track.runtime.annotation.formats.cvat import as_cvat
-from bayesnet_track.runtime.annotation.formats.cvat_reading import read_cvat
-from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError
-from bayesnet_track.runtime.annotation.formats.label_studio import as_label_studio, read_label_studio
-from bayesnet_track.runtime.annotation.formats.mot import as_mot, read_mot
-from bayesnet_track.runtime.annotation.formats.texts import read_json
+from bayesnet_track.runtime.annotation.formats.cvat import as_cvat, read_cvat
+from bayesnet_track.runtime.annotation.formats.formats import as_mot, read_mot
+from bayesnet_track.runtime.annotation.formats.json_formats import (
+    as_coco,
+    as_label_studio,
+    read_coco,
+    read_label_studio,
+)
+from bayesnet_track.runtime.annotation.formats.reading import (
+    Document,
+    MismatchError,
+    annotations_in,
+    read_json,
+    unpacked,
+)
 from bayesnet_track.runtime.annotation.formats.yolo import as_yolo, read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.notices import heard, notice

@@ -1,0 +1,226 @@
+"""Origins of numbers besides graph, source and seed: libraries, machine, files from outside."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from errno import EINVAL
+from functools import cache
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
+from pathlib import Path
+from platform import python_version
+from types import MappingProxyType
+
+import numpy as np
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
+from bayesnet_track.journal.writer import read_position
+from bayesnet_track.observation.cue_files import CueFile
+from bayesnet_track.observation.detector import detectors_of_graphs
+from bayesnet_track.sources.entrances.notices import few, notice
+from bayesnet_track.sources.origin import changed_since, stamps
+from bayesnet_track.sources.paths import SourceError
+
+_installed = cache(version)  # it searches and parses files: 8 ms for all of them, at each start of a run
+
+
+def versions() -> dict[str, str]:
+    """Library -> its version here."""
+    import cv2
+
+    names = ("bayesnet-track", "numpy", "numba", "scipy", "av")
+    return {
+        "python": python_version(),
+        **{name: _installed(name) for name in names},
+        "opencv": cv2.__version__,
+        **_if_installed("onnxruntime"),
+    }
+
+
+@cache
+def _if_installed(name: str) -> dict[str, str]:
+    try:
+        return {name: version(name)}
+    except PackageNotFoundError:
+        return {}
+
+
+SETTINGS = ("GLIBC_TUNABLES", "OPENBLAS_CORETYPE")
+"""Environment variables that choose other code for the same function, beyond those the libraries report."""
+
+
+@cache
+def describe_machine() -> Mapping[str, str]:
+    """What is at work in this process, by name; equal ones give equal bytes.
+
+    The instruction sets are those in use, after `NPY_DISABLE_CPU_FEATURES`, `NUMBA_CPU_NAME`,
+    `OPENCV_CPU_DISABLE` and the like. The number of processors is left out: no result depends on it.
+    """
+    said = {
+        **versions(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "C library": " ".join(platform.libc_ver()).strip() or "unknown",
+        **_numpy(),
+        **_numba(),
+        **_opencv(),
+        **_decoder(),
+        **{name: os.environ[name] for name in SETTINGS if os.environ.get(name)},
+    }
+    return MappingProxyType(said)
+
+
+def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """What differs between two descriptions, in words.
+
+    >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
+    ('NumPy CPU: without AVX2',)
+    """
+    names = dict.fromkeys((*then, *now))
+    return tuple(
+        _difference(name, then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)
+    )
+
+
+def _difference(name: str, then: str | None, now: str | None) -> str:
+    before, after = (then or "").split(), (now or "").split()
+    if not name.endswith("CPU") or not (before and after):
+        return f"{name} {then or 'none'}, now {now or 'none'}"
+    without = [word for word in before if word not in after]
+    more = [word for word in after if word not in before]
+    parts = [f"{word} {' '.join(words)}" for word, words in (("without", without), ("with", more)) if words]
+    return f"{name}: {', '.join(parts)}"
+
+
+def _numpy() -> dict[str, str]:
+    # NumPy shows them in `numpy.show_runtime()` only, which prints.
+    core = "numpy.core" if np.__version__.startswith("1.") else "numpy._core"
+    umath = import_module(f"{core}._multiarray_umath")
+    found: Mapping[str, bool] = umath.__cpu_features__
+    chosen = [*umath.__cpu_baseline__, *umath.__cpu_dispatch__]
+    return {"NumPy CPU": " ".join(name for name in chosen if found.get(name)) or "baseline"}
+
+
+def _numba() -> dict[str, str]:
+    from numba.core import config
+    from numba.core.registry import cpu_target
+
+    if config.DISABLE_JIT:
+        return {"Numba": "not compiled"}
+    # The key under which Numba stores compiled kernels.
+    triple, name, features = cpu_target.target_context.codegen().magic_tuple()
+    used = sorted(part[1:] for part in features.split(",") if part.startswith("+"))
+    return {
+        "llvmlite": version("llvmlite"),
+        "Numba target": f"{triple} {name}",
+        "Numba CPU": " ".join(used) or "baseline",
+    }
+
+
+def _opencv() -> dict[str, str]:
+    import cv2
+
+    build = hashlib.sha256(cv2.getBuildInformation().encode()).hexdigest()[:12]
+    # A star marks what is chosen at run time, a question mark what is not there or switched off.
+    used = [word.lstrip("*") for word in cv2.getCPUFeaturesLine().split() if not word.endswith("?")]
+    ipp = getattr(cv2, "ipp", None)
+    return {
+        "OpenCV build": build,
+        "OpenCV CPU": " ".join(used) if cv2.useOptimized() else "baseline",
+        "OpenCV IPP": ipp.getIppVersion() if ipp is not None and ipp.useIPP() else "none",
+    }
+
+
+def _decoder() -> dict[str, str]:
+    import av
+
+    names = ("libavcodec", "libavformat", "libswscale")
+    return {"FFmpeg": " ".join(f"{n} {'.'.join(map(str, av.library_versions[n]))}" for n in names)}
+
+
+AGAIN = "start again once nothing writes it"
+
+
+@dataclass(frozen=True)
+class GivenFile:
+    """A file from outside: its path as given and from the root, and its content."""
+
+    path: str
+    absolute: str
+    sha256: str
+
+    @property
+    def place(self) -> Path:
+        """Where it is now: where it was, or as given where that is gone."""
+        return Path(self.absolute) if Path(self.absolute).exists() else Path(self.path)
+
+    def changes(self) -> tuple[str, ...]:
+        """What is not as it was, in words; raises OSError when it cannot be read."""
+        if not self.place.is_file():  # a device or a pipe might never end
+            raise OSError(EINVAL, "not a plain file", str(self.place))
+        now = file_sha256(self.place)
+        return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
+
+
+def model_files(graph: CheckedGraph) -> list[str]:
+    """Files that the agents and detectors of a graph read, by their paths as it has them."""
+    found: set[str] = set()
+    cues = graph.declarations
+    for plate in graph.targets.values():
+        for _, _, chosen in plate.spec.cue_choices():
+            files = cues[chosen.cue].files
+            found |= set(() if files is None else files(cue_parameters(chosen, cues[chosen.cue])))
+        birth = plate.spec.birth
+        if birth is not None:
+            declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]
+            if declaration.files is not None:
+                found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
+    return sorted(found)
+
+
+@contextmanager
+def steady(paths: Iterable[str | PathLike[str] | None]) -> Iterator[Callable[[], None]]:
+    """Files that are read whole before the first frame; gives what to call once that is done.
+
+    Raises:
+        SourceError: when that is called, if a file changed since: what was read may not be what it holds.
+    """
+    before = stamps(Path(path) for path in paths if path is not None)
+
+    def check() -> None:
+        changed = changed_since(before)
+        if changed:
+            raise SourceError(few(changed), "changed while it was read", "files that stay as they are", AGAIN)
+
+    yield check
+    changed = changed_since(before)
+    if changed:
+        notice(
+            f"{few(changed)}: changed during the run, which used what it held at the start; run.json has the "
+            "SHA-256 of that"
+        )
+
+
+def given_file(path: str | PathLike[str]) -> GivenFile:
+    """A file as it is now; raises OSError when it cannot be read."""
+    return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
+
+
+def given_cue(file: CueFile) -> GivenFile:
+    """The file of a cue, as it was read."""
+    return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
+
+
+def file_sha256(path: str | PathLike[str]) -> str:
+    """The SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return read_position(Path(path)).sha256
