@@ -1,6 +1,7 @@
 """GOSPA of frames and of trajectories, and OSPA(2) of whole trajectories.
 
-The multi-dimensional assignment of trajectory GOSPA is relaxed to a linear program, which is a metric, too, and never larger.
+The multi-dimensional assignment of trajectory GOSPA is relaxed to a linear program, which is a metric, too,
+and never larger.
 """
 
 from __future__ import annotations

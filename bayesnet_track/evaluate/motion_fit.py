@@ -17,6 +17,7 @@ from bayesnet_track.belief.motion.noise import is_log, noisy
 from bayesnet_track.evaluate.motion_evidence import Hypothesis, log_evidence, noisy_columns
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.settings import to_caller
 
 DRIVING = ("sd_velocity_px", "sd_acceleration_px")
 PARTS = {"sd_px": ("x", "y", "w", "h"), "sd_box": ("x", "y"), "sd_log": ("scale", "aspect")}
@@ -43,13 +44,14 @@ def check_motion(root: spec.InferenceNode) -> None:
         settings = chosen.settings
         if not isinstance(settings, spec.RandomWalk | spec.ConstantVelocity | spec.ConstantAcceleration):
             raise MotionFitError(f"{where}: {chosen.kind} cannot be fitted; allowed: {allowed}")
+        without = to_caller("fit without it, with --set", "fit a graph without it")
         for key, why in (
             ("camera", "boxes do not tell how the camera moves"),
             ("size_reversion", "its long-run sd cannot be told from few frames"),
             ("borders", "reflection has no closed form"),
         ):
             if getattr(settings, key) is not None:
-                raise MotionFitError(f"{where}.{chosen.kind}.{key}: {why}; fit without it, with --set")
+                raise MotionFitError(f"{where}.{chosen.kind}.{key}: {why}; {without}")
     for name, mode in (root.modes or {}).items():
         if mode.hidden is not None:
             raise MotionFitError(
