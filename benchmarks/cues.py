@@ -18,8 +18,14 @@ import numpy as np
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track.observation.cue import Hypotheses, MeasuringCue, installed_cues
-from bayesnet_track.observation.depth import RightEye, StereoGeometry
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
+from bayesnet_track.observation.planes import (
+    Frame,
+    FramePair,
+    PlaneCache,
+    RightEye,
+    StereoGeometry,
+    region_of_boxes,
+)
 
 WIDTH, HEIGHT, SIDE = 640, 480, 60.0
 

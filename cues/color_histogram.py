@@ -32,8 +32,8 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.geometry import HALF_OVERLAP, box_pixels, crops_of, distinct_pixels
+from bayesnet_track.observation.likelihoods import ReferenceRows, column
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.observation.reference_rows import ReferenceRows, column
 from bayesnet_track.vision.planes import HueBins
 
 STEP = 0.7

@@ -27,8 +27,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Plane, Planes, for_reading
 from bayesnet_track.vision.planes import ColorCells
 
 STEP = 0.7

@@ -23,8 +23,7 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.geometry import crop_of
-from bayesnet_track.observation.planes import Region, region_of_boxes
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Region, for_reading, region_of_boxes
 from bayesnet_track.vision.planes import GrayPlane
 from bayesnet_track.vision.points import (
     Displaced,

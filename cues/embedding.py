@@ -75,7 +75,7 @@ def plain(crops: Bytes) -> Floats:
     return values.reshape(len(crops), -1)
 
 
-def network(model: str, wanted: Input) -> Embed:
+def network(model: str, shape: Input) -> Embed:
     """The network of an ONNX file as a function of crops, tried once.
 
     Raises:
@@ -84,43 +84,43 @@ def network(model: str, wanted: Input) -> Embed:
     """
     if absent := missing_model(model):
         raise EmbeddingError(absent)
-    check_apart(try_network, [model], EmbeddingError, model=model, wanted=asdict(wanted))
-    return _network(model, wanted)
+    check_apart(try_network, [model], EmbeddingError, model=model, wanted=asdict(shape))
+    return _network(model, shape)
 
 
-def try_network(model: str, wanted: Mapping[str, Any]) -> None:
+def try_network(model: str, shape: Mapping[str, Any]) -> None:
     """Load and run a network for an input of these attributes once."""
-    _network(model, Input(**wanted))
+    _network(model, Input(**shape))
 
 
-def _network(model: str, wanted: Input) -> Embed:
+def _network(model: str, shape: Input) -> Embed:
     import cv2
 
     net = read_onnx(model, EmbeddingError)
 
     def embed(crops: Bytes) -> Floats:
         # One by one: many networks have a fixed batch of 1, and a vector must not depend on its company.
-        return np.stack([one(crop) for crop in crops])
+        return np.stack([embed_crop(crop) for crop in crops])
 
-    def one(crop: Bytes) -> Floats:
-        channels = crop[..., ::-1] if wanted.rgb else crop
-        values = (channels.astype(np.float32) - np.array(wanted.mean, np.float32)) * np.float32(wanted.scale)
+    def embed_crop(crop: Bytes) -> Floats:
+        channels = crop[..., ::-1] if shape.rgb else crop
+        values = (channels.astype(np.float32) - np.array(shape.mean, np.float32)) * np.float32(shape.scale)
         try:
             net.setInput(np.ascontiguousarray(values.transpose(2, 0, 1)[None]))
             vector = np.asarray(net.forward(), dtype=np.float64).reshape(-1)
         except cv2.error as error:
-            size = f"{wanted.width}x{wanted.height}"
+            size = f"{shape.width}x{shape.height}"
             raise EmbeddingError(
                 f"{model}: does not run on a 3-channel input of {size} px: {reason_of(error)}"
             ) from error
         # OpenCV cuts what is infinite, or no number, to the largest float.
         if not vector.size or not (np.abs(vector) < np.finfo(np.float32).max).all():
             raise EmbeddingError(
-                f"{model}: no finite vector comes from an input of {wanted.width}x{wanted.height} px"
+                f"{model}: no finite vector comes from an input of {shape.width}x{shape.height} px"
             )
         return vector
 
-    embed(np.zeros((1, wanted.height, wanted.width, 3), np.uint8))
+    embed(np.zeros((1, shape.height, shape.width, 3), np.uint8))
     return embed
 
 
@@ -136,8 +136,8 @@ def crops_at(image: Bytes, boxes: Floats, width: int, height: int) -> Bytes:
         if x0 >= 0 and y0 >= 0 and x1 <= columns and y1 <= rows:
             part = image[y0:y1, x0:x1]
         else:
-            down = np.clip(np.arange(y0, y1), 0, rows - 1)
-            part = image[np.ix_(down, np.clip(np.arange(x0, x1), 0, columns - 1))]
+            row_places = np.clip(np.arange(y0, y1), 0, rows - 1)
+            part = image[np.ix_(row_places, np.clip(np.arange(x0, x1), 0, columns - 1))]
         smaller = part.shape[1] > width and part.shape[0] > height
         crops[k] = cv2.resize(
             np.ascontiguousarray(part),
@@ -147,34 +147,36 @@ def crops_at(image: Bytes, boxes: Floats, width: int, height: int) -> Bytes:
     return crops
 
 
-def representatives(boxes: Floats, size: Floats, step: float, most: int) -> tuple[Floats, NDArray[np.intp]]:
-    """Boxes that stand for others: (R, 4), R <= `most`, and (N,) which of them stands for each of `boxes`.
+def representatives(
+    boxes: Floats, size: Floats, step: float, max_count: int
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Boxes that stand for others: (R, 4), R <= `max_count`, and (N,) which of them stands for each of `boxes`.
 
     They are knots of a lattice of `step` sizes in place and 2 `step` in the logs of the sides, whichever
-    hypotheses there are: a box has the same representative in any company that needs no more than `most`.
+    hypotheses there are: a box has the same representative in any company that needs no more than `max_count`.
     Else the lattice gets coarser, and the mean of those that share a knot stands for them.
 
     Args:
         boxes: (N, 4) centre boxes, px, N >= 1.
         size: (2,) w and h of the target, px: the lattice's unit.
         step: of the finest lattice.
-        most: number of representatives, 1 at least.
+        max_count: number of representatives, 1 at least.
     """
     logs, finest = np.log(boxes[:, 2:] / size), True
     while True:
         level = np.rint(logs / (2 * step))
         sides = size * np.exp(2 * step * level)
         keys = np.concatenate([np.rint(boxes[:, :2] / (step * sides)), level], axis=1)
-        knots, which = np.unique(keys, axis=0, return_inverse=True)
-        which = which.reshape(-1)
-        if len(knots) <= most:
+        knots, indices = np.unique(keys, axis=0, return_inverse=True)
+        indices = indices.reshape(-1)
+        if len(knots) <= max_count:
             break
         step, finest = 1.25 * step, False
     if finest:
         sides = size * np.exp(2 * step * knots[:, 2:])
-        return np.concatenate([knots[:, :2] * step * sides, sides], axis=1), which
-    sums = np.stack([np.bincount(which, column) for column in boxes.T], axis=1)
-    return sums / np.bincount(which)[:, None], which
+        return np.concatenate([knots[:, :2] * step * sides, sides], axis=1), indices
+    sums = np.stack([np.bincount(indices, column) for column in boxes.T], axis=1)
+    return sums / np.bincount(indices)[:, None], indices
 
 
 STEP = 0.7

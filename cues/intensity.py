@@ -25,8 +25,8 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.geometry import box_integral
-from bayesnet_track.observation.reference_rows import column
-from bayesnet_track.observation.shared import for_reading, read_only
+from bayesnet_track.observation.likelihoods import column
+from bayesnet_track.observation.planes import for_reading, read_only
 from bayesnet_track.vision.planes import GrayPlane
 
 if TYPE_CHECKING:

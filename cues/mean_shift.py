@@ -26,8 +26,7 @@ from bayesnet_track.observation.cue import (
     Reference,
     blend_arrays,
 )
-from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Plane, Planes, for_reading
 from bayesnet_track.vision.planes import ColorCells, seen_cells
 
 SHRINK = 0.7

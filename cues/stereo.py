@@ -24,7 +24,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
 
 if TYPE_CHECKING:

@@ -25,8 +25,8 @@ from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.observation.capabilities import METHODS
 from bayesnet_track.observation.cue import (
+    METHODS,
     CueDeclaration,
     CueParameters,
     Hypotheses,

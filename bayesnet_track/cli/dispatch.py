@@ -95,7 +95,7 @@ def _allow(options: argparse.Namespace) -> None:
 def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.writer import OutputError
-    from bayesnet_track.observation.capabilities import CueError
+    from bayesnet_track.observation.cue import CueError
     from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
     from bayesnet_track.runtime.checkpoints.recipe import RecipeError
     from bayesnet_track.runtime.checkpoints.resume import ResumeError

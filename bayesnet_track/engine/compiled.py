@@ -28,11 +28,11 @@ from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.observation.capabilities import make_cue
 from bayesnet_track.observation.cue import (
     AnyCue,
     AssociationRule,
     CueDeclaration,
+    make_cue,
     rule_of,
 )
 from bayesnet_track.observation.detector import (

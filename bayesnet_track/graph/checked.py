@@ -9,7 +9,7 @@ from functools import cached_property
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target, html_of
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
-from bayesnet_track.observation.masks import Mask
+from bayesnet_track.observation.image_files import Mask
 
 
 @dataclass(frozen=True)

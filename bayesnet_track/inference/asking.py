@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.observation.cue import Hypotheses, Reference
-from bayesnet_track.observation.guests import FAULTS, real_numbers, said, text_of
-from bayesnet_track.observation.planes import Planes
-from bayesnet_track.observation.reference_rows import ReferenceRows
-from bayesnet_track.observation.shared import seal, shown
+from bayesnet_track.observation.cue import FAULTS, Hypotheses, Reference, real_numbers, said, text_of
+from bayesnet_track.observation.likelihoods import ReferenceRows
+from bayesnet_track.observation.planes import Planes, seal, shown
 
 Fault = str | Missing
 """What is wrong with an answer, or why there is none."""

@@ -13,7 +13,7 @@ from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.terms import MASK, PARENT, Term
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.masks import Mask
+from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.planes import FramePair
 
 Value = Floats | float

@@ -17,10 +17,8 @@ from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.inference.learn import Lesson, blend_reference
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.switches import ReferenceGuarded
-from bayesnet_track.observation.cue import Cue, Hypotheses, Reference, context_of
-from bayesnet_track.observation.guests import FAULTS, text_of
-from bayesnet_track.observation.planes import region_of_boxes
-from bayesnet_track.observation.shared import shown
+from bayesnet_track.observation.cue import FAULTS, Cue, Hypotheses, Reference, context_of, text_of
+from bayesnet_track.observation.planes import region_of_boxes, shown
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,16 +24,16 @@ from bayesnet_track.inference.executor import (
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import (
     ANGLE,
+    FAULTS,
     AnyCue,
     Hypotheses,
     LocallyAdaptable,
     Reference,
     Turnable,
     context_of,
+    text_of,
 )
-from bayesnet_track.observation.guests import FAULTS, text_of
-from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
-from bayesnet_track.observation.shared import shown
+from bayesnet_track.observation.planes import PlaneCache, region_of_boxes, shown
 
 
 @dataclass(frozen=True, eq=False)

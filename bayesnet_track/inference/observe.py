@@ -24,10 +24,16 @@ from bayesnet_track.inference.executor import (
 )
 from bayesnet_track.inference.factors import Factors
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
-from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers
-from bayesnet_track.observation.planes import PlaneCache, Region
-from bayesnet_track.observation.shared import shown
+from bayesnet_track.observation.cue import (
+    FAULTS,
+    AnyCue,
+    Hypotheses,
+    Measurement,
+    Reference,
+    foreign_part,
+    real_numbers,
+)
+from bayesnet_track.observation.planes import PlaneCache, Region, shown
 
 Clock = Callable[[], float]
 Answer = Floats | Measurement | str | Missing | None

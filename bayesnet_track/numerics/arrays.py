@@ -1,4 +1,4 @@
-"""The arrays that the whole package names in its annotations: what they hold, not their shape."""
+"""Types of arrays, named by what they hold; columns of what the kernels over rows measure."""
 
 from __future__ import annotations
 
@@ -15,3 +15,6 @@ Image = NDArray[np.uint8]
 """(height, width) or (height, width, channels), as OpenCV has them: rows first, BGR."""
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
+
+
+LOG_EVIDENCE, NATS, ESS, HYPOTHESES, AGENT_UD, UD, FIT, AREA = range(8)

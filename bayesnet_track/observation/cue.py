@@ -1,4 +1,4 @@
-"""The cue contract: what a visual cue declares, what it computes, and how cues are found.
+"""The cue contract: declaration and capabilities, how cues are found, and what they may raise and return.
 
 A cue comes in two halves. Its *declaration* (`CueDeclaration`) says its name, its typed parameters and its
 price; it is read by `validate`, so importing it must stay cheap (no Numba, no OpenCV at the top of the file).
@@ -10,15 +10,19 @@ Cues are found through the entry-point group ``bayesnet_track.cues``; the built-
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from inspect import getattr_static
+from pathlib import PurePath
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.numerics.arrays import Floats as Floats
-from bayesnet_track.observation.association import AssociationRule as AssociationRule
 from bayesnet_track.observation.likelihoods import FLOOR, SD_LOG_AREA, SD_LOG_ASPECT
 from bayesnet_track.observation.likelihoods import Reference as Reference
 from bayesnet_track.observation.likelihoods import blend_arrays as blend_arrays
@@ -33,6 +37,7 @@ from bayesnet_track.observation.protocols import OBSERVED as OBSERVED
 from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
+from bayesnet_track.observation.protocols import AssociationRule as AssociationRule
 from bayesnet_track.observation.protocols import Cue as Cue
 from bayesnet_track.observation.protocols import GroupCue as GroupCue
 from bayesnet_track.observation.protocols import Hypotheses as Hypotheses
@@ -210,3 +215,141 @@ def stand_ins(named: Iterable[str]) -> Mapping[str, CueDeclaration]:
 
 def _not_here(parameters: Any) -> AnyCue:
     raise LookupError("a cue that is not installed here")
+
+
+FAULTS = (Exception, SystemExit)
+"""What is taken for a fault of who raises it; a `sys.exit` in a cue does not end the run either."""
+
+
+CUE_FILE_MODULE = "bayesnet_track_cue_file_"
+"""What the names of modules that are made from cue files begin with."""
+
+
+def text_of(error: BaseException) -> str:
+    """The text of an exception, whatever its own `__str__` does, and the line of a cue file that raised it.
+
+    >>> text_of(ValueError("too dark"))
+    'too dark'
+    """
+    return own_text_of(error) + _place_of(error)
+
+
+def own_text_of(error: BaseException) -> str:
+    """The text of an exception alone."""
+    try:
+        return str(error)
+    except FAULTS as own:
+        return f"(without a text: its __str__ raised {type(own).__name__})"
+
+
+def _place_of(error: BaseException) -> str:
+    place, at = "", error.__traceback__
+    while at is not None:
+        if str(at.tb_frame.f_globals.get("__name__")).startswith(CUE_FILE_MODULE):
+            place = f" ({PurePath(at.tb_frame.f_code.co_filename).name}:{at.tb_lineno})"
+        at = at.tb_next
+    return place
+
+
+def said(error: BaseException) -> str:
+    """Type and text of an exception.
+
+    >>> said(SystemExit(3))
+    'SystemExit: 3'
+    """
+    return f"{type(error).__name__}: {text_of(error)}"
+
+
+def real_numbers(returned: Any) -> NDArray[np.float64] | str:
+    """A copy as float64; in words what it is where it holds anything but real numbers.
+
+    Parts that are masked, imaginary parts and numbers written as text are not for anybody to interpret.
+
+    >>> real_numbers([1, 2])
+    array([1., 2.])
+    >>> real_numbers([1j]), real_numbers(["1"]), real_numbers(None)
+    ('array of complex128', 'array of <U1', 'NoneType')
+    """
+    if isinstance(returned, np.ma.MaskedArray):
+        return "masked array"
+    array = np.asarray(returned)
+    if array.dtype.kind in "iuf":
+        return np.array(array, dtype=np.float64)
+    is_one_object = array.dtype.kind == "O" and array.ndim == 0
+    return type(returned).__name__ if is_one_object else f"array of {array.dtype}"
+
+
+def foreign_part(measured: Measurement) -> str:
+    """Which part of a measurement is not of real numbers; empty when all are."""
+    for name in ("mean", "covariance", "floor", "confidence"):
+        value = getattr(measured, name)
+        if name == "confidence" and value is None:
+            continue
+        if type(value) is float or (type(value) is np.ndarray and value.dtype.kind in "iuf"):
+            continue
+        found = real_numbers(value)
+        if isinstance(found, str):
+            return f"Measurement whose {name} is of type {found}"
+    return ""
+
+
+METHODS: Mapping[str, str] = MappingProxyType(
+    {
+        "measures": "measure",
+        "adapts": "adapt",
+        "reads_angle": "learn_turned",
+        "reads_detection": "rule",
+        "has_residuals": "residuals",
+    }
+)
+"""Flag of a declaration -> the method (or property) that a cue has if, and only if, the flag is set."""
+
+
+class CueError(ValueError):
+    """A cue that cannot be used as it is declared; says which, and what is to be changed."""
+
+
+def make_cue(declaration: CueDeclaration, parameters: Any) -> AnyCue:
+    """The cue at work, checked against its declaration.
+
+    Raises:
+        CueError: it cannot be made, or can do less or more than is declared; names cue, flag and method.
+    """
+    try:
+        cue = declaration.make(parameters)
+    except FAULTS as error:
+        if type(error).__module__.startswith("bayesnet_track"):
+            raise
+        raise CueError(f"cue {declaration.name!r} cannot be made: it raised {said(error)}") from error
+    wrong = list(_differences(declaration, cue))
+    if wrong:
+        raise CueError("\n".join(wrong))
+    return cue
+
+
+def _differences(declaration: CueDeclaration, cue: AnyCue) -> Iterator[str]:
+    name = f"cue {declaration.name!r}"
+    for needed in ("needs", "learn", "blend"):
+        if not _has(cue, needed):
+            yield f"{name} has no {needed!r}, which every cue needs"
+    if declaration.measures and _has(cue, "log_likelihood"):
+        yield (
+            f"{name} declares measures=True and has the method 'log_likelihood', too: a cue either measures "
+            "or scores; remove the method or the flag"
+        )
+    elif not declaration.measures and not _has(cue, "log_likelihood") and not _has(cue, "measure"):
+        yield f"{name} has no method 'log_likelihood', which every cue needs without measures=True"
+    for flag, method in METHODS.items():
+        is_declared = bool(getattr(declaration, flag))
+        if is_declared and not _has(cue, method):
+            yield f"{name} declares {flag}=True and has no method {method!r}: write it, or remove the flag"
+        elif not is_declared and _has(cue, method):
+            yield (
+                f"{name} has the method {method!r} and does not declare {flag}=True: "
+                "add the flag to its CueDeclaration, or rename the method"
+            )
+
+
+def _has(cue: AnyCue, name: str) -> bool:
+    """Whether the cue has it; a property is not asked for its value."""
+    return getattr_static(cue, name, None) is not None

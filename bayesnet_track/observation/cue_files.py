@@ -19,9 +19,16 @@ from types import ModuleType
 from typing import Any
 
 from bayesnet_track.observation import plugins
-from bayesnet_track.observation.capabilities import CueError
-from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
-from bayesnet_track.observation.guests import CUE_FILE_MODULE, FAULTS, own_text_of, text_of
+from bayesnet_track.observation.cue import (
+    CUE_FILE_MODULE,
+    ENTRY_POINT_GROUP,
+    FAULTS,
+    CueDeclaration,
+    CueError,
+    installed_cues,
+    own_text_of,
+    text_of,
+)
 
 VARIABLE = "CUE"
 """What a cue file calls its declaration."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.observation.planes import read_only
 from bayesnet_track.observation.settings import setting, to_caller
-from bayesnet_track.observation.shared import read_only
 
 Points = NDArray[np.float32]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.guests import real_numbers
+from bayesnet_track.observation.cue import real_numbers
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.plugins import installed
 from bayesnet_track.observation.settings import setting

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
-from bayesnet_track.observation.planes import Frame, Plane, Planes, Region
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Frame, Plane, Planes, Region, for_reading
 
 FEW_REPEATED = 0.8
 """Share of boxes that differ above which it costs more to pick them than to do all."""
@@ -133,7 +132,7 @@ def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]
 def share_inside(boxes: Floats, frame: Frame) -> Floats:
     """(N,) share of the area of each centre box (N, 4) that lies inside the frame, 0..1."""
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.kinematic_kernels import shares_inside
+    from bayesnet_track.numerics.kernels.box_kernels import shares_inside
 
     return shares_inside(plain(boxes), float(frame.width), float(frame.height))
 

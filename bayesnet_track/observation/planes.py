@@ -1,4 +1,6 @@
-"""Feature planes: what is computed once from a frame and read by many cues.
+"""Frames and feature planes: what is computed once from a frame and read by many cues; depth; shared arrays.
+
+World coordinates are those of the left camera: X to the right, Y down, Z forward, in metres.
 
 A plane is a frozen, hashable value object, so that two cues that ask for the same plane with the same
 parameters share one array. Planes form a graph through `inputs`.
@@ -10,14 +12,148 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from threading import Lock
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.depth import Depth
-from bayesnet_track.observation.shared import read_only
+
+SharedArray = TypeVar("SharedArray")
+
+
+def read_only(array: SharedArray) -> SharedArray:
+    """A view that cannot be written into; the array itself stays as it is.
+
+    >>> own = np.zeros(3)
+    >>> read_only(own).flags.writeable, own.flags.writeable
+    (False, True)
+    """
+    if not isinstance(array, np.ndarray) or not array.flags.writeable:
+        return array
+    view: Any = array.view()
+    view.flags.writeable = False
+    seen: SharedArray = view
+    return seen
+
+
+def for_reading(array: NDArray[Any]) -> NDArray[Any]:
+    """The array in C order, read-only, so that a kernel that reads it has one compiled version only."""
+    return read_only(np.ascontiguousarray(array))
+
+
+def seal(reference: Mapping[str, Any]) -> dict[str, Any]:
+    """The names and read-only views of the arrays."""
+    return {name: read_only(array) for name, array in reference.items()}
+
+
+def shown(reference: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
+    """A reference as a cue is given it: it can change neither the names nor the arrays.
+
+    Arrays that are read-only are the same objects, by which workers know them again.
+    """
+    for array in reference.values():
+        if isinstance(array, np.ndarray) and array.flags.writeable:
+            return MappingProxyType(seal(reference))
+    return MappingProxyType(reference if isinstance(reference, dict) else dict(reference))
+
+
+Points = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StereoGeometry:
+    """A rectified pair of pinhole cameras: rows correspond, and depth is a matter of one number.
+
+    A point at depth Z has disparity d = x_left - x_right = focal_px * baseline_m / Z - offset_px.
+
+    Attributes:
+        focal_px: focal length of both cameras, px.
+        baseline_m: distance of their centres, m.
+        centre_x_px: column of the left principal point.
+        centre_y_px: row of both principal points.
+        offset_px: column of the right principal point less that of the left: minus the disparity of a point
+            at infinity.
+
+    >>> StereoGeometry(400.0, 0.2, 160.0, 120.0).disparity_of(4.0)
+    20.0
+    """
+
+    focal_px: float
+    baseline_m: float
+    centre_x_px: float
+    centre_y_px: float
+    offset_px: float = 0.0
+
+    def disparity_of(self, depth_m: float) -> float:
+        """Disparity in px of a point at this depth."""
+        return self.focal_px * self.baseline_m / depth_m - self.offset_px
+
+    def points(self, disparity: NDArray[np.float32], x0: int = 0, y0: int = 0) -> Points:
+        """(rows, columns, 3) X, Y, Z in m of (rows, columns) disparities in px; NaN where these are.
+
+        The first pixel is (x0, y0) of the left image. Points behind the cameras are NaN.
+        """
+        shifted = disparity + np.float32(self.offset_px)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = np.float32(self.focal_px * self.baseline_m) / shifted
+        depth = np.where(shifted > 0, depth, np.float32(np.nan))
+        return self.points_of_depth(depth, x0, y0)
+
+    def points_of_depth(self, depth_m: NDArray[np.float32], x0: int = 0, y0: int = 0) -> Points:
+        """(rows, columns, 3) X, Y, Z in m of (rows, columns) depths in m."""
+        rows, columns = depth_m.shape
+        across = ((np.arange(x0, x0 + columns) - self.centre_x_px) / self.focal_px).astype(np.float32)
+        down = ((np.arange(y0, y0 + rows) - self.centre_y_px) / self.focal_px).astype(np.float32)
+        points = np.empty((rows, columns, 3), dtype=np.float32)
+        points[..., 0] = depth_m * across
+        points[..., 1] = depth_m * down[:, None]
+        points[..., 2] = depth_m
+        return points
+
+
+@dataclass(frozen=True, eq=False)
+class RightEye:
+    """The right picture of a rectified pair; the frame's own picture is the left one. Read-only, as that.
+
+    Attributes:
+        image: (H, W, 3) uint8 BGR, of the left picture's size.
+        geometry: the pair's.
+    """
+
+    image: NDArray[np.uint8]
+    geometry: StereoGeometry
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "image", read_only(self.image))
+
+
+@dataclass(frozen=True, eq=False)
+class PointMap:
+    """What another sensor measured, one point per pixel of the frame. Read-only, as the frame.
+
+    Attributes:
+        points: (H, W, 3) float32 X, Y, Z in m; NaN where nothing was measured.
+    """
+
+    points: Points
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", read_only(self.points))
+
+
+Depth = RightEye | PointMap
+
+
+class NoDepth(ValueError):
+    """A frame without a second eye or a point map, where depth is needed."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "needs depth, and the source is one eye; give a pair (--right SOURCE or --stereo side_by_side, "
+            "with --calibration FILE), or the depth of another sensor (--depth FOLDER)"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +268,7 @@ def region_of_boxes(boxes: NDArray[np.float64], grow: float = 0.0) -> Region:
             _floor(x - across + 0.5), _floor(y - down + 0.5), _ceil(x + across + 0.5), _ceil(y + down + 0.5)
         )
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.kinematic_kernels import extent_of_boxes
+    from bayesnet_track.numerics.kernels.box_kernels import extent_of_boxes
 
     left, top, right, bottom = extent_of_boxes(boxes, 0.5 + grow)
     return Region(_floor(left + 0.5), _floor(top + 0.5), _ceil(right + 0.5), _ceil(bottom + 0.5))

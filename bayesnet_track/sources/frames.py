@@ -30,9 +30,8 @@ from bayesnet_track.journal.events.runs import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.observation.depth import Depth
-from bayesnet_track.observation.image_size import PictureError
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.planes import Depth, Frame
 from bayesnet_track.sources.entrances.notices import few
 from bayesnet_track.sources.origin import Origin, changed_since, stamps
 from bayesnet_track.sources.paths import SourceError, hide_secrets

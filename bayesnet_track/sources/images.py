@@ -17,8 +17,14 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.image_files import decode, read_pixels
-from bayesnet_track.observation.image_pages import Pages, may_hold_several, pages_of
-from bayesnet_track.observation.image_size import PictureError, check_size, declared_size
+from bayesnet_track.observation.image_headers import (
+    Pages,
+    PictureError,
+    check_size,
+    declared_size,
+    may_hold_several,
+    pages_of,
+)
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.frames import Damage, Picture

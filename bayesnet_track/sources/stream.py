@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from typing import Protocol
 
-from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.observation.image_headers import PictureError
 from bayesnet_track.sources.frames import Damage, Picture, Reader
 from bayesnet_track.sources.live import Image, LiveReader, Unreadable
 from bayesnet_track.sources.timing import Flow

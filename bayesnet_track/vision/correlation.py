@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
-from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Frame, for_reading
 
 ORIENTATIONS = 8
 """Orientations of the full circle."""

@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region, for_reading
 from bayesnet_track.vision.motion_planes import interval_of
 from bayesnet_track.vision.planes import gray
 

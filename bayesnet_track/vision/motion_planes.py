@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Floats
-from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region, for_reading
 from bayesnet_track.vision.planes import gray
 
 Complexes = NDArray[np.complex128]

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Floats, Image, Singles
 from bayesnet_track.observation.geometry import crop_of
-from bayesnet_track.observation.planes import FramePair, Plane, Planes, Region, region_of_boxes
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import FramePair, Plane, Planes, Region, for_reading, region_of_boxes
 
 
 @dataclass(frozen=True)

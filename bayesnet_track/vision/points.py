@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Bytes, Floats, Image, Ints
 from bayesnet_track.numerics.distributions import flatten, gaussian_taps, nearest_probable
-from bayesnet_track.observation.planes import Region
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import Region, for_reading
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.siamese_networks import SEARCH, TEMPLATE, Networks, Response
 
 TILE = 0.8

@@ -18,7 +18,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
-from bayesnet_track.observation.capabilities import CueError
+from bayesnet_track.observation.cue import CueError
 from bayesnet_track.vision.networks import check_apart, reason_of, working_on
 
 Runtime = Literal["opencv", "onnxruntime"]

@@ -10,8 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
-from bayesnet_track.observation.depth import NoDepth, PointMap, Points, RightEye
-from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
+from bayesnet_track.observation.planes import (
+    Frame,
+    FramePair,
+    NoDepth,
+    Plane,
+    PointMap,
+    Points,
+    Region,
+    RightEye,
+)
 from bayesnet_track.vision.planes import gray
 
 GRAY_STEPS = 8

@@ -20,8 +20,16 @@ from bayesnet_track.observation.cue import (
     installed_cues,
 )
 from bayesnet_track.observation.cue_files import use_cue_file
-from bayesnet_track.observation.depth import RightEye, StereoGeometry
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
+from bayesnet_track.observation.planes import (
+    Frame,
+    FramePair,
+    PlaneCache,
+    Planes,
+    Region,
+    RightEye,
+    StereoGeometry,
+    region_of_boxes,
+)
 from bayesnet_track.observation.plugins import allow
 
 WIDTH, HEIGHT = 320, 240

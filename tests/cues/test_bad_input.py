@@ -18,8 +18,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.observation.depth import RightEye, StereoGeometry
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, RightEye, StereoGeometry
 from bayesnet_track.sources.paths import SourceError
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 7

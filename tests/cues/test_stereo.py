@@ -5,8 +5,7 @@ import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.observation.depth import PointMap
-from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.observation.planes import Frame, FramePair, PointMap
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 

@@ -17,7 +17,7 @@ from bayesnet_track.graph.text.formula import formula_text
 from bayesnet_track.graph.text.load import load_graph, read_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graphs import graph_folder
-from bayesnet_track.observation.masks import AnyMask
+from bayesnet_track.observation.image_files import AnyMask
 
 HEAD = """bayesnet: 1
 name: g

@@ -7,7 +7,7 @@ from bayesnet_track.inference.asking import follow, score
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.reference_rows import ReferenceRows
+from bayesnet_track.observation.likelihoods import ReferenceRows
 
 BOXES = np.arange(24.0).reshape(6, 4)
 STARTS = np.array([0, 1, 3, 6])

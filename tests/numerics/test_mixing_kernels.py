@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.numerics.gaussian import linear_update
-from bayesnet_track.numerics.kernels.mixing_kernels import cover_rows, mix_row, mix_rows
+from bayesnet_track.numerics.kernels.pair_kernels import cover_rows, mix_row, mix_rows
 
 MEAN = np.array([100.0, 80, 30, 60, 2, -1, 0, 0])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.association import AssociationRule
+from bayesnet_track.observation.protocols import AssociationRule
 
 BOXES = np.array([[100.0, 50.0, 20.0, 40.0], [10.0, 10.0, 2.0, 4.0]])
 

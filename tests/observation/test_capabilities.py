@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from bayesnet_track.observation.capabilities import METHODS, CueError, make_cue
 from bayesnet_track.observation.cue import (
+    METHODS,
     CueDeclaration,
+    CueError,
     CueParameters,
     Making,
     blend_arrays,
     installed_cues,
+    make_cue,
 )
 from bayesnet_track.observation.protocols import Cue
 

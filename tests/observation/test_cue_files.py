@@ -12,9 +12,8 @@ import pytest
 from bayesnet_track import CueDeclaration, Tracker, load_graph, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import cue_files, plugins
-from bayesnet_track.observation.capabilities import CueError
+from bayesnet_track.observation.cue import CUE_FILE_MODULE, CueError
 from bayesnet_track.observation.cue_files import load_cue_file, own_cues, pack, unpack
-from bayesnet_track.observation.guests import CUE_FILE_MODULE
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.executors import PlacingError

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.image_size import PictureError
-from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
+from bayesnet_track.observation.image_files import AnyMask, Mask, read_mask
+from bayesnet_track.observation.image_headers import PictureError
 
 GREY = np.array([[0, 51, 255], [102, 204, 0]], dtype=np.uint8)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.reference_rows import ReferenceRows, column
+from bayesnet_track.observation.likelihoods import ReferenceRows, column
 
 
 def reference(value, size=2):

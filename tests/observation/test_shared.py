@@ -11,9 +11,16 @@ from bayesnet_track.inference.guard import judge, watch
 from bayesnet_track.inference.learn import Lesson
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.depth import PointMap, RightEye
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.observation.shared import for_reading, shown
+from bayesnet_track.observation.planes import (
+    Frame,
+    FramePair,
+    PlaneCache,
+    PointMap,
+    Region,
+    RightEye,
+    for_reading,
+    shown,
+)
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 
 

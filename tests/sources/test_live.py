@@ -124,7 +124,7 @@ def test_closing_ends_a_wait():
 
 def test_two_eyes_are_paired_by_what_is_newest():
     """Each drops pictures for itself: still one pair comes after another."""
-    from bayesnet_track.observation.depth import RightEye
+    from bayesnet_track.observation.planes import RightEye
     from bayesnet_track.sources.stereo_source import Joined
 
     def completer(index, second, image):

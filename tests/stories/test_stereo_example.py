@@ -12,7 +12,7 @@ from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.observation.depth import PointMap
+from bayesnet_track.observation.planes import PointMap
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene

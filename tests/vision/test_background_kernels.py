@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.kernels.color_kernels import BACKGROUND, SHADOW, update_mixture
 
 MEANS = [(100.0, 100.0, 100.0), (150.0, 150.0, 150.0), (20.0, 20.0, 20.0)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.kernels.flow_kernels import corner_scores, lattice_corners
 
 GRAY = for_reading(np.random.default_rng(2).integers(0, 256, (14, 17)).astype(np.uint8))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes, there_and_back, valid_vectors
 from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
 

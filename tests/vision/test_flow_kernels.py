@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.kernels.flow_kernels import (
     _copy,
     _gradients,

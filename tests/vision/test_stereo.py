@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.depth import StereoGeometry
+from bayesnet_track.observation.planes import StereoGeometry
 from bayesnet_track.vision.calibration import (
     CalibrationError,
     Cameras,

@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.depth import NoDepth, PointMap, RightEye, StereoGeometry
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import (
+    Frame,
+    FramePair,
+    NoDepth,
+    PlaneCache,
+    PointMap,
+    Region,
+    RightEye,
+    StereoGeometry,
+)
 from bayesnet_track.vision.stereo_planes import (
     Correlation,
     PointsPlane,

@@ -44,7 +44,7 @@ from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 
 
 def predict(

@@ -30,7 +30,7 @@ from bayesnet_track.belief.motion.noise import (
 )
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.shared import read_only
+from bayesnet_track.observation.planes import read_only
 
 Rows = tuple[tuple[float, ...], ...]
 
@@ -80,7 +80,7 @@ def move_rows(dynamics: Rows, diffusion: float, dt: float) -> Rows:
 
 def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
     """States moved from `parents` by the rows of the transition and of the noise's root, for both axes."""
-    from bayesnet_track.numerics.kernels import kinematic_kernels as kernels
+    from bayesnet_track.numerics.kernels import box_kernels as kernels
 
     if len(parents) > FEW:
         return kernels.driven_by(states, parents, moves, root, rng)
@@ -206,7 +206,7 @@ class KinematicMotion:
             steps(self.dynamics, self.diffusion, dt)  # refuses a time that does not move forward
             return states.copy()
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.kernels.kinematic_kernels import drifted
+        from bayesnet_track.numerics.kernels.box_kernels import drifted
 
         return drifted(plain_states(states), move_rows(self.dynamics, self.diffusion, dt))
 
@@ -370,7 +370,7 @@ def propagate_rows(
     As `motion.propagate(states[t], dt, streams[t], parents[t])` for every target t. Where `draws_twice` holds
     each stream is an object of its own, else the next may take the last one's place.
     """
-    from bayesnet_track.numerics.kernels.kinematic_kernels import driven
+    from bayesnet_track.numerics.kernels.box_kernels import driven
 
     count, known, width = states.shape
     if draws_twice(motion):

@@ -15,7 +15,7 @@ from bayesnet_track.numerics.distributions import weighted_mass_in_disc
 from bayesnet_track.numerics.log_weights import LogWeights, select, uncertainty_deviation
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.shared import read_only
+from bayesnet_track.observation.planes import read_only
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,8 +120,7 @@ def _joins(loaded: CheckedGraph, plates: list[CheckedTarget], options: argparse.
 
 def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
     from bayesnet_track.inference.compile import compile_plan, describe_plan
-    from bayesnet_track.observation.capabilities import make_cue
-    from bayesnet_track.observation.cue import installed_cues
+    from bayesnet_track.observation.cue import installed_cues, make_cue
 
     agents = {agent: plate.agent(agent) for agent in plate.agents}
     cues = installed_cues(agent.agent.cue for agent in agents.values())

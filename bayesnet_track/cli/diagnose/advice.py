@@ -75,7 +75,7 @@ def _refused(text: str, setting: str) -> str | None:
     """
     from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.observation.masks import AnyMask
+    from bayesnet_track.observation.image_files import AnyMask
 
     def mistakes(changes: Sequence[str]) -> list[str]:
         try:

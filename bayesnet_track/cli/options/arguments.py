@@ -11,7 +11,7 @@ from bayesnet_track.cli.commands.answer import UsageError
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
-    from bayesnet_track.observation.masks import Mask
+    from bayesnet_track.observation.image_files import Mask
 
 
 def whole_number(least: int) -> Callable[[str], int]:

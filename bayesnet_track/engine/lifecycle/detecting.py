@@ -17,6 +17,7 @@ from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, 
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.cue import FAULTS, said
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -24,7 +25,6 @@ from bayesnet_track.observation.detector import (
     LearningDetector,
     check_detections,
 )
-from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair
 
 

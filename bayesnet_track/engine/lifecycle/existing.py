@@ -124,7 +124,7 @@ def divide(
 
 def _cover(crowd: Crowd) -> Floats:
     """(T,) how probable it is that another target covers each."""
-    from bayesnet_track.numerics.kernels.mixing_kernels import cover_rows
+    from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
 
     order = np.argsort(crowd.mean[:, 0] - crowd.mean[:, 2] / 2, kind="stable")
     return np.asarray(cover_rows(np.ascontiguousarray(crowd.mean), crowd.existence, order, COVERED))

@@ -127,7 +127,7 @@ def advance_prospects(
     rule: CrowdRule, prospects: Prospects, pairs: Pairs, shared: Shared, found: Found
 ) -> Prospects:
     """The prospects after the look."""
-    from bayesnet_track.numerics.kernels.mixing_kernels import mix_rows
+    from bayesnet_track.numerics.kernels.pair_kernels import mix_rows
 
     if not len(prospects):
         return prospects

@@ -21,6 +21,7 @@ from bayesnet_track.journal.events.lives import DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.cue import FAULTS, said
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detector,
@@ -28,7 +29,6 @@ from bayesnet_track.observation.detector import (
     LearningDetector,
     check_detections,
 )
-from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair, PlaneCache, Region
 
 SUREST_JUMP = 1.0 - 1e-9

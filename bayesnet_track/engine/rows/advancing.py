@@ -9,9 +9,8 @@ import numpy as np
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.association import Given, image_of
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import HYPOTHESES, Floats
 from bayesnet_track.numerics.gaussian import ALONE
-from bayesnet_track.numerics.kernels.row_columns import HYPOTHESES
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +20,7 @@ class FilteredGaussians:
     Attributes:
         before: their rows before the frame.
         columns: what is known of them, but for the rules' memory and the status.
-        numbers: (T, 8) what was measured, in the columns of `numerics.kernels.row_columns`.
+        numbers: (T, 8) what was measured, in the columns of `numerics.arrays`.
     """
 
     before: Rows
@@ -32,7 +31,7 @@ class FilteredGaussians:
 def filter_gaussians(work: FrameWork, rows: Rows, given: Given) -> FilteredGaussians:
     """The rows of a table, updated by what each is given: the arrays of `given` are changed in place."""
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.mixing_kernels import measure_and_mix_rows
+    from bayesnet_track.numerics.kernels.pair_kernels import measure_and_mix_rows
     from bayesnet_track.numerics.kernels.row_kernels import update_rows
 
     rule, started, frame = rows.rule, work.engine.clock(), work.frame

@@ -15,8 +15,7 @@ from bayesnet_track.engine.rows.advancing import FilteredGaussians
 from bayesnet_track.engine.rows.columns import GIVEN, Columns, Rows
 from bayesnet_track.engine.rows.row_metrics import RowMeasures
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, NATS, UD
+from bayesnet_track.numerics.arrays import AREA, FIT, NATS, UD, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,8 +35,7 @@ from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.guests import FAULTS
+from bayesnet_track.observation.cue import FAULTS, Hypotheses
 
 
 def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> list[FilteredRows]:

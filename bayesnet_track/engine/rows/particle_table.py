@@ -19,7 +19,7 @@ from bayesnet_track.numerics.arrays import Ints
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
-from bayesnet_track.observation.reference_rows import ReferenceRows
+from bayesnet_track.observation.likelihoods import ReferenceRows
 
 _NOBODY = ParticleSet(np.zeros((1, 0)), (), LogWeights.uniform(1))
 """In the place of the belief of a target whose particles are a row."""

@@ -13,9 +13,8 @@ from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.inference.asking import follow
 from bayesnet_track.inference.learn import frames_between, largest_rate, over_frames
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import Reference, context_of
-from bayesnet_track.observation.guests import FAULTS
-from bayesnet_track.observation.reference_rows import ReferenceRows
+from bayesnet_track.observation.cue import FAULTS, Reference, context_of
+from bayesnet_track.observation.likelihoods import ReferenceRows
 
 
 def follow_rows(

@@ -18,10 +18,9 @@ from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.encoder import Written, written
 from bayesnet_track.journal.frame_columns import ABSENT, texts
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import AREA, FIT, UD, Floats
 from bayesnet_track.numerics.distributions import p_after
 from bayesnet_track.numerics.gaussian import roots
-from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
 
 LEAST = np.array([0.0, 0.0, 1.0, 1.0])
 """Least centre and sides of an estimate, px (`engine.state.inside_frame`)."""
@@ -32,7 +31,7 @@ class RowMeasures:
     """What was measured of T targets.
 
     Attributes:
-        numbers: (T, 8) in the columns of `numerics.kernels.row_columns`.
+        numbers: (T, 8) in the columns of `numerics.arrays`.
         quiet: (T,) baselines of UD, NaN while unknown.
     """
 

@@ -13,9 +13,16 @@ from bayesnet_track.inference.asking import Fault, check_reference, follow, scor
 from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.capabilities import make_cue
-from bayesnet_track.observation.cue import Cue, CueDeclaration, Hypotheses, Reference, context_of
-from bayesnet_track.observation.guests import FAULTS, said
+from bayesnet_track.observation.cue import (
+    FAULTS,
+    Cue,
+    CueDeclaration,
+    Hypotheses,
+    Reference,
+    context_of,
+    make_cue,
+    said,
+)
 from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes
 
 HELD = 0.1

@@ -9,7 +9,7 @@ from functools import cached_property
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import CueDeclaration
-from bayesnet_track.observation.masks import Mask
+from bayesnet_track.observation.image_files import Mask
 
 
 @dataclass(frozen=True, eq=False)

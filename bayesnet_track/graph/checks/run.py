@@ -47,7 +47,7 @@ from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMe
 from bayesnet_track.graph.text.write import write_graph
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
 from bayesnet_track.observation.cue_files import GivenCue, own_cues
-from bayesnet_track.observation.masks import Mask
+from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.plugins import given
 
 

@@ -13,7 +13,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.messages import GraphError, listed, nearest, shown_name
 from bayesnet_track.graph.text.write import flow_text
-from bayesnet_track.observation.masks import Mask
+from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.settings import to_caller
 
 Keys = tuple[str, ...]

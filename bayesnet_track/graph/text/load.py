@@ -26,8 +26,7 @@ from bayesnet_track.graph.text.messages import (
     shown_name,
 )
 from bayesnet_track.graphs import find_graph, graph_names
-from bayesnet_track.observation.capabilities import CueError
-from bayesnet_track.observation.cue import CueDeclaration
+from bayesnet_track.observation.cue import CueDeclaration, CueError
 
 ROUNDS = 6
 """How often what was found is mended, and the rest is checked again."""

@@ -10,10 +10,7 @@ import math
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.gaussian import factor, root_of
-from bayesnet_track.numerics.kernels.row_columns import (
+from bayesnet_track.numerics.arrays import (
     AGENT_UD,
     AREA,
     ESS,
@@ -22,7 +19,12 @@ from bayesnet_track.numerics.kernels.row_columns import (
     LOG_EVIDENCE,
     NATS,
     UD,
+    Bools,
+    Floats,
+    Ints,
 )
+from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.gaussian import factor, root_of
 
 
 @compiled

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.depth import Depth, PointMap, RightEye, StereoGeometry
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Depth, Frame, PointMap, RightEye, StereoGeometry
 
 SLOTS = 4
 """Frames that are held: the current one, the one before, and those of targets that start."""

@@ -19,8 +19,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.cue import Hypotheses, Measurement
-from bayesnet_track.observation.planes import Region
-from bayesnet_track.observation.shared import read_only
+from bayesnet_track.observation.planes import Region, read_only
 
 LEARN_AND_BLEND = "learn and blend"
 """A question for a reference: what learns, the old one, the rate, and the arguments of what learns."""

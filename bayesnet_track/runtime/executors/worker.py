@@ -22,10 +22,8 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.observation.child import die_with, end_with
-from bayesnet_track.observation.cue import AnyCue, Measurement
-from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, text_of
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.observation.shared import shown
+from bayesnet_track.observation.cue import FAULTS, AnyCue, Measurement, foreign_part, real_numbers, text_of
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, shown
 from bayesnet_track.runtime.executors.messages import (
     LEARN_AND_BLEND,
     Answer,
@@ -216,7 +214,7 @@ def _load(cue_files: bytes) -> None:
     import numba  # noqa: F401
 
     import bayesnet_track.inference.compile
-    import bayesnet_track.numerics.kernels.kinematic_kernels
+    import bayesnet_track.numerics.kernels.box_kernels
     import bayesnet_track.runtime.executors.frames  # noqa: F401
     from bayesnet_track.observation.cue_files import unpack
 

@@ -91,7 +91,7 @@ def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
     from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import GraphError
     from bayesnet_track.observation.cue import stand_ins
-    from bayesnet_track.observation.masks import AnyMask
+    from bayesnet_track.observation.image_files import AnyMask
 
     try:
         spec, at = read_graph(directory.graph)

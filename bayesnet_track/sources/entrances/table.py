@@ -66,7 +66,7 @@ FRAMES = (
         "`--source FILE`: TIFF, Netpbm, animated PNG, WebP, GIF",
         (
             "sources.images: stack_of is_animated_png _bytes_of Animation.read",
-            "observation.image_pages: pages_of",
+            "observation.image_headers: pages_of",
         ),
         "nothing: every image is a frame; thumbnails and masks of other pages are none",
         "a stack with channels or slices beside time, fewer pages than its description says, more than 2 "
@@ -325,7 +325,7 @@ FILES = (
         "masks and templates",
         "`mask` of a factor, `picture` of `color_backprojection`, `learn-shape --masks`",
         (
-            "observation.masks: read_mask",
+            "observation.image_files: read_mask",
             "vision.detectors.color_backprojection: _make",
         ),
         "masks with too little of the silhouette on edges (`learn-shape`)",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.depth import StereoGeometry
+from bayesnet_track.observation.planes import StereoGeometry
 
 FINER = 2
 """Rays per pixel and direction."""

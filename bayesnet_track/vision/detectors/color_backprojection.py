@@ -159,7 +159,7 @@ def _make(parameters: ColorBackprojectionParameters) -> Detector:
     if parameters.picture is None:
         return detector
     from bayesnet_track.observation.image_files import read_checked
-    from bayesnet_track.observation.image_size import PictureError
+    from bayesnet_track.observation.image_headers import PictureError
 
     try:
         data = np.frombuffer(read_checked(Path(parameters.picture)), np.uint8)

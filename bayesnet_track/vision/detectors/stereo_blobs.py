@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.depth import NoDepth
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -17,7 +16,7 @@ from bayesnet_track.observation.detector import (
     DetectorParameters,
     DetectorState,
 )
-from bayesnet_track.observation.planes import Frame, FramePair, Region
+from bayesnet_track.observation.planes import Frame, FramePair, NoDepth, Region
 from bayesnet_track.vision.detectors.selection import select
 from bayesnet_track.vision.stereo_planes import Correlation, Matcher, Range, SemiGlobal, all_points
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.observation.shared import for_reading
+from bayesnet_track.observation.planes import for_reading
 
 BLOB_COLUMNS = ("x", "y", "hue", "share")
 """A blob: its centre relative to the box's (in widths and heights), mean hue (degrees), share of the box."""

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats
 from bayesnet_track.numerics.compiled import compiled, compiled_summing, plain
-from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.shared import for_reading, read_only
+from bayesnet_track.observation.planes import Frame, for_reading, read_only
 from bayesnet_track.vision.kernels.color_kernels import (
     box_and_ring_means,
     color_posterior,

@@ -115,7 +115,7 @@ def test_arrays_that_were_forgotten_are_sent_again(monkeypatch, across, placed, 
 
 
 def test_frames_and_depth_cross_whole_whatever_their_size():
-    from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
+    from bayesnet_track.observation.planes import PointMap, RightEye, StereoGeometry
 
     rng = np.random.default_rng(1)
     store = FrameStore()
