@@ -61,7 +61,6 @@ WRITERS = ("setting", "to_caller")
 """Functions that word a message by its reader."""
 PAGES_ALONE = {
     "sources/entrances/table.py": "rows of docs/entrances.md",
-    "sources/entrances/table.py": "rows of docs/entrances.md",
     "view/compare_page.py": "a style sheet",
 }
 """Modules whose texts are no messages, and what they are."""

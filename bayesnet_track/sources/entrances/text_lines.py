@@ -13,6 +13,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from bayesnet_track.observation.settings import setting
+
 PACKED = {
     b"PK\x03\x04": "a zip, or arrays of NumPy (.npz)",
     b"\x93NUMPY": "an array of NumPy (.npy)",
@@ -63,7 +65,7 @@ def _explain_json_text(text: str) -> str | None:
         except (ValueError, RecursionError):
             continue
         if isinstance(content, Mapping) and {"frame", "detections"} & content.keys():
-            return f"{JSON_LINES}; `--detections` reads it"
+            return f"{JSON_LINES}; {setting('--detections', 'FILE')} reads it"
         return explain_json(content)
     return None
 
