@@ -84,7 +84,7 @@ def network(model: str, shape: Input) -> Embed:
     """
     if absent := missing_model(model):
         raise EmbeddingError(absent)
-    check_apart(try_network, [model], EmbeddingError, model=model, wanted=asdict(shape))
+    check_apart(try_network, [model], EmbeddingError, model=model, shape=asdict(shape))
     return _network(model, shape)
 
 
@@ -150,11 +150,11 @@ def crops_at(image: Bytes, boxes: Floats, width: int, height: int) -> Bytes:
 def representatives(
     boxes: Floats, size: Floats, step: float, max_count: int
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """Boxes that stand for others: (R, 4), R <= `max_count`, and (N,) which of them stands for each of `boxes`.
+    """Boxes that stand for others: (R, 4), R <= `max_count`, and for each of `boxes` which of them, (N,).
 
     They are knots of a lattice of `step` sizes in place and 2 `step` in the logs of the sides, whichever
-    hypotheses there are: a box has the same representative in any company that needs no more than `max_count`.
-    Else the lattice gets coarser, and the mean of those that share a knot stands for them.
+    hypotheses there are: a box has the same representative in any company that needs no more than
+    `max_count`. Else the lattice gets coarser, and the mean of those that share a knot stands for them.
 
     Args:
         boxes: (N, 4) centre boxes, px, N >= 1.

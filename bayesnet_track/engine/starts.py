@@ -19,8 +19,7 @@ from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner
-from bayesnet_track.observation.depth import ways_of_depth
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, ways_of_depth
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.paths import SourceError

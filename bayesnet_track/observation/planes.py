@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.observation.settings import setting, to_caller
 
 SharedArray = TypeVar("SharedArray")
 
@@ -150,10 +151,16 @@ class NoDepth(ValueError):
     """A frame without a second eye or a point map, where depth is needed."""
 
     def __init__(self) -> None:
-        super().__init__(
-            "needs depth, and the source is one eye; give a pair (--right SOURCE or --stereo side_by_side, "
-            "with --calibration FILE), or the depth of another sensor (--depth FOLDER)"
-        )
+        super().__init__(f"needs depth, and the source is one eye; give {ways_of_depth()}")
+
+
+def ways_of_depth() -> str:
+    """A pair or depth images, as the caller gives them."""
+    right, halves = setting("--right", "SOURCE"), setting("--stereo", "side_by_side", "True")
+    calibration, depth = setting("--calibration", "FILE"), setting("--depth", "FOLDER")
+    pair = f"a pair ({right} or {halves}, with {calibration})"
+    source = f"{pair} or the depth of another sensor ({depth})"
+    return to_caller(source, f"open_stereo_source {source}, or depth= with the frame")
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,7 @@ from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
-from bayesnet_track.observation.depth import Depth, RightEye
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Depth, Frame, RightEye
 from bayesnet_track.runtime.arguments import longest_side, say_unused_by_cues, whole
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Image
-from bayesnet_track.observation.depth import StereoGeometry
+from bayesnet_track.observation.planes import StereoGeometry
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.vision.planes import gray
 

@@ -28,8 +28,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Recognition, TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.journal.reader import read_metrics
-from bayesnet_track.observation.depth import RightEye
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, RightEye
 from bayesnet_track.runtime.annotation.asking import TrackerRuns
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import resume

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.journal.events.runs import SourceDamaged
-from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, PointMap, RightEye, StereoGeometry
 from bayesnet_track.sources.frames import Damage, Picture, Source
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.stereo_source import Joined, open_stereo_source, two_eyes

@@ -43,8 +43,8 @@ JSON_LINES = (".jsonl", ".json", ".ndjson")
 
 def detect(options: argparse.Namespace) -> int:
     """Detect in every frame; write MOT or JSON Lines, and a video on request."""
-    from bayesnet_track.observation.depth import ways_of_depth
     from bayesnet_track.observation.detector import DetectorError, LearningDetector
+    from bayesnet_track.observation.planes import ways_of_depth
     from bayesnet_track.sources.paths import SourceError
 
     if options.end is not None and options.end <= options.start:

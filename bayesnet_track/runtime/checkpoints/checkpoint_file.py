@@ -17,8 +17,7 @@ from bayesnet_track.engine.step import Engine, State
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import OutputError, Position, write_atomically
-from bayesnet_track.observation.depth import PointMap, RightEye
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, PointMap, RightEye
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.state_codec import StateError, decode_state, state_format
 from bayesnet_track.runtime.recording.record import Written

@@ -26,9 +26,8 @@ from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import event_classes, type_hints
 from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
-from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
 from bayesnet_track.observation.image_files import Mask
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, PointMap, RightEye, StereoGeometry
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, versions
 from bayesnet_track.runtime.checkpoints.state_codec import CLASSES, StateError, decode, encode, state_format
 from bayesnet_track.runtime.resizing import Resizing

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import CornerBox, corner_from_centre
-from bayesnet_track.observation.depth import RightEye, StereoGeometry
+from bayesnet_track.observation.planes import RightEye, StereoGeometry
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.depth import StereoGeometry
+from bayesnet_track.observation.planes import StereoGeometry
 from bayesnet_track.sources.scenes.render import Movie, Sprite, gray_cells, shaded_cells
 from bayesnet_track.sources.scenes.room import Pane, Room
 from bayesnet_track.sources.scenes.scene import Scene, StereoView, assemble
