@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bayesnet_track.journal.writer import LineFile, OutputError, write_atomically
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE
 from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
@@ -380,9 +381,8 @@ def first_difference(kept: Header, now: Header) -> str | None:
             where = "frames differ (SHA-256)" if name == "pixels" else f"{name}: {found}, it was {was}"
             if name == "pixels" and kept.value_range != now.value_range:
                 ranges = [one.value_range or "none" for one in (now, kept)]
-                where += (
-                    f"; the range of values is {ranges[0]}, it was {ranges[1]} (without --range it is kept)"
-                )
+                kept_if = f"without {setting('--range')} it is kept"
+                where += f"; the range of values is {ranges[0]}, it was {ranges[1]} ({kept_if})"
             return f"another video: {where}"
     for name in ("graph_name", "graph", "seed", "max_side", "version"):
         was, found = getattr(kept, name), getattr(now, name)

@@ -1,4 +1,4 @@
-"""Checkpoints: where a run can go on from, kept in the run directory while it goes on.
+"""Checkpoints: where a run can go on from, written whole or not at all, read without trusting them.
 
 A checkpoint says how far every output file is written, which bytes are in it, and what the engine's state is.
 It is written whole or not at all, after the outputs have reached the disk, and removed once the run is
@@ -7,24 +7,239 @@ finished.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Self
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
 
-from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.checkpoints.checkpoint_file import (
-    Checkpoint,
-    pixels_of,
-    write_checkpoint,
-)
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine.step import Engine, State
+from bayesnet_track.journal import disk
+from bayesnet_track.journal.codec import describe_other
+from bayesnet_track.journal.writer import OutputError, Position, write_atomically
+from bayesnet_track.observation.planes import Frame, PointMap, RightEye
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.origins import describe_machine
-from bayesnet_track.runtime.checkpoints.state_codec import StateError, encode_state
+from bayesnet_track.runtime.checkpoints.state_codec import (
+    StateError,
+    decode_state,
+    encode_state,
+    state_format,
+)
 from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.record import Recorder, Written
-from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import RunPosition
+
+CHECKPOINT_FORMAT = 4
+"""Raised when older programs cannot read what is written; each program reads its own format only."""
+MAGIC = b"bayesnet_track checkpoint "
+
+MOST_BYTES = 1 << 30
+"""A thousand times what fifty targets take."""
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that is damaged, of another version, or does not go with what lies beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """Where a run can go on from.
+
+    Attributes:
+        recipe: SHA-256 of ``run.json``.
+        frame: index of the last frame.
+        pixels: checksum of its pixels.
+        frames: frames that were tracked.
+        reconfigurations: how many times an agent was switched on or off.
+        lost_frames: frames in which a target was lost.
+        written: how far the outputs are written.
+        machine: what its numbers were computed on; see `runtime.checkpoints.origins`.
+        state: the engine's state, as `encode_state` has it.
+    """
+
+    recipe: str
+    frame: int
+    pixels: int
+    frames: int
+    reconfigurations: int
+    lost_frames: int
+    written: Written
+    machine: Mapping[str, str]
+    state: bytes
+
+    def reached(self, engine: Engine, frame: Frame) -> RunPosition:
+        """What it stands for, given its last frame, read again.
+
+        Raises:
+            CheckpointError: the frame has other pixels, or the state is of another version or graph.
+        """
+        if pixels_of(frame) != self.pixels:
+            raise CheckpointError(f"frame {frame.index} of the source has other pixels than it had")
+        try:
+            state: State = decode_state(self.state, engine, frame)
+        except StateError as error:
+            raise CheckpointError(f"the checkpoint's state: {error}") from error
+        return RunPosition(frame, state, self.frames, self.reconfigurations, self.lost_frames)
+
+
+def pixels_of(frame: Frame) -> int:
+    """A checksum of all that a frame shows."""
+    shown: list[NDArray[Any]] = [frame.image]
+    match frame.depth:
+        case RightEye():
+            shown.append(frame.depth.image)
+        case PointMap():
+            shown.append(frame.depth.points)
+    checksum = 0
+    for pixels in shown:
+        checksum = zlib.crc32(np.ascontiguousarray(pixels), checksum)  # type: ignore[arg-type]
+    return checksum
+
+
+def write_checkpoint(directory: RunDirectory, checkpoint: Checkpoint) -> None:
+    """Write it whole or not at all; the one before it is kept as `checkpoint.previous`.
+
+    Raises:
+        OutputError: it cannot be written; the one before it is as it was.
+    """
+    at = checkpoint.written.positions
+    header = {
+        "state": state_format(),
+        "machine": dict(checkpoint.machine),
+        **{name: getattr(checkpoint, name) for name in _NUMBERS},
+        "outputs": {name: [place.size, place.sha256] for name, place in at.items()},
+        "ids": dict(checkpoint.written.ids),
+    }
+    body = json.dumps(header).encode("ascii") + b"\n" + checkpoint.state
+    seal = hashlib.sha256(body).hexdigest().encode("ascii")
+    data = b"\n".join((MAGIC + str(CHECKPOINT_FORMAT).encode(), seal, body))
+    write_atomically(directory.checkpoint, data, directory.previous)
+
+
+def newest_checkpoint(directory: RunDirectory, say: Callable[[str], None] | None = None) -> Checkpoint | None:
+    """The last checkpoint of a run, or the one before where that is damaged or gone; None without any.
+
+    `say` is told when it is not the last one, and why.
+
+    Raises:
+        CheckpointError: there are only damaged ones, or ones of another version.
+    """
+    wrong: CheckpointError | None = None
+    for path in (directory.checkpoint, directory.previous):
+        try:
+            found = read_checkpoint(path)
+        except FileNotFoundError:
+            continue
+        except CheckpointError as error:
+            wrong = wrong or error
+            continue
+        if wrong is not None and say is not None:
+            say(f"{wrong}; the checkpoint before it is used, of frame {found.frame}")
+        return found
+    if wrong is not None:
+        raise wrong
+    return None
+
+
+def drop_damaged(directory: RunDirectory) -> None:
+    """Remove checkpoints that cannot be read: a new one must not push a good one out by renaming them.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in (directory.checkpoint, directory.previous):
+        try:
+            if path.exists():
+                read_checkpoint(path)
+        except CheckpointError:
+            remove(path)
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """The checkpoint in a file.
+
+    Raises:
+        CheckpointError: it is damaged or of another version.
+        OSError: it cannot be read.
+    """
+    if path.stat().st_size > MOST_BYTES:
+        raise CheckpointError(f"{path}: more than {MOST_BYTES >> 20} MiB: not a checkpoint")
+    magic, _, rest = path.read_bytes().partition(b"\n")
+    seal, _, body = rest.partition(b"\n")
+    if not magic.startswith(MAGIC):
+        raise CheckpointError(f"{path}: not a checkpoint")
+    if magic != MAGIC + str(CHECKPOINT_FORMAT).encode():
+        version_text = magic[len(MAGIC) :][:20].decode("ascii", "replace")
+        raise CheckpointError(
+            _of_another(
+                path, f"format {version_text} of checkpoints; this version reads format {CHECKPOINT_FORMAT}"
+            )
+        )
+    if hashlib.sha256(body).hexdigest().encode("ascii") != seal:
+        raise CheckpointError(f"{path}: it is damaged")
+    line, _, state = body.partition(b"\n")
+    try:
+        header = json.loads(line)
+        if header["state"] != state_format():
+            raise CheckpointError(_of_another(path, "its state has other fields than this version stores"))
+        positions = {name: Position(size, sha256) for name, (size, sha256) in header["outputs"].items()}
+        numbers = {name: header[name] for name in _NUMBERS}
+        ids, machine = header["ids"], header["machine"]
+        are_right = (
+            positions.keys() <= FILES.keys()
+            and _are_counts([numbers[name] for name in _NUMBERS[1:]])
+            and _are_counts([place.size for place in positions.values()])
+            and _are_counts(ids.values())
+            and all(isinstance(value, str) for value in machine.values())
+        )
+    except CheckpointError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        are_right = False
+    if not are_right:
+        raise CheckpointError(f"{path}: it is damaged or was edited")
+    return Checkpoint(**numbers, written=Written(positions, ids), machine=machine, state=state)
+
+
+def _are_counts(values: Iterable[object]) -> bool:
+    return all(type(value) is int and 0 <= value < 1 << 63 for value in values)
+
+
+def _of_another(path: Path, what: str) -> str:
+    """What is wrong with a checkpoint of another program version, and which one can resume it."""
+    try:
+        versions = json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        versions = None
+    other, anew = describe_other(what, versions, "resume"), setting("--overwrite")
+    return f"{path}: {other}, or start the run again with {anew}"
+
+
+_NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_frames")
+
+
+def remove(path: Path) -> None:
+    """Remove a checkpoint for good.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    try:
+        disk.unlink(path)
+        disk.sync_folder(path.parent)
+    except OSError as error:
+        raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(path)) from error
+
 
 EVERY_S = 1.0
 """Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""

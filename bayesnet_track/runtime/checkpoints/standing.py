@@ -20,6 +20,7 @@ from bayesnet_track.journal.writer import read_position, write_atomically
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP
 from bayesnet_track.observation.cue_files import GivenCue, file_of, own_cues
 from bayesnet_track.observation.plugins import given
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoint, newest_checkpoint
 from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences, versions
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
@@ -175,7 +176,7 @@ def check_cues(recipe: Recipe, cues: Iterable[GivenCue]) -> None:
         if file is None:
             raise ResumeError(
                 f"its cue {name!r} is the code in {was.path} (SHA-256 {was.sha256[:12]}), which is run only "
-                f"when it is named: --cue-file {was.path} (cues=)"
+                f"when it is named: {setting('--cue-file', was.path, repr([was.path]))}"
             )
         if file.sha256 != was.sha256:
             raise ResumeError(
@@ -204,8 +205,8 @@ def permit_move(
     if not is_allowed:
         raise ResumeError(
             "it was computed on another machine or with other libraries, which give other last digits: "
-            f"{what}; --allow-other-machine (allow_other_machine=True) goes on all the same, and the result "
-            "equals no unbroken run's"
+            f"{what}; {setting('--allow-other-machine')} goes on all the same, and the result equals no "
+            "unbroken run's"
         )
     say(f"it goes on although the machine or libraries differ: {what}")
     return () if checkpoint is None else (MachineChanged(checkpoint.frame + 1, changes),)

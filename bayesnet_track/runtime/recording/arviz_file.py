@@ -17,9 +17,9 @@ from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.resampling import systematic
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.settings import setting
-from bayesnet_track.runtime.lifetimes import kept_lifetimes
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
+from bayesnet_track.runtime.smoothing import kept_lifetimes
 
 MAX_NUMBERS = 250_000_000
 """Of the whole set: 1 GB as float32."""
