@@ -17,7 +17,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.sources.scenes import Scene
 from bayesnet_track.sources.scenes.render import ORANGE, Sprite, gray_cells, shaded_cells
 from bayesnet_track.sources.scenes.scene import assemble
-from bayesnet_track.sources.scenes.squares import bouncing
+from bayesnet_track.sources.scenes.shapes import bouncing
 
 Image = NDArray[np.uint8]
 

@@ -20,7 +20,7 @@ from two_squares import held_to_the_end, opencv_run, track_scene
 
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import Scene
-from bayesnet_track.sources.scenes.occluder import occluder
+from bayesnet_track.sources.scenes.shapes import occluder
 
 HIDDEN = (11, 22)
 

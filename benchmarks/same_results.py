@@ -90,8 +90,8 @@ def results_of(graph: str, seed: int, folder: Path) -> Iterator[Any]:
     from bayesnet_track import track
     from bayesnet_track.engine.starts import Start, has_births
     from bayesnet_track.graph.text.load import load_graph
-    from bayesnet_track.sources.scene_source import SceneSource
     from bayesnet_track.sources.scenes import make_scene
+    from bayesnet_track.sources.scenes.library import SceneSource
 
     if graph in DETECTED:
         images = folder / "blank"

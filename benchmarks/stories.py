@@ -22,8 +22,8 @@ from bayesnet_track.journal.events.switches import Activated, Deactivated, Local
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.results import Result
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 Floats = NDArray[np.float64]
 

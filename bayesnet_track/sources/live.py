@@ -1,4 +1,4 @@
-"""A live source: a thread takes what it gives, the tracker takes the newest, and a stall is waited out.
+"""Live sources, cameras and streams: a thread reads, the tracker takes the newest, a stall is waited out.
 
 Pictures that come while the tracker is busy are dropped, so that what is tracked is never old. Times are
 those of arrival, so that the belief is predicted over the true time between the pictures that are used. When
@@ -18,7 +18,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.frames import Damage, Dropped, Picture, ReaderItem, Stalled
+from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.sources.entrances.levels import Levels, ValueRange
+from bayesnet_track.sources.frames import Damage, Dropped, Picture, Reader, ReaderItem, Stalled
+from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.sources.timing import Flow
 
 STALL_S = 2.0
 """Seconds without a picture after which a connection counts as stalled."""
@@ -264,3 +268,127 @@ class _Drops:
 
 def _given(image: Image) -> Any:
     return lambda: image
+
+
+CAMERA_RATE = 30.0
+MAX_INDEX = 2**31 - 1
+
+
+class Camera:
+    """The pictures of the camera with this index, as they come.
+
+    Raises:
+        SourceError: there is no such camera.
+    """
+
+    def __init__(self, index: str, levels: Levels) -> None:
+        import cv2
+
+        self._levels = levels
+        # OpenCV takes 32 bits, and Python reads no number of thousands of digits.
+        number = int(index) if len(index) < len(str(MAX_INDEX)) else MAX_INDEX
+        self._camera: Any = cv2.VideoCapture(number)
+        if not self._camera.isOpened():
+            raise SourceError(
+                index,
+                "no camera with this index can be opened",
+                "index of a connected camera",
+                "check the connection",
+            )
+        rate = float(self._camera.get(cv2.CAP_PROP_FPS))
+        self.frame_interval_s = 1.0 / (rate if np.isfinite(rate) and rate > 0 else CAMERA_RATE)
+
+    def __iter__(self) -> Iterator[Image]:
+        while True:
+            ok, image = self._camera.read()
+            if not ok:
+                raise OSError("the camera stopped giving pictures")
+            yield self._levels(image)
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._camera.release()
+
+
+def camera_reader(index: str, value_range: ValueRange | None = None) -> LiveReader:
+    """The newest pictures of a camera, in units of the rate that it declares (else 30 a second).
+
+    Raises:
+        SourceError: there is no such camera.
+    """
+    levels = Levels(f"camera {index}", value_range)
+    first = Camera(index, levels)
+    return LiveReader(lambda: Camera(index, levels), first.frame_interval_s, first)
+
+
+MAX_AHEAD_S = 5.0
+"""Times of a playlist that jump by more than this are those of another recording, which begins now."""
+
+
+class FlowingReader(Reader, Protocol):
+    """A reader that knows how its pictures come."""
+
+    @property
+    def flow(self) -> Flow:
+        """How they come."""
+
+
+class Open(Protocol):
+    """Opens the stream; raises SourceError."""
+
+    def __call__(self) -> FlowingReader: ...
+
+
+class Stream:
+    """The pictures of a reader as they come; what is damaged is left out, and is the reason if it ends.
+
+    Pictures that come in segments are given at the pace of their own times: else all but the last of each
+    would be outdated.
+    """
+
+    def __init__(self, reader: FlowingReader) -> None:
+        self._reader = reader
+        self._is_cancelled = threading.Event()
+        self._zero: float | None = None
+
+    def __iter__(self) -> Iterator[Image | Unreadable]:
+        reason, expected = "the stream ended", 0
+        for item in self._reader:
+            if isinstance(item, Damage):
+                reason = item.reason
+                yield Unreadable(0, reason)
+            elif isinstance(item, Picture):
+                if item.index > expected:
+                    yield Unreadable(item.index - expected, reason)
+                expected = item.index + 1
+                if self._reader.flow.in_segments:
+                    self._keep_pace(item.time_s)
+                try:
+                    yield item.pixels()
+                except PictureError as error:
+                    reason = str(error)
+                    yield Unreadable(1, reason)
+        raise OSError(reason)
+
+    def _keep_pace(self, time_s: float) -> None:
+        now = time.monotonic()
+        ahead = MAX_AHEAD_S if self._zero is None else self._zero + time_s - now
+        if abs(ahead) < MAX_AHEAD_S:
+            self._is_cancelled.wait(max(ahead, 0.0))
+        else:
+            self._zero = now - time_s
+
+    def cancel(self) -> None:
+        """Wake the thread that reads, where it waits for the time of a picture."""
+        self._is_cancelled.set()
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        self._reader.close()
+
+
+def stream_reader(connect: Open, first: FlowingReader | None = None) -> LiveReader:
+    """The newest pictures of a live stream, where `first` is open already; raises what `connect` raises."""
+    first = connect() if first is None else first
+    interval_s = first.frame_interval_s if first.flow.has_rate else None
+    return LiveReader(lambda: Stream(connect()), interval_s, Stream(first))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.sources.stereo_source import open_stereo_source
 

@@ -109,7 +109,7 @@ def make_reader(
     if text.isascii() and text.isdigit():
         if live is False:
             raise SourceError(text, "a camera has no end", "URLs that are read as files", "leave it out")
-        from bayesnet_track.sources.camera import camera_reader
+        from bayesnet_track.sources.live import camera_reader
 
         return camera_reader(text, value_range)
     path = Path(text)
@@ -152,7 +152,7 @@ def _of_network(text: str, live: bool | None, value_range: ValueRange | None) ->
             f"{shown_address(text)}: taken as live, since {flow.endless}: the newest frame is tracked, the "
             f"others are dropped; {setting('--no-live')} reads every frame"
         )
-    from bayesnet_track.sources.stream import stream_reader
+    from bayesnet_track.sources.live import stream_reader
 
     return stream_reader(lambda: _video(text, True, value_range), reader)
 

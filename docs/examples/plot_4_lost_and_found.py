@@ -12,8 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from bayesnet_track import Start, track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 scene = make_scene("flying_ball", seed=0)
 results = list(track("kalman_ball", SceneSource(scene, "flying_ball"), [Start(scene.start_box)]))

@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from bayesnet_track import Start, load_graph, track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 graph = {
     "name": "color_alone",

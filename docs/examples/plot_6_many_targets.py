@@ -13,8 +13,8 @@ from itertools import groupby
 import matplotlib.pyplot as plt
 
 from bayesnet_track import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 scene = make_scene("orange_and_gray", seed=0)
 results = list(track("orange_and_gray_detected", SceneSource(scene, "orange_and_gray")))

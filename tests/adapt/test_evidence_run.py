@@ -10,8 +10,8 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.target_net import Concentration
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import two_squares
+from bayesnet_track.sources.scenes.library import SceneSource
 
 TEST = {"concentrated": {"within_box": 0.5}}
 

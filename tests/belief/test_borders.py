@@ -13,7 +13,7 @@ from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.sources.scenes.squares import bouncing
+from bayesnet_track.sources.scenes.shapes import bouncing
 
 FRAME = (320, 240)
 

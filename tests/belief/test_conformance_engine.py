@@ -14,8 +14,8 @@ from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import explain, why
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.recording.rundir import FILES
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 41
 SQUARES = yaml.safe_load(find_graph("two_squares").read_text())

@@ -12,7 +12,7 @@ from bayesnet_track.journal.events.beliefs import SecondPass
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.scenes.render import ORANGE, Sprite, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import assemble
 

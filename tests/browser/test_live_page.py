@@ -11,8 +11,8 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 pytestmark = pytest.mark.slow
 

@@ -11,8 +11,8 @@ import yaml
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.sources.scene_source import format_truth
 from bayesnet_track.sources.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes.library import format_truth
 from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 FRAMES = range(0, 60, 4)

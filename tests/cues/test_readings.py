@@ -17,7 +17,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.checkpoints.origins import file_sha256
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.sources.entrances.notices import InputNotice
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 QUANTITIES = ("range", "bearing")
 

@@ -6,8 +6,8 @@ import pytest
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair, PointMap
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 STANDING = {"camera_height_m": 1.2, "max_depth_m": 6.0}
 

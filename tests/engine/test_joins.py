@@ -17,9 +17,8 @@ from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.sources.scenes.carried import BEHIND, carried_box
-from bayesnet_track.sources.scenes.crowd import crowd
-from bayesnet_track.sources.scenes.squares import orange_and_gray
+from bayesnet_track.sources.scenes.people import BEHIND, carried_box
+from bayesnet_track.sources.scenes.shapes import crowd, orange_and_gray
 
 FEW = 18
 """Frames in which some of the crowd meet."""

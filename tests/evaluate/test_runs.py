@@ -11,7 +11,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.sources.scene_source import format_truth
+from bayesnet_track.sources.scenes.library import format_truth
 
 
 def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> FrameMetrics:

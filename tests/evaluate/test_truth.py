@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.evaluate.truth import EXPECTED, is_mot, parse_truth, read_truth
-from bayesnet_track.sources.scene_source import format_truth
+from bayesnet_track.sources.scenes.library import format_truth
 
 
 @pytest.mark.parametrize(

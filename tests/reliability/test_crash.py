@@ -22,7 +22,7 @@ from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6
 Work = Callable[[Path], None]

@@ -8,8 +8,8 @@ import pytest
 
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 PROGRAM = """
 import sys

@@ -9,7 +9,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 OFF, FRAMES = 12, 33
 WITHIN = 6

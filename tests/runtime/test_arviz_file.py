@@ -12,7 +12,7 @@ from bayesnet_track.runtime.recording import arviz_file
 from bayesnet_track.runtime.recording.arviz_file import ArvizError, beliefs_as_dataset, write_arviz
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
 from bayesnet_track.runtime.smoothing import KeptBeliefsError
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 xarray = pytest.importorskip("xarray")
 pytest.importorskip("h5netcdf")

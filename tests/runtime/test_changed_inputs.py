@@ -23,7 +23,7 @@ from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.results import Result, Summary
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 5
 

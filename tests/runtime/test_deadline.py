@@ -16,8 +16,8 @@ from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.pace import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
 SHORT = Net({"1": TargetNet("plate", frozenset("a"), shed=("b",))})

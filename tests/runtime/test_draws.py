@@ -8,8 +8,8 @@ import pytest
 from bayesnet_track import DetectionsTracker, Tracker, track
 from bayesnet_track.graph.text.load import check_graph
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FPS, SIDE = 25.0, 20
 PARTICLES = {

@@ -12,7 +12,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.executors import make_executor
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 8
 FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "graph.yaml")

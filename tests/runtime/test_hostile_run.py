@@ -21,7 +21,7 @@ from bayesnet_track import track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.frame_file import FrameFile, record
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 HUGE = b'{"frame": 1, "seconds": 1e999}'
 READERS = (["log"], ["log", "--why", "12"], ["report", "--frames", "none"], ["export", "--format", "coco"])

@@ -10,8 +10,8 @@ from bayesnet_track.journal.net.net import replay
 from bayesnet_track.journal.reader import read_events, read_inputs
 from bayesnet_track.runtime.results import Switchboard
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
 

@@ -14,8 +14,8 @@ from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.live_view.controls import Controls, Refused
 from bayesnet_track.runtime.live_view.view import LiveView
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.view.page_data import read_timings
 
 FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")

@@ -21,8 +21,8 @@ from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "timings.jsonl", "video.mkv")
 

@@ -18,7 +18,7 @@ from bayesnet_track.journal.events.runs import MachineChanged, RunEnded
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 6
 

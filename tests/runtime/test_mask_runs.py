@@ -22,7 +22,7 @@ from bayesnet_track.observation.cue import CueDeclaration, CueParameters, instal
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.checkpoints.standing import ResumeError, check_files
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 6
 NETWORK = """bayesnet: 1

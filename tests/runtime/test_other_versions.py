@@ -13,7 +13,7 @@ from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 
 def begin(out: Path, overwrite: bool = False) -> None:

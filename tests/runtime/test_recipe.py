@@ -14,7 +14,7 @@ from bayesnet_track.runtime.checkpoints.recipe import VIDEO_FORMAT, Recipe, Reci
 from bayesnet_track.sources.origin import Origin, fingerprint
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.reopen import reopen
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import open_source
 
 

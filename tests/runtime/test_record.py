@@ -18,8 +18,8 @@ from bayesnet_track.runtime import session
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FULL = Path("/dev/full")
 linux_only = pytest.mark.skipif(not FULL.exists(), reason="/dev/full is Linux's")

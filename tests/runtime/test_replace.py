@@ -18,7 +18,7 @@ from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 
 def tracked(folder: Path, frames: int, seed: int = 0, **options: object) -> Path:

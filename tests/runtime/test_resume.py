@@ -23,7 +23,7 @@ from bayesnet_track.runtime.checkpoints.standing import Standing, standing
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.results import Result, Summary, Switchboard
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 10
 

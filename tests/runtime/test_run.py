@@ -29,8 +29,8 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.results import Summary
 from bayesnet_track.runtime.run import Start, StartError, run
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import open_source
 
 REPRODUCIBLE = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "graph.yaml")

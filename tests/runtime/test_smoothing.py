@@ -14,7 +14,7 @@ from bayesnet_track.runtime.recording.rundir import RunDirectoryError
 from bayesnet_track.runtime.recording.smoothed import write_smoothed
 from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.runtime.smoothing import KeptBeliefsError, motion_into, root_of, smooth
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 12
 

@@ -21,7 +21,7 @@ from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.state_codec import CLASSES, StateError, decode_state, encode_state
 from bayesnet_track.sources.detection_files import FileDetector
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 SCENES = {
     "kalman_ball": "flying_ball",

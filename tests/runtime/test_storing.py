@@ -21,8 +21,8 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.runtime.updates import storing
 from bayesnet_track.runtime.updates.storing import Storable, StoredError, stored_classes
 from bayesnet_track.sources.frames import Frame
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene, scene_names
+from bayesnet_track.sources.scenes.library import SceneSource
 
 OF_DETECTIONS = ("kalman_detections", "jpda", "sort", "bytetrack", "oc_sort", "people_detections")
 NOT_HERE = {"deep", "people"}  # these need files that are not shipped

@@ -13,8 +13,8 @@ from bayesnet_track.cli import doctor
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime import system
 from bayesnet_track.runtime.executors import PlacingError
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 ABSENT = {"win32": ("fcntl", "resource"), "darwin": ("msvcrt",), "linux": ("msvcrt",)}
 

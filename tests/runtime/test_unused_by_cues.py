@@ -12,7 +12,7 @@ from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import InputNotice
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import open_source
 
 

@@ -19,7 +19,7 @@ from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import ManifestError, read_manifest
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 4
 OUTPUTS = {

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.sources.scenes.ball import GRAVITY, flying_ball
+from bayesnet_track.sources.scenes.shapes import GRAVITY, flying_ball
 
 
 @pytest.mark.parametrize("hidden", [1, 8, 20])

@@ -5,13 +5,9 @@ import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.sources.scenes import make_scene, random_geometry, scene_names, two_squares
-from bayesnet_track.sources.scenes.carried import carried_box
-from bayesnet_track.sources.scenes.children import ball_between_children
-from bayesnet_track.sources.scenes.occluder import occluder
-from bayesnet_track.sources.scenes.parts import person_parts
+from bayesnet_track.sources.scenes.people import carried_box, person_and_board, person_parts
 from bayesnet_track.sources.scenes.scene import visible_share
-from bayesnet_track.sources.scenes.silhouettes import person_and_board
-from bayesnet_track.sources.scenes.squares import bouncing
+from bayesnet_track.sources.scenes.shapes import ball_between_children, bouncing, occluder
 
 
 def shared_area(a: np.ndarray, b: np.ndarray) -> np.ndarray:

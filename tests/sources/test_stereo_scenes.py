@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.planes import Frame, Region
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.vision.stereo_planes import Correlation, SemiGlobal
 
 SEARCH = (0, 60)

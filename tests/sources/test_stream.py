@@ -16,7 +16,7 @@ from bayesnet_track.journal.events.runs import FramesMissing, SourceStalled
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import SourceError, open_source
 
 pytestmark = pytest.mark.slow

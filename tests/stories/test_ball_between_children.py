@@ -11,8 +11,8 @@ from bayesnet_track.journal.events.switches import Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 NAME = "ball_between_children"
 LEAPS = [*range(3, 9), *range(23, 29)]

@@ -10,8 +10,8 @@ from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 HIDDEN = range(18, 31)
 """Frames in which the gray square covers some of the orange one, and those in which the net reacts."""

@@ -11,8 +11,8 @@ from bayesnet_track import Start, track
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 
 def play(graph, seed, out=None):

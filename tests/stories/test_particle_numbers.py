@@ -14,8 +14,8 @@ from bayesnet_track.journal.events.beliefs import ParticlesResized
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import explain, why
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 GRAPH: dict[str, Any] = {
     "name": "thrown_ball",

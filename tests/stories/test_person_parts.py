@@ -10,8 +10,8 @@ from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.results import Result
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 
 def play(scene: Scene, seed: int) -> list[Result]:

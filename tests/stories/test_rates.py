@@ -17,7 +17,7 @@ import pytest
 from scipy.stats import binom
 
 from bayesnet_track.sources.scenes import random_geometry, two_squares
-from bayesnet_track.sources.scenes.occluder import occluder
+from bayesnet_track.sources.scenes.shapes import occluder
 
 pytestmark = pytest.mark.slow
 

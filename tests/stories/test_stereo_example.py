@@ -14,8 +14,8 @@ from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import PointMap
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 

@@ -18,8 +18,8 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.switches import SelfStopped
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.sources.scene_source import SceneSource
-from bayesnet_track.sources.scenes.occluder import occluder
+from bayesnet_track.sources.scenes.library import SceneSource
+from bayesnet_track.sources.scenes.shapes import occluder
 
 PLACE = Path(__file__).parents[2] / "benchmarks" / "stories.py"
 

@@ -7,8 +7,8 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 
 def hidden_error(graph, seed):

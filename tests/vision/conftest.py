@@ -10,8 +10,8 @@ import pytest
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.detector import installed_detectors
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.vision.planes import EdgePlane
 from bayesnet_track.vision.shape import frame_example, learn_model, save_model
 from tests.vision.detection_score import score_detections, total

@@ -5,8 +5,8 @@ import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame, NoDepth, PointMap, StereoGeometry
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.vision.detectors.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
 from bayesnet_track.vision.stereo_planes import Range, SemiGlobal
 

@@ -62,7 +62,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.journal.text.story import narrate_all
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Start
-    from bayesnet_track.sources.scene_source import SceneSource
+    from bayesnet_track.sources.scenes.library import SceneSource
 
     with users_mistake():
         source = SceneSource.named(options.scene, options.seed, options.end)

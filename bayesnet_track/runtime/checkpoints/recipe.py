@@ -36,7 +36,7 @@ from bayesnet_track.sources.origin import Origin
 if TYPE_CHECKING:
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.sources.frames import Source
-    from bayesnet_track.sources.scene_source import SceneSource
+    from bayesnet_track.sources.scenes.library import SceneSource
 
 
 BYTES_AT = 0x10FF00

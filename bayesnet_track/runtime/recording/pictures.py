@@ -89,8 +89,8 @@ def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
     """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.sources.reopen import reopen
-    from bayesnet_track.sources.scene_source import SceneSource
     from bayesnet_track.sources.scenes import make_scene
+    from bayesnet_track.sources.scenes.library import SceneSource
     from bayesnet_track.sources.sources import open_source
 
     if directory.recipe.is_file():

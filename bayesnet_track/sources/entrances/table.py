@@ -90,7 +90,7 @@ FRAMES = (
     Entrance(
         "cameras",
         "`--source 0`, `track`, `open_source`",
-        ("sources.camera: camera_reader Camera.__init__",),
+        ("sources.live: camera_reader Camera.__init__",),
         "levels that are lost at 8 bits; frames that were dropped are in the journal",
         "an index without a camera; a stride; repeating the run",
         "`0` is a camera, `./0` a file",
@@ -99,7 +99,7 @@ FRAMES = (
         "streams over a network",
         "`--source URL --allow-network`, `--live`, `--no-live`",
         (
-            "sources.stream: stream_reader",
+            "sources.live: stream_reader",
             "sources.sources: make_reader",
         ),
         "a stream without a declared length is taken as live: the newest frame is tracked",

@@ -10,6 +10,6 @@
 
 from bayesnet_track.sources.scenes.library import make_scene, scene_names
 from bayesnet_track.sources.scenes.scene import Scene
-from bayesnet_track.sources.scenes.squares import TwoSquares, random_geometry, two_squares
+from bayesnet_track.sources.scenes.shapes import TwoSquares, random_geometry, two_squares
 
 __all__ = ["Scene", "TwoSquares", "make_scene", "random_geometry", "scene_names", "two_squares"]

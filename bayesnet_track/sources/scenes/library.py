@@ -1,28 +1,38 @@
-"""The scenes by name."""
+"""Scenes by name, and a scene as a source of frames."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from types import MappingProxyType
+from typing import Self
 
-from bayesnet_track.sources.scenes.ball import flying_ball
-from bayesnet_track.sources.scenes.carried import carried_box
-from bayesnet_track.sources.scenes.children import ball_between_children
-from bayesnet_track.sources.scenes.crowd import crowd
-from bayesnet_track.sources.scenes.occluder import occluder
-from bayesnet_track.sources.scenes.parts import person_parts
-from bayesnet_track.sources.scenes.passer import (
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.frames import EndReason
+from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.scenes.people import carried_box, person_and_board, person_parts
+from bayesnet_track.sources.scenes.scene import Scene
+from bayesnet_track.sources.scenes.shapes import (
+    ball_between_children,
+    crowd,
+    flying_ball,
+    gray_square,
+    occluder,
+    orange_and_gray,
+    two_squares,
+)
+from bayesnet_track.sources.scenes.stereo import (
+    glass_wall,
     person_color_stereo,
     person_same_clothes,
     person_same_clothes_nearer,
+    person_stereo,
+    two_people_color_stereo_shape,
 )
-from bayesnet_track.sources.scenes.scene import Scene
-from bayesnet_track.sources.scenes.silhouettes import person_and_board
-from bayesnet_track.sources.scenes.squares import gray_square, orange_and_gray, two_squares
-from bayesnet_track.sources.scenes.stereo import glass_wall, person_stereo
-from bayesnet_track.sources.scenes.two_people import two_people_color_stereo_shape
 
 _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
     {
@@ -65,3 +75,74 @@ def make_scene(name: str, seed: int = 0) -> Scene:
     if seed < 0:
         raise ValueError(f"a seed is 0 or more, not {seed}")
     return replace(_SCENES[name](seed), name=name)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSource:
+    """The frames of `scene`, 25 a second.
+
+    Attributes:
+        scene: the scene.
+        description: how the journal names it.
+        end: frame to stop before; None is the scene's end.
+        origin: how it can be made again; None for a scene of one's own.
+    """
+
+    scene: Scene
+    description: str
+    end: int | None = None
+    frame_interval_s: float = 0.04
+    end_reason: EndReason = "end_of_source"
+    origin: Origin | None = None
+
+    @classmethod
+    def named(cls, name: str, seed: int = 0, end: int | None = None) -> Self:
+        """The built-in scene of this name; raises ValueError when there is none."""
+        origin = Origin("scene", name, f"scene:{name}", end=end, seed=seed)
+        return cls(make_scene(name, seed=seed), origin.description, end, origin=origin)
+
+    @property
+    def expected_frames(self) -> int:
+        """Number of frames."""
+        whole = len(self.scene.frames)
+        return whole if self.end is None else min(self.end, whole)
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return self.scene.width
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.scene.height
+
+    @property
+    def truth_text(self) -> str:
+        """The ground truth of its frames as text: a corner box a line."""
+
+        return format_truth(self.scene.truth[: self.expected_frames])
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether the frames carry a second eye."""
+        return self.scene.stereo is not None
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index in range(self.expected_frames):
+            stereo = self.scene.stereo
+            yield Frame(
+                index,
+                float(index),
+                self.scene.frames[index],
+                True,
+                round(index * self.frame_interval_s, 9),
+                None if stereo is None else stereo.eye(index),
+            )
+
+
+def format_truth(boxes: ArrayLike) -> str:
+    """The text that `read_truth` reads back to the same (n, 4) boxes, bit for bit."""
+    return "".join(
+        ",".join(f"{float(value)!r}" for value in row) + "\n" for row in np.asarray(boxes, dtype=np.float64)
+    )

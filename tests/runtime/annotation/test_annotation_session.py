@@ -23,7 +23,7 @@ from bayesnet_track.runtime.annotation.formats.formats import WRITERS
 from bayesnet_track.runtime.annotation.frame_store import FrameStore, Video
 from bayesnet_track.runtime.annotation.session import open_session
 from bayesnet_track.sources.entrances.notices import InputNotice
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 VIDEO = Video("made_up.mp4", 30, 320, 240, 0.04, "abc")
 HEADER = Header(VIDEO, "general", "0" * 64, 0, 0.5, 1, "1.0")

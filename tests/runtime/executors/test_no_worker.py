@@ -11,7 +11,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors import PlacingError
 from bayesnet_track.runtime.executors.workers import ForkServer
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.library import SceneSource
 
 
 @pytest.mark.parametrize("started", [0, 1])

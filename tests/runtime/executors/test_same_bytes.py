@@ -13,8 +13,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.session import track
-from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv")
 EXECUTORS = [("processes", 1), ("processes", 2)]

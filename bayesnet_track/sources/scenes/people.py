@@ -1,0 +1,208 @@
+"""Scenes of people for one camera: carrying a box, seen in parts, and before a board of the same colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.sources.scenes.render import (
+    ORANGE,
+    Movie,
+    Sprite,
+    flat,
+    gray_cells,
+    shaded_cells,
+    smooth_background,
+)
+from bayesnet_track.sources.scenes.scene import Scene, ScenePart, assemble, visible_share
+
+CARRYING_WIDTH, CARRYING_HEIGHT, FRAMES, NOISE_SD = 320, 240, 180, 4.0
+GREEN = (70.0, 190.0, 60.0)
+"""BGR of the person's clothes."""
+PERSON, BOX = (44.0, 110.0), (28.0, 28.0)
+
+PICKED, BEHIND, SHOWN, PUT = 30, 60, 100, 130
+"""Frames: the box leaves the floor; is wholly behind the person from here; until here; is on the floor."""
+
+
+def carried_box(seed: int = 0) -> Scene:
+    """An orange box, the target, stands on the floor; a person in green carries it to another place.
+
+    320x240 px, 180 frames. The person reaches it at frame 30, carries it at the side, and behind the body,
+    wholly hidden, in frames 60 to 99, in which the person walks on and turns back. The box stands on
+    the floor again from frame 130 on, and the person leaves it. Speeds, turns and places depend on the seed.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    stands, side = rng.uniform(95.0, 115.0), 30.0
+    there = stands - side + rng.uniform(15.0, 25.0)
+    far, back = there + rng.uniform(70.0, 95.0), rng.uniform(20.0, 40.0)
+    turn = int(rng.integers(78, 88))
+    at = np.arange(FRAMES, dtype=np.float64)
+    places = [stands - side - 50.0, stands - side, stands - side, there, far, far - back, far - back, 60.0]
+    person_x = np.interp(at, [0, PICKED - 4, PICKED + 4, BEHIND - 4, turn, SHOWN, PUT + 4, FRAMES], places)
+    person_y = np.full(FRAMES, 150.0) + 2.0 * np.sin(2 * np.pi * at / 14)
+    floor = 150.0 + PERSON[1] / 2 - BOX[1] / 2
+    aside = np.interp(
+        at, [PICKED, BEHIND - 16, BEHIND, SHOWN - 1, SHOWN + 16, PUT], [side, side, 0, 0, side, side]
+    )
+    lifted = np.interp(at, [PICKED, PICKED + 16, PUT - 16, PUT], [0.0, 1.0, 1.0, 0.0])
+    held = np.column_stack([person_x + aside, floor * (1 - lifted) + (person_y + 8.0) * lifted])
+    held[:PICKED], held[PUT:] = held[PICKED], held[PUT]
+    box = np.column_stack([held, np.tile(BOX, (FRAMES, 1))])
+    person = np.column_stack([person_x, person_y, np.tile(PERSON, (FRAMES, 1))])
+    background = smooth_background(CARRYING_WIDTH, CARRYING_HEIGHT, 100.0, 12.0, rng)
+    sprites = (
+        Sprite(shaded_cells(4, 4, ORANGE, 0.7, rng), box),
+        Sprite(shaded_cells(10, 4, GREEN, 0.7, rng), person),
+    )
+    return assemble("carried_box", background, sprites, 0, NOISE_SD, seed, plates=("box", "person"))
+
+
+PARTS_WIDTH, PARTS_HEIGHT = 360, 240
+SIZE = (52.0, 120.0)
+HAIR = (40.0, 120.0, 235.0)
+SHIRT = (90.0, 190.0, 70.0)
+"""BGR: orange and green. Trousers are gray as everything else."""
+
+HEAD = (0.0, -0.39, 0.44, 0.22)
+TORSO = (0.0, -0.08, 0.62, 0.38)
+LEGS = ((-0.15, 0.30, 0.24, 0.40), (0.15, 0.30, 0.24, 0.40))
+"""Centres and sizes of the parts in those of the person's box, when she stands upright."""
+
+COUNTER = (110.0, 162.0, 100.0, 129.0)
+AWNING = (268.0, 58.0, 84.0, 84.0)
+"""Centre boxes of what hides the person from the neck downward, and what hides her head."""
+
+
+def person_parts(seed: int = 0, frames: int = 150) -> Scene:
+    """The torso is behind a counter in about frames 20 to 73, the head behind an awning in 103 to 136.
+
+    Where she is behind the counter she stops, turns and turns again, by a way that depends on the seed, so
+    that only the head tells where the torso is; she goes under the awning with a change of speed, so that
+    only the torso tells where the head is. Her head leans up to 2.5 px to the sides. 360x240 px, noise of
+    sd 4. The parts `head` and `torso` have a truth of their own; hidden ones keep their boxes.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    x, y = _walk(frames, rng)
+    lean = 2.5 * np.sin(2 * np.pi * np.arange(frames) / 37.0 + rng.uniform(0.0, 2 * np.pi))
+    body = np.column_stack([x, y, np.full((frames, 2), SIZE)])
+    head, torso = _in(body, HEAD), _in(body, TORSO)
+    head[:, 0] += lean
+    hiding = tuple(np.tile(box, (frames, 1)) for box in (COUNTER, AWNING))
+    sprites = (
+        *(Sprite(gray_cells(8, 4, 60, 100, rng), _in(body, leg)) for leg in LEGS),
+        Sprite(shaded_cells(7, 5, SHIRT, 0.5, rng), torso),
+        Sprite(shaded_cells(4, 4, HAIR, 0.5, rng), head, is_round=True),
+        Sprite(gray_cells(12, 10, 90, 150, rng), hiding[0]),
+        Sprite(gray_cells(6, 9, 90, 150, rng), hiding[1]),
+    )
+    return Scene(
+        "person_parts",
+        PARTS_WIDTH,
+        PARTS_HEIGHT,
+        Movie(smooth_background(PARTS_WIDTH, PARTS_HEIGHT, 120.0, 40.0, rng), sprites, 4.0, seed),
+        corner_from_centre(body),
+        tuple(corner_from_centre(path) for path in hiding),
+        visible_share(body, hiding, PARTS_WIDTH, PARTS_HEIGHT),
+        parts={
+            name: ScenePart(corner_from_centre(path), visible_share(path, hiding, PARTS_WIDTH, PARTS_HEIGHT))
+            for name, path in (("head", head), ("torso", torso))
+        },
+    )
+
+
+def _walk(frames: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """(n,) x and y of the person's centre: behind the counter to and fro, then on to the right."""
+    turns = rng.uniform(-10.0, 10.0, 2)
+    when = np.array([0.0, 36.0, 52.0, 66.0, 92.0, 108.0, 118.0, 150.0]) / 150.0 * frames
+    where = [30.0, 128.0 + turns[0], 92.0 + turns[1] / 2, 124.0, 196.0, 258.0, 262.0, 332.0]
+    at = np.arange(frames, dtype=np.float64)
+    # Corners of the way are rounded over 5 frames: nobody turns at once.
+    near = [np.interp(at + step, when, where) for step in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    bob = 2.5 * np.sin(2 * np.pi * at / 14.0 + rng.uniform(0.0, 2 * np.pi))
+    return np.mean(near, axis=0), 132.0 + bob
+
+
+def _in(body: Floats, part: tuple[float, float, float, float]) -> Floats:
+    """(n, 4) centre boxes of a part, given in sizes of the person's boxes (n, 4)."""
+    x, y, w, h = part
+    return np.column_stack(
+        [body[:, 0] + x * body[:, 2], body[:, 1] + y * body[:, 3], w * body[:, 2], h * body[:, 3]]
+    )
+
+
+Colour = tuple[float, float, float]
+
+BOARD_WIDTH, BOARD_HEIGHT = 320, 240
+CLOTHES: Colour = (60.0, 170.0, 230.0)
+"""BGR of person and board; its brightness is 175.4."""
+
+GLARE: Colour = (175.4, 175.4, 175.4)
+"""BGR of the glare, as bright as the person: what stands before it differs in colour only."""
+
+BODY_PARTS = (
+    (0.0, -0.39, 0.44, 0.22, True),
+    (0.0, -0.10, 0.60, 0.40, False),
+    (-0.42, -0.12, 0.16, 0.36, False),
+    (0.42, -0.12, 0.16, 0.36, False),
+    (0.0, 0.14, 0.44, 0.12, False),
+    (-0.15, 0.34, 0.22, 0.32, False),
+    (0.15, 0.34, 0.22, 0.32, False),
+)
+"""Head, trunk, arms, hips, legs: centre and size in sizes of the person's box, and whether it is round."""
+
+
+def person(path: Floats, colour: Colour = CLOTHES) -> tuple[Sprite, ...]:
+    """A standing person of one colour that fills the centre boxes `path` (n, 4)."""
+    return dress(path, (flat(colour),) * len(BODY_PARTS))
+
+
+def dress(path: Floats, cells: Sequence[Floats]) -> tuple[Sprite, ...]:
+    """A standing person that fills the centre boxes `path` (n, 4), with (rows, columns, 3) cells per part."""
+    return tuple(
+        Sprite(
+            surface,
+            np.column_stack(
+                [
+                    path[:, 0] + x * path[:, 2],
+                    path[:, 1] + y * path[:, 3],
+                    w * path[:, 2],
+                    h * path[:, 3],
+                ]
+            ),
+            is_round,
+        )
+        for surface, (x, y, w, h, is_round) in zip(cells, BODY_PARTS, strict=True)
+    )
+
+
+def person_and_board(seed: int = 0, frames: int = 120) -> Scene:
+    """A person walks past a board of its size and colour, and then through a glare (thesis Figure 3.17).
+
+    320x240 px, noise of sd 4. The board stands in the way until frame 30, 8 px ahead of the person then, and
+    is carried off upward. The whole person is before the glare in frames 68 to 96.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    time = np.arange(frames, dtype=np.float64)
+    size = np.full((frames, 2), (40.0, 96.0))
+    walker = np.column_stack([30.0 + 2.2 * time, np.full(frames, 130.0), size])
+    ahead = walker[:, 0] + 48.0 + 2.2 * np.maximum(30.0 - time, 0.0)
+    board = np.column_stack([ahead, 130.0 - 4.0 * np.maximum(time - 30.0, 0.0), size])
+    light = np.tile([211.0, 128.0, 106.0, 150.0], (frames, 1))
+    sprites = (Sprite(flat(GLARE), light), Sprite(flat(CLOTHES), board), *person(walker))
+    background = smooth_background(BOARD_WIDTH, BOARD_HEIGHT, 90.0, 12.0, rng)
+    inside = np.clip(
+        (np.minimum(walker[:, 0] + 20, BOARD_WIDTH - 0.5) - (walker[:, 0] - 20)) / 40.0, 0.0, 1.0
+    )
+    return Scene(
+        "person_and_board",
+        BOARD_WIDTH,
+        BOARD_HEIGHT,
+        Movie(background, sprites, 4.0, seed),
+        corner_from_centre(walker),
+        (corner_from_centre(board),),
+        inside,
+    )
