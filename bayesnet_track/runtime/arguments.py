@@ -17,6 +17,7 @@ from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
 from bayesnet_track.observation.settings import setting
+from bayesnet_track.runtime.recording.videowriter import LEAST_SIDE
 from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE
 from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.sources.entrances.boxes import LONG, LONG_SHARE, QUESTION, explain_corners
@@ -66,10 +67,15 @@ def milliseconds(value: float | None) -> float | None:
     return number
 
 
-def check_video(value: bool | Literal["mkv", "mp4"]) -> None:
-    """Refuse what `video` does not know; raises ValueError."""
+def check_video(value: bool | Literal["mkv", "mp4"], side: SupportsIndex | None = None) -> int | None:
+    """`video_side`, whole; raises ValueError where it or `video` is none that can be written."""
     if value not in (False, True, "mkv", "mp4"):
         raise ValueError(f"video={value!r}: False, True, 'mkv' or 'mp4' is needed; True is 'mkv'")
+    if side is None:
+        return None
+    if value is False:
+        raise ValueError(f"video_side={side!r}: no video is written; say which: video='mkv' or 'mp4'")
+    return whole("video_side", side, LEAST_SIDE)
 
 
 def say_unused_by_cues(graph: CheckedGraph, source: FrameSource | None = None) -> None:

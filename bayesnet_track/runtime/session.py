@@ -93,6 +93,7 @@ def track(
     detections: str | PathLike[str] | None = None,
     overwrite: bool = False,
     video: bool | Literal["mkv", "mp4"] = False,
+    video_side: int | None = None,
     keep_beliefs: bool = False,
     all_hypotheses: bool = False,
     horizon: int = 0,
@@ -125,6 +126,8 @@ def track(
             which of them will not be used.
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
+        video_side: scale the annotated video down so that its longer side is at most so many px, 16 or more;
+            1920 when None.
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
         all_hypotheses: write some hypotheses of each target into `out` in every frame, not only in those of
             at most eight targets.
@@ -175,7 +178,7 @@ def track(
         longest_side(max_side),
         milliseconds(budget_ms),
     )
-    check_video(video)
+    video_side = check_video(video, video_side)
     plugins.allow(allow_plugins)
     totals = summary if summary is not None else Summary()
     checked = load_graph(graph, tuple(cues))
@@ -255,6 +258,7 @@ def track(
                     {name for name, is_asked in asked.items() if is_asked},
                     horizon,
                     max_side,
+                    video_side,
                 ),
             )
             check_steady()
@@ -268,6 +272,7 @@ def track(
             recorder = Recorder(
                 directory, checked, interval_of(opened), recipe.optional, before_first=take_place
             )
+            recorder.longest_side = video_side or recorder.longest_side
             stack.enter_context(recorder)
             if horizon:
                 recorder.look_ahead(Forecaster(engine, horizon, resizing))

@@ -13,6 +13,7 @@ from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import Detections
 
 Colour = tuple[int, int, int]
+Point = tuple[int, int]
 
 STATUS_COLOUR: dict[str, Colour] = {
     "tracking": (110, 230, 90),
@@ -38,17 +39,20 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         metrics: one target's measurements in this frame.
         truth: corner box (4,) in px to draw dashed beside it; NaN or None draws none.
     """
+    drawn = np.array(image, order="C")
+    _draw(drawn, metrics, truth)
+    return drawn
+
+
+def _draw(drawn: Image, metrics: FrameMetrics, truth: ArrayLike | None = None) -> None:
+    """Draw a target into an image of its own."""
     import cv2
 
-    drawn = np.ascontiguousarray(image).copy()
     scale = min(max(min(drawn.shape[:2]) / 480.0, 0.5), 2.5)
     line = max(2, round(2 * scale))
     colour = STATUS_COLOUR.get(metrics.status, STATUS_COLOUR["tracking"])
     if metrics.cloud:
-        veil = drawn.copy()
-        for box in metrics.cloud:
-            cv2.rectangle(veil, *_corners(box[:4]), CLOUD_COLOUR, 1)
-        drawn = cv2.addWeighted(veil, 0.45, drawn, 0.55, 0.0)
+        _draw_cloud(drawn, [_corners(box[:4]) for box in metrics.cloud])
     if truth is not None and np.isfinite(np.asarray(truth, dtype=np.float64)).all():
         x, y, w, h = np.asarray(truth, dtype=np.float64)
         _dash(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
@@ -67,18 +71,31 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         turned = np.rint(cv2.boxPoints(((x, y), (w, h), metrics.angle))).astype(np.int32)
         cv2.polylines(drawn, [turned], True, colour, 1)
     _label(drawn, metrics, low, high, colour, scale)
-    return np.asarray(drawn, dtype=np.uint8)
+
+
+def _draw_cloud(drawn: Image, boxes: Sequence[tuple[Point, Point]]) -> None:
+    """Draw rectangles that are half transparent, once for all that lie on each other."""
+    import cv2
+
+    corners = np.array(boxes)
+    (x0, y0), (x1, y1) = np.maximum(corners.min((0, 1)), 0), np.maximum(corners.max((0, 1)) + 1, 0)
+    part = drawn[y0:y1, x0:x1]
+    if part.size == 0:
+        return
+    veil = part.copy()
+    for (left, top), (right, bottom) in boxes:
+        cv2.rectangle(
+            veil, (left - int(x0), top - int(y0)), (right - int(x0), bottom - int(y0)), CLOUD_COLOUR, 1
+        )
+    part[:] = cv2.addWeighted(veil, 0.45, part, 0.55, 0.0)
 
 
 def draw_targets(image: Image, targets: Iterable[FrameMetrics]) -> Image:
     """A copy of the BGR frame with every target as in `draw_overlay`."""
-    drawn = np.array(image)
+    drawn = np.array(image, order="C")
     for metrics in targets:
-        drawn = draw_overlay(drawn, metrics)
+        _draw(drawn, metrics)
     return drawn
-
-
-Point = tuple[int, int]
 
 
 def _corners(centre_box: Sequence[float]) -> tuple[Point, Point]:

@@ -10,6 +10,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.recording.pictures import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.sources.sources import open_source
 from bayesnet_track.view import run_page
 
 
@@ -54,6 +55,27 @@ def test_without_its_source_the_annotated_video_is_shown(tracked):
     shutil.rmtree(images)
     pictures, annotated = found(run)
     assert list(pictures) == [2, 3, 4, 5, 6, 7] and annotated
+
+
+def test_a_video_that_was_scaled_down_is_shown_in_the_size_of_the_source(tracked):
+    run, images = tracked
+    small = run.with_name("small")
+    line = ["run", "gray_square", "--source", str(images), "--init", "20,14,16,12", "--out", str(small)]
+    assert main([*line, "--start", "2", "--quiet", "--video", "--video-side", "36"]) == 0
+    with open_source(str(small / "video.mkv")) as video:
+        assert (video.width, video.height) == (36, 28)
+    shutil.rmtree(images)
+    pictures, annotated = found(small)
+    assert [image.shape for image in pictures.values()] == 6 * [(56, 72, 3)] and annotated
+    sharp = cv2.blur(found(run)[0][4], (5, 5))
+    assert np.corrcoef(cv2.blur(pictures[4], (5, 5)).ravel(), sharp.ravel())[0, 1] > 0.9
+
+
+def test_a_size_without_a_video_is_refused(tracked, capsys):
+    run, images = tracked
+    line = ["run", "gray_square", "--source", str(images), "--init", "20,14,16,12", "--out", str(run)]
+    assert main([*line, "--overwrite", "--video-side", "36"]) == 2
+    assert "--video-side is for --video" in capsys.readouterr().err
 
 
 def test_without_either_it_says_why(tracked):

@@ -58,6 +58,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
+    if options.video_side is not None and not options.video:
+        raise UsageError("--video-side is for --video, which is not given")
     out = run_folder(options.out)
     graph = load_graph(options.graph)
     if options.set:
@@ -121,6 +123,7 @@ def track_source(
                 seed=options.seed,
                 overwrite=options.overwrite,
                 video=video,
+                video_side=getattr(options, "video_side", None),
                 keep_beliefs=getattr(options, "keep_beliefs", False),
                 all_hypotheses=getattr(options, "all_hypotheses", False),
                 horizon=getattr(options, "horizon", 0),

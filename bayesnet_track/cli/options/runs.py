@@ -137,6 +137,12 @@ def add_video_option(parser: argparse.ArgumentParser) -> None:
         metavar="FORMAT",
         help="also write the annotated video into the run: video.mkv, or video.mp4 with --video mp4",
     )
+    parser.add_argument(
+        "--video-side",
+        type=whole_number(16),
+        metavar="PX",
+        help="with --video: scale it down to so many px of its longer side (1920)",
+    )
 
 
 def _format(text: str) -> str:

@@ -83,6 +83,9 @@ MAX_SIDE = "max_side"
 VIDEO_FORMAT = "video"
 """The option by which a recipe says that the annotated video is `mp4`; without it, it is Matroska."""
 
+VIDEO_SIDE = "video_side"
+"""The option by which a recipe says how many px the longer side of the annotated video has at most."""
+
 
 def options_of(
     engine: Engine,
@@ -90,6 +93,7 @@ def options_of(
     written: Collection[str],
     horizon: int = 0,
     max_side: int | None = None,
+    video_side: int | None = None,
 ) -> dict[str, bool | int | float | str]:
     """What else the recipe remembers: the budget, and what of other packages is at work.
 
@@ -106,6 +110,8 @@ def options_of(
         options[HORIZON] = horizon
     if max_side is not None:
         options[MAX_SIDE] = max_side
+    if video_side is not None:
+        options[VIDEO_SIDE] = video_side
     if "mp4" in written:
         options[VIDEO_FORMAT] = "mp4"
     named: set[str] = set()
@@ -199,6 +205,12 @@ class Recipe:
     def max_side(self) -> int | None:
         """Longest side of the frames that are tracked in, px; None for the source's own size."""
         side = self.options.get(MAX_SIDE)
+        return None if side is None else int(side)
+
+    @property
+    def video_side(self) -> int | None:
+        """Longest side of the annotated video, px; None where none was asked for."""
+        side = self.options.get(VIDEO_SIDE)
         return None if side is None else int(side)
 
     @property

@@ -181,6 +181,7 @@ def resume(
                 None if checkpoint is None else checkpoint.written,
             )
         )
+        recorder.longest_side = recipe.video_side or recorder.longest_side
         if recipe.horizon:
             recorder.look_ahead(
                 Forecaster(engine, recipe.horizon, resizing),

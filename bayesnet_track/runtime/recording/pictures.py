@@ -51,11 +51,14 @@ def pictures_of(
             reasons.append(str(error))
             continue
         try:
-            if (source.width, source.height) == (started.width, started.height):
-                annotated = open_one is _video
+            annotated = open_one is _video
+            size = started.width, started.height
+            sizes = (size, _video_size(directory, size)) if annotated else (size,)
+            if (source.width, source.height) in sizes:
                 # The video has the frames that were tracked, one after the other.
                 place = (first, _stride(directory)) if annotated else (0, 1)
-                yield Found(_between(source, first, last, place), annotated), ""
+                images = _between(source, first, last, place)
+                yield Found(_of_size(images, size), annotated), ""
                 return
             was = f"{started.width}x{started.height}"
             reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
@@ -77,6 +80,26 @@ def _between(
         if index > last:
             return
         yield index, item.image
+
+
+def _of_size(
+    images: Iterator[tuple[int, NDArray[np.uint8]]], size: tuple[int, int]
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The same images in the size of the source, in which boxes are given."""
+    import cv2
+
+    for index, image in images:
+        has_size = image.shape[1::-1] == size
+        yield index, image if has_size else np.asarray(cv2.resize(image, size), dtype=np.uint8)
+
+
+def _video_size(directory: RunDirectory, size: tuple[int, int]) -> tuple[int, int]:
+    """The size of the annotated video of a run whose source has frames of `size`."""
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, video_size
+
+    side = Recipe.read(directory).video_side if directory.recipe.is_file() else None
+    return video_size(*size, side or LONGEST_SIDE)
 
 
 def _stride(directory: RunDirectory) -> int:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+import numpy as np
 
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
@@ -25,14 +29,19 @@ from bayesnet_track.journal.writer import (
     read_position,
     writing,
 )
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
 from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
 from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
-from bayesnet_track.runtime.recording.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
 from bayesnet_track.runtime.results import Result
+
+MOST_WAITING = 4
+"""Frames that wait for the encoder; with more, tracking waits."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,9 @@ class Recorder:
             begins anew: see `redraw`.
         before_first: called before the first frame is written; until then no file is opened, and events wait.
 
+    Attributes:
+        longest_side: px of the longer side of the video; larger frames are scaled down for it.
+
     Raises:
         OutputError: a file cannot be created or written.
     """
@@ -81,7 +93,9 @@ class Recorder:
         self._has_ids, self._hypotheses = not has_births(graph), "hypotheses" in optional
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
+        self.longest_side = LONGEST_SIDE
         self._video: VideoWriter | None = None
+        self._drawing, self._drawn = Background("video", MOST_WAITING), deque[Future[None]]()
         self._forecaster: Forecaster | None = None
         self._forecasts: ForecastWriter | None = None
         self._kind = "mp4" if "mp4" in optional else "video"
@@ -139,6 +153,8 @@ class Recorder:
             OutputError: a file cannot be written.
         """
         self.sync()
+        self._drawing.shutdown()
+        self._check_drawn()
         written = dict(self.written.positions)
         for file in self._lines().values():
             file.check()
@@ -214,17 +230,27 @@ class Recorder:
         self._inputs.flush()
 
     def _draw(self, frame: Frame, lines: Sequence[FrameMetrics]) -> None:
-        from bayesnet_track.view.overlay import draw_overlay
-
+        """Have the frame drawn in the background; raises OutputError where an earlier one was not written."""
+        self._check_drawn()
         if self._video is None:
             height, width = frame.image.shape[:2]
             self._video = self._files.enter_context(
-                VideoWriter(self._directory.path / FILES[self._kind], width, height, self._interval)
+                VideoWriter(
+                    self._directory.path / FILES[self._kind],
+                    width,
+                    height,
+                    self._interval,
+                    self.longest_side,
+                )
             )
-        image = frame.image
-        for metrics in lines:
-            image = draw_overlay(image, metrics)
-        self._video.write(image)
+        # A copy: a source of one's own may use its array again for the next frame.
+        self._drawn.append(self._drawing.submit(_write_drawn, self._video, np.array(frame.image), lines))
+        self._check_drawn()
+
+    def _check_drawn(self) -> None:
+        """Raise what went wrong with a frame of the video since then."""
+        while self._drawn and self._drawn[0].done():
+            self._drawn.popleft().result()
 
     def __enter__(self) -> Self:
         return self
@@ -232,7 +258,16 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._drawing.shutdown()
         self._files.__exit__(kind, error, trace)
+        if error is None or isinstance(error, GeneratorExit):
+            self._check_drawn()
+
+
+def _write_drawn(video: VideoWriter, image: Image, lines: Sequence[FrameMetrics]) -> None:
+    from bayesnet_track.view.overlay import draw_targets
+
+    video.write(draw_targets(image, lines))
 
 
 def _read(path: Path) -> Position:

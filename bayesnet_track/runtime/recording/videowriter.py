@@ -16,19 +16,37 @@ from bayesnet_track.runtime.recording.remux import DiskFile, remux
 
 SUFFIXES = {".mkv": "matroska", ".mp4": "mp4"}
 _CLUSTER_S = 1
+LONGEST_SIDE = 1920
+"""Pixels of the longer side of a video, where nothing else is asked for."""
+LEAST_SIDE = 16
+
+
+def video_size(width: int, height: int, longest: int) -> tuple[int, int]:
+    """Columns and rows of the video of frames of a size: even, and none above `longest`.
+
+    >>> video_size(3840, 2160, 1920), video_size(65, 49, 1920)
+    ((1920, 1080), (64, 48))
+    """
+    shrink = min(1.0, longest / max(width, height))
+    if shrink == 1.0:
+        return width - width % 2, height - height % 2
+    return max(2, 2 * int(width * shrink / 2)), max(2, 2 * int(height * shrink / 2))
 
 
 class VideoWriter:
     """A video sink for BGR frames of one size.
 
     ``.mkv`` (Matroska, a new cluster every second) or ``.mp4`` (fragmented at every key frame); H.264 where
-    the library has libx264, else MPEG-4. An odd width or height is cut by one pixel, as 4:2:0 needs.
+    the library has libx264, else MPEG-4. An odd width or height is cut by one pixel, as 4:2:0 needs. Larger
+    frames than `longest_side` px are scaled down to that.
 
     Raises:
         OutputError: another suffix, or the file cannot be created or written.
     """
 
-    def __init__(self, path: Path, width: int, height: int, frame_interval_s: float) -> None:
+    def __init__(
+        self, path: Path, width: int, height: int, frame_interval_s: float, longest_side: int = LONGEST_SIDE
+    ) -> None:
         import av
 
         self.path, self._place = path, path.absolute()
@@ -38,7 +56,8 @@ class VideoWriter:
         if width < 2 or height < 2:
             raise OutputError(f"{path}: a video needs at least 2x2 px, not {width}x{height}")
         rate = max(Fraction(1.0 / frame_interval_s).limit_denominator(1001), Fraction(1, 1001))
-        self._size = (width - width % 2, height - height % 2)
+        self._size = video_size(width, height, longest_side)
+        self._is_scaled = max(width, height) > longest_side
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         options = {"cluster_time_limit": str(1000 * _CLUSTER_S), "flush_packets": "1"}
         if path.suffix.lower() == ".mp4":
@@ -46,7 +65,7 @@ class VideoWriter:
         # Without random identifiers, equal pictures make equal files.
         options["fflags"] = "+bitexact"
         # Without reordering and look-ahead a frame is in the file as soon as its cluster is.
-        tuning = {"preset": "veryfast", "crf": "23", "tune": "zerolatency"} if codec == "libx264" else {}
+        tuning = {"preset": "superfast", "crf": "23", "tune": "zerolatency"} if codec == "libx264" else {}
         self._count = 0
         self._container: Any = None
         try:
@@ -63,7 +82,7 @@ class VideoWriter:
             self._stream.pix_fmt = "yuv420p"
             self._stream.codec_context.gop_size = max(1, round(rate * _CLUSTER_S))
             if codec == "mpeg4":
-                self._stream.bit_rate = max(400_000, int(width * height * float(rate) * 0.2))
+                self._stream.bit_rate = max(400_000, int(self._size[0] * self._size[1] * float(rate) * 0.2))
             # Otherwise the file would be made at the first frame.
             self._container.start_encoding()
         except self._faults as error:
@@ -78,7 +97,11 @@ class VideoWriter:
         width, height = self._size
         try:
             disk.check_held(self._file, self._place, self._output.size)
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image[:height, :width]), format="bgr24")
+            if not self._is_scaled:
+                image = image[:height, :width]
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+            if self._is_scaled:
+                frame = frame.reformat(width, height, "yuv420p", interpolation="AREA")
             frame.pts, frame.time_base = self._count, self._time_base
             self._count += 1
             for packet in self._stream.encode(frame):
