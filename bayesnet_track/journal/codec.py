@@ -125,7 +125,7 @@ def check_version(values: Mapping[str, Any]) -> None:
 
 @cache
 def _writing(kind: Any) -> tuple[str, Callable[[Any], list[str]]]:
-    """How the lines of a class begin, and what writes the members after that."""
+    """The beginning of the lines of a class, and the function that writes the members after it."""
     name = event_name(kind)
     if event_classes().get(name) is not kind:
         raise JournalError(f"{kind.__name__} is not an event of the journal")

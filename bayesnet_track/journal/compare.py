@@ -50,7 +50,7 @@ class Moment:
 def find_moments(
     first: Sequence[Decision], second: Sequence[Decision], pairs: Sequence[Pair]
 ) -> tuple[int, tuple[Moment, ...]]:
-    """How many decisions both runs took in the same frame, and the moments in which they part."""
+    """The number of decisions that both runs took in the same frame, and the moments in which they part."""
     agreed, moments = 0, []
     named = max(len(_types(one)) for one in (first, second)) > 1
     mine = _by_place(first, {a: (a, b) for a, b in pairs}, lambda target: (target, ""))
@@ -110,7 +110,7 @@ def _types(decisions: Iterable[Decision]) -> set[str]:
 
 
 def _effect(event: Decision, named: bool) -> tuple[object, ...]:
-    """What a decision changes, whatever its numbers.
+    """The effect of a decision, whatever its numbers.
 
     The name of a type (`named`) distinguishes targets only where a run has several types.
     """
@@ -133,7 +133,7 @@ class RunRecord(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it."""
+        """The name of the run."""
 
     @property
     def events(self) -> Sequence[Event]:
@@ -141,7 +141,7 @@ class RunRecord(Protocol):
 
     @property
     def metrics(self) -> Sequence[FrameMetrics]:
-        """What was measured, by frame."""
+        """Measurements, by frame."""
 
     @property
     def seconds(self) -> Mapping[int, float]:
@@ -154,7 +154,7 @@ class RunRecord(Protocol):
 
 @dataclass(frozen=True)
 class Distance:
-    """How far the two estimates of a target are apart in one frame: centres in px, and the overlap (IoU)."""
+    """Distance of the two estimates of a target in one frame: centres in px, and the overlap (IoU)."""
 
     frame: int
     px: float
@@ -180,7 +180,7 @@ class Total:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two runs have in common, and what not.
+    """Common parts and differences of two runs.
 
     Attributes:
         pairs: target ids, the first run's and the second's, of what is taken for the same target.

@@ -18,7 +18,7 @@ CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 
 
 def is_there(path: Path) -> bool:
-    """Whether something has that name.
+    """True if something has that name.
 
     Raises:
         OSError: nothing can have it, for example because it is too long. `Path.exists` raises this only

@@ -76,7 +76,7 @@ def _encoder_of(hint: Any, where: str) -> Encoder:
 
 
 def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
-    """How the objects of a dataclass are written: `"name": value` of each field, in order.
+    """A writer of the objects of a dataclass: `"name": value` of each field, in order.
 
     `where` names the object in errors. The function that is returned raises:
         JournalError: a value is not of its field's type.

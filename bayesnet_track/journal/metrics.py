@@ -19,7 +19,7 @@ GONE = (
 
 
 class Boxed:
-    """What holds a box, as float64 arrays (4,) in px. Centres of pixels lie at integers.
+    """A holder of a box, as float64 arrays (4,) in px. Centres of pixels lie at integers.
 
     The class has `centre_box`, the numbers centre x, y, width, height: `box` in the files of a run.
     """
@@ -192,7 +192,7 @@ class FrameMetrics(Boxed):
     p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
-        """What matters: who, when, how sure, where, and by whose evidence."""
+        """The main facts: who, when, how sure, where, and by whose evidence."""
         agents = ", ".join(self.active) or "no agent"
         hidden = (
             "" if self.hidden is None or self.hidden <= 0.5 else f"hidden, probability {self.hidden:.2f}, "

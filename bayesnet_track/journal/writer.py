@@ -22,7 +22,7 @@ class OutputError(OSError):
 
 @dataclass(frozen=True)
 class Position:
-    """How far a file is written.
+    """Length of a file that is written, and the checksum of its bytes.
 
     Attributes:
         size: its bytes.
@@ -90,7 +90,7 @@ class LineFile:
 
     @property
     def position(self) -> Position:
-        """How far the system has the file: after the last flush."""
+        """The position up to which the system has the file: after the last flush."""
         return Position(self._size, self._digest.hexdigest())
 
     def sync(self) -> None:
@@ -164,7 +164,7 @@ class JournalWriter(LineFile):
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What the system refuses inside it is about an output: `OutputError`, which names it."""
+    """Turn an error of the system inside it into an `OutputError`, which names the output."""
     try:
         yield
     except OSError as error:
@@ -172,7 +172,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """What the system said of a file that cannot be written."""
+    """The system's error about a file that cannot be written."""
     if isinstance(error, OutputError):
         return error
     if isinstance(error, disk.LostFileError):

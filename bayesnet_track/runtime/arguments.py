@@ -165,7 +165,7 @@ def explain_unused(graph: CheckedGraph, found: Found, size: tuple[int, int], fra
 
 
 def _explain_frames(found: Found, frames: range) -> Iterator[str]:
-    """What lies outside of the frames that are read, between them, and which of them have nothing."""
+    """Describe detections outside of the frames that are read or between them, and frames that have none."""
     read = sorted(index for index in found if index in frames)
     is_endless = frames.stop == maxsize
     span = f"{frames.start}" + (" and later ones" if is_endless else f" to {max(frames.stop - 1, 0)}")

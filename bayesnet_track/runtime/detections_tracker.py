@@ -121,7 +121,7 @@ class DetectionsTracker(Storable):
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
-        """What was measured of every target in the last frame, also of lost ones."""
+        """Measurements of every target in the last frame, also of lost ones."""
         return () if self._now is None else tuple(self._now.metrics)
 
     def __repr__(self) -> str:

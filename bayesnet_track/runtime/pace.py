@@ -55,7 +55,7 @@ class Patience:
 
 
 class Punctual(Protocol):
-    """Who asks agents elsewhere, and can leave an answer that comes too late.
+    """An executor of agents elsewhere that can leave out an answer that comes too late.
 
     Attributes:
         patience: for how long answers are waited for; a later one is never used (`AgentUnavailable`). None
@@ -109,7 +109,7 @@ class Deadline:
         self._most = 0.0 if is_late else max(self._most, self._spent)
 
     def inputs_for(self, frame: int, net: Net) -> tuple[Input, ...]:
-        """What the engine is given with the next frame: that the last was late, or that there is time.
+        """Inputs of the engine with the next frame: that the last was late, or that there is time.
 
         It is asked before `begin`.
         """

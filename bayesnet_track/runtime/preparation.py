@@ -51,7 +51,7 @@ def prepare_engine(
 
 
 def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
-    """How the frames of a source are made smaller; raises ValueError where they have depth."""
+    """The resizing of the frames of a source; raises ValueError if they have depth."""
     resizing = Resizing.to(source.width, source.height, max_side)
     if not resizing.is_none and getattr(source, "has_depth", False):
         raise ValueError("max_side: frames with depth cannot be resized; allowed: frames of one camera")
@@ -59,7 +59,7 @@ def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
 
 
 def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> dict[str, bytes]:
-    """What is asked for, as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
+    """The request as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
     texts = {"graph": graph.text, "truth": truth, "recipe": recipe.text()}
     return {key: text.encode("utf-8") for key, text in texts.items() if text is not None}
 
@@ -96,7 +96,7 @@ def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
 def make_checkpointer(
     directory: RunDirectory, engine: Engine, recorder: Recorder, recipe: Recipe, every_s: float
 ) -> Checkpoints | None:
-    """Who makes checkpoints of a run; None where nobody does, or nothing could go on from them."""
+    """The checkpointer of a run; None if no checkpoints are made, or nothing could go on from them."""
     if every_s <= 0 or recipe.origin.only_once is not None or opaque_agents(engine):
         return None
     return Checkpoints(directory, recorder, recipe.sha256, every_s)

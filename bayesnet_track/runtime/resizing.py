@@ -52,7 +52,7 @@ Estimate = TypeVar("Estimate", FrameMetrics, Forecast)
 
 @dataclass(frozen=True)
 class Resizing:
-    """How frames of the source become those that are tracked in, and what is found there the source's.
+    """Conversion of the source's frames to those that are tracked in, and of results back to the source's.
 
     Attributes:
         source: width and height of the source's frames.
@@ -79,13 +79,13 @@ class Resizing:
 
     @classmethod
     def of(cls, started: RunStarted) -> Self:
-        """That of an earlier run."""
+        """The resizing of an earlier run."""
         size = (started.width, started.height)
         return cls(size, (started.tracked[0], started.tracked[1]) if started.tracked else size)
 
     @property
     def is_none(self) -> bool:
-        """Whether frames stay as they are."""
+        """True if frames stay as they are."""
         return self.source == self.tracked
 
     def frame(self, frame: Frame) -> Frame:
@@ -120,7 +120,7 @@ class Resizing:
         return FileDetector(moved)
 
     def found(self, detections: Detections) -> Detections:
-        """What a detector found in a smaller frame, in the source's pixels."""
+        """Detections in a smaller frame, in the source's pixels."""
         if self.is_none:
             return detections
         return replace(detections, boxes=_moved(detections.boxes, self._out))
@@ -135,14 +135,14 @@ class Resizing:
         return replace(graph, masks=masks)
 
     def outcome(self, outcome: Outcome) -> Outcome:
-        """What the engine found, in the source's pixels; its state, and covariances, are as they were."""
+        """The engine's outcome in the source's pixels; its state, and covariances, are as they were."""
         if self.is_none:
             return outcome
         metrics, events = map(self.metrics, outcome.metrics), map(self.event, outcome.events)
         return replace(outcome, metrics=tuple(metrics), events=tuple(events))
 
     def metrics(self, one: FrameMetrics) -> FrameMetrics:
-        """What was measured of a target, in the source's pixels."""
+        """Measurements of a target, in the source's pixels."""
         if self.is_none:
             return one
         return replace(

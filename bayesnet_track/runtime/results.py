@@ -50,7 +50,7 @@ class FrameKind:
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
-        """That of a frame."""
+        """The kind of a frame."""
         image = frame.image
         channels = image.shape[2] if image.ndim == 3 else 1
         return cls(frame.width, frame.height, frame.has_color, channels, image.dtype.name)
@@ -87,7 +87,7 @@ def nothing(frame: int) -> Sequence[Input]:
 
 
 def replay_inputs(path: Path, notice: Notice | None = None) -> InputsAt:
-    """What came from outside in an earlier run, by its ``inputs.jsonl``.
+    """External inputs of an earlier run, by its ``inputs.jsonl``.
 
     Raises:
         OSError: the file cannot be read.
@@ -140,7 +140,7 @@ class Switchboard:
 
 
 class FrameSource(Protocol):
-    """Where frames come from: an iterable of frames and notices, with what is known of it."""
+    """An iterable of frames and notices, with what is known of it."""
 
     @property
     def description(self) -> str:
@@ -164,14 +164,14 @@ class FrameSource(Protocol):
 
     @property
     def end_reason(self) -> EndReason:
-        """Why it ended; end_of_source while nothing is wrong."""
+        """The reason why it ended; end_of_source while nothing is wrong."""
 
     def __iter__(self) -> Iterator[SourceItem]: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What one frame gave.
+    """Everything that one frame gave.
 
     Attributes:
         frame: the frame.
@@ -220,18 +220,18 @@ class Result:
 
 
 class Sink(Protocol):
-    """Who is told what happens, as it happens. An observer cannot change a result."""
+    """An observer of a run, called as things happen. It cannot change a result."""
 
     def event(self, event: Event) -> None:
         """A decision, a fault or a notice."""
 
     def frame(self, result: Result) -> None:
-        """What one frame gave, after its events."""
+        """Take the result of a frame, after its events."""
 
 
 @dataclass
 class Summary:
-    """How a run went, filled in while it goes on.
+    """The course of a run, filled in while it goes on.
 
     Attributes:
         frames: frames that were tracked.

@@ -35,7 +35,7 @@ __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "r
 
 @dataclass(frozen=True, eq=False)
 class RunPosition:
-    """How far a run is, between two frames.
+    """The position of a run between two frames.
 
     Attributes:
         frame: the last frame, as the engine saw it.
@@ -54,7 +54,7 @@ class RunPosition:
 
 @dataclass(frozen=True, eq=False)
 class Resumed:
-    """Where a run goes on.
+    """The state and the position from which a run goes on.
 
     Attributes:
         reached: how far it was.
@@ -68,7 +68,7 @@ class Resumed:
 
 
 class Checkpointer(Protocol):
-    """Who keeps how far a run is, so that it can go on from there."""
+    """A keeper of a run's position, so that the run can go on from there."""
 
     def reached(self, now: RunPosition) -> None:
         """A frame is done, and every sink was told of it."""

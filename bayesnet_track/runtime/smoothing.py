@@ -84,7 +84,7 @@ def _check_whole(run: Run, last: Mapping[str, int]) -> None:
 
 
 def _is_start(run: Run, target: str, frame: int) -> bool:
-    """Whether the target started in that frame, of which no belief is kept."""
+    """True for the frame in which the target started, of which no belief is kept."""
     started = TargetStarted | Returned
     return any(isinstance(one, started) and (one.target, one.frame) == (target, frame) for one in run.events)
 
@@ -181,7 +181,7 @@ def _most_probable(
 
 
 def _is_plain(settings: spec.Particles) -> bool:
-    """Whether every particle is drawn from the prediction, so that its weight is its likelihood."""
+    """True if every particle is drawn from the prediction, so that its weight is its likelihood."""
     is_fixed = isinstance(settings.size, int) and settings.when == "every_frame"
     return is_fixed and settings.proposal.kind == "bootstrap"
 
@@ -261,7 +261,7 @@ def root_of(plate: spec.Target) -> spec.InferenceNode:
 
 
 def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
-    """How the filter moved the target from each frame of its lifetime to the next."""
+    """Motion of the filter from each frame of a target's lifetime to the next."""
     plate = run.spec.targets[run.kinds[lifetime[0].target]]
     root = root_of(plate)
     assert root.motion is not None

@@ -67,7 +67,7 @@ class StopRequest:
         return 0 if self.signal is None else 128 + self.signal
 
     def between_frames(self) -> bool:
-        """Whether to stop here; nothing is then raised again. If not, the next signal waits for a frame."""
+        """True if to stop here; nothing is then raised again. If not, the next signal waits for a frame."""
         self.is_patient = True
         self._is_heard = self.signal is not None
         return self._is_heard
@@ -169,7 +169,7 @@ def _let_go(error: BaseException | None) -> None:
 
 
 def _is_passing() -> bool:
-    """Whether an interruption is on its way out: what runs is an `except`, a `finally` or an `__exit__`."""
+    """True if an interruption is on its way out: an `except`, a `finally` or an `__exit__` is running."""
     error = sys.exception()
     while error is not None:
         if isinstance(error, KeyboardInterrupt):

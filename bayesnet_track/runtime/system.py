@@ -18,19 +18,19 @@ TESTED = ("Linux", "x86_64")
 
 
 def has_workers() -> bool:
-    """Whether agents can be in processes of their own: forked, with descriptors handed over a socket."""
+    """True if agents can be in processes of their own: forked, with descriptors handed over a socket."""
     return hasattr(os, "fork") and hasattr(socket, "send_fds")
 
 
 def no_workers() -> str:
-    """Why there are no worker processes, and what to do."""
+    """The reason why there are no worker processes, and what to do."""
     serial = setting("--executor", "serial", "'serial'")
     place = to_caller("no --place AGENT=process", "no agent in places= a process")
     return f"this system cannot start worker processes (it has no fork); take {serial}, and {place}"
 
 
 def lacking() -> Iterator[str]:
-    """What is missing here, and what that means, one clause each."""
+    """Missing parts of the operating system, and what that means, one clause each."""
     if not has_workers():
         yield f"no worker processes ({setting('--executor', 'processes', repr('processes'))})"
     if sys.platform == "darwin":

@@ -239,7 +239,7 @@ class Tracker(Boxed, Storable):
         return next((box for _, box in _live(self._started)), NO_BOX)
 
     def predict(self, frames: int = 1) -> tuple[Forecast, ...]:
-        """Where each target is expected 1 to `frames` nominal intervals after the last frame, with regions.
+        """Forecast each target 1 to `frames` nominal intervals after the last frame, with regions.
 
         An interval is 1 / `fps` s, also where frames came at other times. Nothing is learnt: the next
         `update` gives what it would have given.
@@ -337,7 +337,7 @@ class Tracker(Boxed, Storable):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What was decided in the last frame."""
+        """Events and decisions of the last frame."""
         return () if self._now is None else self._now.events
 
 

@@ -259,7 +259,7 @@ class ParticlesResized:
     turning: float | None
 
     def describe(self) -> str:
-        """How many hypotheses are asked for, and why."""
+        """The number of hypotheses that are asked for, and why."""
         settings = f"{self.method}, {self.setting} {self.level:g}"
         by = "this frame's evidence" if self.early else "the last frame's evidence"
         asked = f"{_why_so_many(self)}: {by} asks for {self.need:.0f} hypotheses ({settings})"
@@ -319,7 +319,7 @@ def _why_so_many(event: ParticlesResized) -> str:
 
 
 def _not_resized(event: ParticlesResized) -> str:
-    """What would have prevented it: a larger error asks for fewer, a larger threshold for more."""
+    """The setting that would have prevented it: larger errors ask for fewer, larger thresholds for more."""
     if event.turning is None:
         return ""
     up = (event.particles > event.before) == (event.setting != "threshold")

@@ -343,7 +343,7 @@ class TargetDied:
         )
 
     def _needs(self) -> list[str]:
-        """What all would have had to be otherwise: of several rules that hold, each would have ended it."""
+        """All thresholds that had to differ: of several rules that hold, each would have ended it."""
         needs = []
         if self.reason != "existence":
             key = "lost_frames" if self.reason == "lost" else "unseen_frames"

@@ -54,7 +54,7 @@ class StatusChanged:
 
 @dataclass(frozen=True)
 class FoundAgain:
-    """What is seen fits as the target did before it was lost: the score is no longer limited.
+    """The target looks as it did before it was lost: the score is no longer limited.
 
     Attributes:
         frame: frame whose numbers caused it.

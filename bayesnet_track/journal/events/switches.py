@@ -163,7 +163,7 @@ class Scheduled:
 
 
 def _expected_most(event: Activated) -> str:
-    """Why this agent and not another: what is expected of it against the runner-up."""
+    """The reason for this agent and no other: what is expected of it against the runner-up."""
     own = event.expected[event.node]
     others = {name: value for name, value in event.expected.items() if name != event.node}
     what = f"{own:.3g} nats per ms expected" if math.isfinite(own) else "never tried"
@@ -175,7 +175,7 @@ def _expected_most(event: Activated) -> str:
 
 
 def _describe_concentration(cause: Concentration, sure: bool) -> str:
-    """What the test found, and whether it can say that the belief lies around one mode."""
+    """The result of the test, and whether it can say that the belief lies around one mode."""
     exact = not math.isfinite(cause.trials)
     of = "exactly" if exact else f"of {_count_text(cause.trials)} effective hypotheses"
     vouched, share = distinct_texts(cause.vouched, cause.share)
@@ -187,7 +187,7 @@ def _describe_concentration(cause: Concentration, sure: bool) -> str:
 
 
 def _well(cause: Cause | Concentration) -> str:
-    """What let an agent be switched off."""
+    """The reason why an agent could be switched off."""
     return _describe_concentration(cause, sure=True) if isinstance(cause, Concentration) else held(cause, "<")
 
 
@@ -213,7 +213,7 @@ def _sampled(event: Deactivated) -> str:
 
 
 def _chosen_among(event: Deactivated) -> str:
-    """Why this agent and not another: its index against that of the runner-up."""
+    """The reason for this agent and no other: its index against that of the runner-up."""
     own = event.index.get(event.node)
     if own is not None and event.drop == "most_expensive_redundant":
         return f" (most expensive redundant agent: UD {own:.3g} px² without it)"

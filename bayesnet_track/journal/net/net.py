@@ -151,7 +151,7 @@ def _without_vain_samples(net: TargetNet) -> TargetNet:
 
 
 def turns_on(event: Switch) -> bool:
-    """Whether the agent is on after it.
+    """True if the agent is on after it.
 
     >>> turns_on(Toggled(3, "1", "motion", False))
     False

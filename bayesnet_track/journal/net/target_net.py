@@ -25,7 +25,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Turn:
-    """When the agents on call run next.
+    """The next run of the agents on call.
 
     Attributes:
         due: the frame.
@@ -36,7 +36,7 @@ class Turn:
     gap: int
 
     def since(self, frame: int, stride: int = 1) -> int:
-        """How many tracked frames after their last run `frame` is, at most the gap.
+        """Number of tracked frames from their last run to `frame`, at most the gap.
 
         >>> Turn(due=12, gap=4).since(11), Turn(due=20, gap=4).since(15, stride=5)
         (3, 3)

@@ -19,7 +19,7 @@ LONGEST_SETTING = 160
 
 
 def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
-    """What the two journals' first lines do not share, besides the graph's text."""
+    """Differences of the two journals' first lines, besides the graph's text."""
     said = []
     if first.graph != second.graph:
         said.append(f"graph: {first.graph} → {second.graph}")
@@ -86,7 +86,7 @@ def common_kinds(first: RunRecord, second: RunRecord, comparison: Comparison) ->
 
 
 def marks_of(run: RunRecord) -> list[str]:
-    """What to say beside the name of a run: that it was smoothed, and why it is only a part of its source."""
+    """Remarks beside the name of a run: that it was smoothed, and why it is only a part of its source."""
     started = next((one for one in run.events if isinstance(one, RunStarted)), None)
     ended = next((one for one in reversed(run.events) if isinstance(one, RunEnded)), None)
     if started is None:
@@ -104,7 +104,7 @@ def shortened(setting: str) -> str:
 
 
 def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -> list[str]:
-    """Where the runs first diverge, with both causes."""
+    """The point where the runs first diverge, with both causes."""
     agreed = f"{plural(comparison.agreed, 'decision')} taken by both in the same frame"
     apart = comparison.first_apart
     numbers = "the estimates never differ" if apart is None else f"the estimates differ from frame {apart} on"
@@ -137,7 +137,7 @@ def whose_text(pair: tuple[str, str]) -> str:
 
 
 def sides(first: RunRecord, second: RunRecord, moment: Moment) -> tuple[str, str]:
-    """What each of the runs decided and why; where one decided nothing, how it stood."""
+    """Decisions of each run and their causes; the state of the run if it decided nothing."""
     return (
         f"A  {_said(first, moment.first, moment, moment.pair[0])}",
         f"B  {_said(second, moment.second, moment, moment.pair[1])}",
@@ -151,7 +151,7 @@ def _said(run: RunRecord, decided: Sequence[Decision], moment: Moment, target: s
 
 
 def _standing(run: RunRecord, moment: Moment, target: str) -> str:
-    """Why nothing was decided, as far as the measurements tell."""
+    """The reason why nothing was decided, as far as the measurements tell."""
     if not target:
         return "it has no such target"
     start = bisect_left(run.metrics, moment.frame, key=lambda one: one.frame)
@@ -217,7 +217,7 @@ def change(total: Total) -> str:
 
 
 def estimate_lines(comparison: Comparison) -> list[str]:
-    """How far the estimates of each target are apart, in a line; the farthest first."""
+    """Distance of the estimates of each target, in a line; the farthest first."""
     lines = []
     for (a, b), distances in comparison.distances.items():
         name = whose_text((a, b))

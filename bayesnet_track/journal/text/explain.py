@@ -81,7 +81,7 @@ def has_several_targets(events: Iterable[Event]) -> bool:
 
 @dataclass(frozen=True)
 class Filter:
-    """Which events to show; a part that is None lets all pass.
+    """Selection of the events to show; a part that is None lets all pass.
 
     Attributes:
         node: name of an agent or of the inference node whose rule fired.
@@ -195,7 +195,7 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
 
 
 def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:
-    """What the score was computed from; without the graph's coefficients, what was measured for it."""
+    """Terms of the score; without the graph's coefficients, what was measured for it."""
     if not slopes:
         shown = [f"{name} {value:.2f}" for name, value in sorted(line.features.items()) if name != "most"]
         return f"  features   {', '.join(shown)}; the coefficients are in the graph"
@@ -210,7 +210,7 @@ def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:
 
 
 def _limit(line: FrameMetrics, mine: Iterable[Event]) -> str:
-    """Which limit the score has; empty where it has none."""
+    """The limit of the score; empty if it has none."""
     most = line.features.get("most", 1.0)
     if most >= 1.0:
         return ""
@@ -261,7 +261,7 @@ def _set_by(agent: str, before: Sequence[Event]) -> str:
 
 
 def _is_on_call(agent: str, before: Sequence[Event]) -> bool:
-    """Whether the last that was decided of the agent is when it runs next."""
+    """True if the last decision about the agent is when it runs next."""
     for event in reversed(before):
         if isinstance(event, Switch) and event.node == agent:
             return False

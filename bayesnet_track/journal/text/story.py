@@ -169,7 +169,7 @@ def check_target(events: Iterable[Event], target: str) -> None:
 
 
 def _condense(events: Iterable[Event]) -> list[str]:
-    """What happened between two chapters: switches and counts in one line, agents on call in another."""
+    """Summarise the time between two chapters: switches and counts in one line, agents on call in another."""
     events = list(events)
     calls = tuple(event for event in events if isinstance(event, Scheduled))
     told = [CallsFolded(calls).describe()] if calls else []
@@ -190,7 +190,7 @@ def _condense(events: Iterable[Event]) -> list[str]:
 
 
 def _name(event: Event) -> str:
-    """How an event is counted: by its kind, as `--kind` takes it."""
+    """The name under which an event is counted: its kind, as `--kind` takes it."""
     return f"{event.node} adapted itself" if isinstance(event, LocallyAdapted) else event_name(type(event))
 
 

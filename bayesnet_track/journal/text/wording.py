@@ -43,7 +43,8 @@ def distinct_texts(value: float, level: float) -> tuple[str, str]:
 
 
 def in_px(value: float, level: float) -> tuple[str, str]:
-    """As `distinct_texts`, each with three digits of its own where these differ: for a derived level.
+    """Both numbers as by `distinct_texts`, each with its own three digits if these differ: for a derived
+    level.
 
     >>> in_px(4.381, 264.847), in_px(7.768, 7.771)
     (('4.38', '265'), ('7.768', '7.771'))

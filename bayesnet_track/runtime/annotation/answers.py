@@ -25,7 +25,7 @@ LONGEST_LABEL = LONGEST_NAME - 10
 
 
 def describe_fault(name: object) -> str | None:
-    """Why a target cannot have this name; None where it can.
+    """The reason why a target cannot have this name; None if it can.
 
     >>> describe_fault("ball 1")
     >>> describe_fault("ball\\u00a01")
@@ -144,7 +144,7 @@ class Answer:
     box: Box | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """What stands in a line of the file."""
+        """The answer as a line of the file."""
         if self.kind == "undo":
             return {"kind": "undo"}
         line: dict[str, Any] = {"kind": self.kind, "frame": self.frame, "target": self.target}
@@ -194,7 +194,7 @@ def read_box(given: object, width: int, height: int) -> Box:
 
 
 def in_force(answers: Iterable[Answer]) -> tuple[Answer, ...]:
-    """Those that no undo took back, in the order in which they were given."""
+    """Answers that no undo took back, in the order in which they were given."""
     kept: list[Answer] = []
     for one in answers:
         if one.kind != "undo":
@@ -217,7 +217,7 @@ class AnswersFileError(ValueError):
 
 @dataclass(frozen=True)
 class Header:
-    """What the answers were given to, and what tracks between them.
+    """The video that the answers were given to, and the tracker between them.
 
     Attributes:
         graph: SHA-256 of the graph's text.
@@ -240,7 +240,7 @@ class Header:
 
 @dataclass(frozen=True)
 class AnswersFile:
-    """What a file holds.
+    """Contents of a file of answers.
 
     Attributes:
         mended: a sentence for each thing that was not read as it stands there.
@@ -371,7 +371,7 @@ def _object(line: bytes) -> dict[str, Any]:
 
 
 def first_difference(kept: Header, now: Header) -> str | None:
-    """What of the video or of the tracker is not what the answers were given to; None when all is.
+    """The first property of the video or of the tracker that differs from the answers'; None if none does.
 
     When it asks may change: that changes no box.
     """

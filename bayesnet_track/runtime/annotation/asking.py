@@ -27,7 +27,7 @@ class Frames(Protocol):
     """The frames of a video, in any order."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """The number of frames."""
 
     def image(self, frame: int) -> Image:
         """A frame (H, W, 3) uint8, BGR."""
@@ -35,7 +35,7 @@ class Frames(Protocol):
 
 @dataclass(frozen=True)
 class Found:
-    """What was found in a frame: a box, and how sure it is.
+    """A box that was found in a frame, and its probability.
 
     Attributes:
         probability: of being on target, IoU above 0.5.
@@ -50,7 +50,7 @@ class Found:
 
 
 class Runs(Protocol):
-    """Where a target is found in `frame` by a run that starts with `box` in `start`."""
+    """Boxes of a target in `frame`, found by a run that starts with `box` in `start`."""
 
     def at(self, start: int, box: Box, frame: int) -> Found:
         """Forward where `frame` is later than `start`, else backward."""
@@ -200,7 +200,7 @@ THRESHOLD, PATIENCE = 0.8, 20
 
 @dataclass(frozen=True)
 class Asking:
-    """When to ask.
+    """Settings of when to ask.
 
     Attributes:
         threshold: probability of being on target below which a box is doubtful.
@@ -231,7 +231,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Annotations:
-    """What is known of each target so far.
+    """Boxes and open questions of each target so far.
 
     Attributes:
         marks: target -> frame -> its mark. Frames after a question that is open may be missing.
@@ -243,7 +243,7 @@ class Annotations:
 
     @property
     def failures(self) -> tuple[Question, ...]:
-        """Those questions because of which a target is not tracked."""
+        """Questions because of which a target is not tracked."""
         return tuple(one for one in self.questions if one.is_failure)
 
 

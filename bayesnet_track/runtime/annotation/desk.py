@@ -68,7 +68,7 @@ class Desk:
 
     @property
     def address(self) -> str:
-        """Where the page is, with its token."""
+        """The address of the page, with its token."""
         return self._server.address
 
     def wait(self, give_up: Callable[[], bool]) -> None:
@@ -98,7 +98,7 @@ class Desk:
         return self._page
 
     def feed(self, first: int, seen: int) -> bytes:
-        """How things stand; the marks, too, unless the page has those of number `first`."""
+        """The state of the session; with the marks, unless the page has those of number `first`."""
         with self._news:
             self._news.wait_for(lambda: self._version != seen or self._is_closed, WAIT_S)
             annotations = self._session.annotations
@@ -157,12 +157,12 @@ class Desk:
 
     @property
     def is_tracked(self) -> bool:
-        """Whether every answer is tracked."""
+        """True if every answer is tracked."""
         return not (self.is_behind or self._trouble)
 
     @property
     def is_behind(self) -> bool:
-        """Whether an answer is not tracked yet."""
+        """True if an answer is not tracked yet."""
         return self._done != self._session.version
 
     def _tell(self) -> None:

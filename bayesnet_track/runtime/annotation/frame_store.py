@@ -38,7 +38,7 @@ FASTEST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 @dataclass(frozen=True)
 class Video:
-    """What annotations must fit.
+    """Properties of a video that annotations must fit.
 
     Attributes:
         name: as the person gave it.
@@ -160,7 +160,7 @@ class FrameStore:
         return found
 
     def about(self) -> Video:
-        """What annotations must fit."""
+        """Properties of the video that annotations must fit."""
         digest = hashlib.sha256()
         for frame in sorted({0, len(self) // 2, len(self) - 1}):
             digest.update(np.ascontiguousarray(self.image(frame)).tobytes())

@@ -268,7 +268,7 @@ def by_target(answers: Iterable[Answer]) -> dict[str, tuple[Answer, ...]]:
 
 
 def describe_untrackable(box: Box, video: Video, max_side: int | None = None) -> str | None:
-    """Why a tracker refuses to start from the box in a frame of the video; None where it does not.
+    """The reason why a tracker refuses to start from the box in a frame of the video; None if it does not.
 
     >>> describe_untrackable((10, 10, 0.5, 20), Video("a.mp4", 9, 320, 240, 0.04))
     'start box 10,10,0.5,20: width and height must be at least 1 px'

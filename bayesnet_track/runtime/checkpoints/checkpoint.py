@@ -53,7 +53,7 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """Where a run can go on from.
+    """A point from which a run can go on.
 
     Attributes:
         recipe: SHA-256 of ``run.json``.
@@ -78,7 +78,7 @@ class Checkpoint:
     state: bytes
 
     def reached(self, engine: Engine, frame: Frame) -> RunPosition:
-        """What it stands for, given its last frame, read again.
+        """The position that it stands for, given its last frame, read again.
 
         Raises:
             CheckpointError: the frame has other pixels, or the state is of another version or graph.
@@ -216,7 +216,7 @@ def _are_counts(values: Iterable[object]) -> bool:
 
 
 def _of_another(path: Path, what: str) -> str:
-    """What is wrong with a checkpoint of another program version, and which one can resume it."""
+    """Describe a checkpoint of another program version, and which one can resume it."""
     try:
         versions = json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):

@@ -58,7 +58,7 @@ SETTINGS = ("GLIBC_TUNABLES", "OPENBLAS_CORETYPE")
 
 @cache
 def describe_machine() -> Mapping[str, str]:
-    """What is at work in this process, by name; equal ones give equal bytes.
+    """Libraries and instruction sets of this process, by name; equal ones give equal bytes.
 
     The instruction sets are those in use, after `NPY_DISABLE_CPU_FEATURES`, `NUMBA_CPU_NAME`,
     `OPENCV_CPU_DISABLE` and the like. The number of processors is left out: no result depends on it.
@@ -77,7 +77,7 @@ def describe_machine() -> Mapping[str, str]:
 
 
 def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    """What differs between two descriptions, in words.
+    """Differences between two descriptions, in words.
 
     >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
     ('NumPy CPU: without AVX2',)
@@ -157,11 +157,11 @@ class GivenFile:
 
     @property
     def place(self) -> Path:
-        """Where it is now: where it was, or as given where that is gone."""
+        """The present place: where it was, or as given if that is gone."""
         return Path(self.absolute) if Path(self.absolute).exists() else Path(self.path)
 
     def changes(self) -> tuple[str, ...]:
-        """What is not as it was, in words; raises OSError when it cannot be read."""
+        """Changes of the file since then, in words; raises OSError when it cannot be read."""
         if not self.place.is_file():  # a device or a pipe might never end
             raise OSError(EINVAL, "not a plain file", str(self.place))
         now = file_sha256(self.place)

@@ -95,7 +95,7 @@ def options_of(
     max_side: int | None = None,
     video_side: int | None = None,
 ) -> dict[str, bool | int | float | str]:
-    """What else the recipe remembers: the budget, and what of other packages is at work.
+    """Further options of the recipe: the budget, and what of other packages is at work.
 
     `written` is what the run writes besides what every run has: `beliefs`, `hypotheses`, `mp4`.
     """
@@ -134,7 +134,7 @@ class RecipeError(ValueError):
 
 @dataclass(frozen=True)
 class Recipe:
-    """What was asked for.
+    """Everything that was asked for.
 
     Attributes:
         graph: name of the graph, whose text is in graph.yaml.
@@ -181,7 +181,7 @@ class Recipe:
 
     @property
     def only_once(self) -> str | None:
-        """Why the same cannot be done again from the run directory alone; None where it can."""
+        """The reason why the same cannot be done again from the run directory alone; None if it can."""
         if self.own_motion:
             return "it was tracked with a motion model of one's own"
         if self.own_cues:
@@ -190,7 +190,7 @@ class Recipe:
 
     @property
     def optional(self) -> tuple[str, ...]:
-        """What the recorder writes besides what every run has."""
+        """Files that the recorder writes besides what every run has."""
         kind = str(self.options.get(VIDEO_FORMAT, "video"))
         asked = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
         asked["hypotheses"] = bool(self.options.get(ALL_HYPOTHESES))
@@ -198,7 +198,7 @@ class Recipe:
 
     @property
     def horizon(self) -> int:
-        """How many frames ahead targets are forecast; 0 for none."""
+        """Number of frames ahead for which targets are forecast; 0 for none."""
         return int(self.options.get(HORIZON, 0))
 
     @property

@@ -282,7 +282,7 @@ def _skip(
 
 
 def _external_inputs(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
-    """What came from outside for the frames that had it, then what comes `later`."""
+    """External inputs of the frames that had them, then those that come `later`."""
     return lambda frame: before[frame] if frame in before else later(frame)
 
 

@@ -33,7 +33,7 @@ TAIL_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class Standing:
-    """How a run stands.
+    """Progress of a run.
 
     Attributes:
         is_finished: whether its source was read to its end, and every output is whole on the disk.
@@ -47,7 +47,7 @@ class Standing:
 
 
 def standing(path: str | PathLike[str]) -> Standing:
-    """How the run in a directory stands, by its files alone.
+    """Progress of the run in a directory, by its files alone.
 
     Raises:
         RecipeError: it is no run that can be done again.
@@ -83,7 +83,7 @@ def _ending(journal: Path) -> str | None:
 
 
 def inputs_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
-    """What came from outside, by frame.
+    """External inputs, by frame.
 
     Raises:
         OSError: a file cannot be read.
@@ -194,7 +194,7 @@ def check_cues(recipe: Recipe, cues: Iterable[GivenCue]) -> None:
 def permit_move(
     recipe: Recipe, checkpoint: Checkpoint | None, is_allowed: bool, say: Notice
 ) -> tuple[MachineChanged, ...]:
-    """What to write down where the run goes on elsewhere; raises ResumeError where that is not allowed."""
+    """The event to write where the run goes on elsewhere; raises ResumeError if that is not allowed."""
     if checkpoint is None:
         changes = name_differences(recipe.versions, versions())
     else:

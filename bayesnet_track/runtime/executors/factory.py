@@ -50,7 +50,7 @@ def one_thread_inside(opencv: bool) -> Iterator[None]:
 
 @cache
 def _blas() -> list[tuple[Any, Any]]:
-    """What gets and sets the number of threads of each OpenBLAS in the wheels of NumPy and SciPy."""
+    """Functions that get and set the number of threads of each OpenBLAS in the wheels of NumPy and SciPy."""
     site = Path(np.__file__).parent.parent
     found = []
     for package in ("numpy", "scipy"):

@@ -34,7 +34,7 @@ class Block:
 
 @dataclass(frozen=True)
 class SharedFrame:
-    """Where a frame lies, and what is known of it. No two frames of a run have the same `number`."""
+    """The place of a frame, and what is known of it. No two frames of a run have the same `number`."""
 
     number: int
     index: int
@@ -65,7 +65,7 @@ class FrameStore:
         self._held: deque[tuple[Frame, SharedFrame]] = deque(maxlen=SLOTS)
 
     def put(self, frame: Frame) -> SharedFrame:
-        """Where the frame lies; it is written there unless it is one of the last ones already."""
+        """Write the frame, unless it is one of the last ones already, and return its place."""
         for held, shared in self._held:
             if held is frame:
                 return shared

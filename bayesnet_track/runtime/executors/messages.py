@@ -60,7 +60,7 @@ class Call(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What became of a question.
+    """The outcome of a question.
 
     Attributes:
         value: what the method returned; a reference as `EncodedReference`.
@@ -341,5 +341,5 @@ def _shape(values: Array, shape: tuple[int, ...], is_turned: bool) -> Array:
 
 
 def _kept(value: Any) -> Any:
-    """What outlasts the message, without its other bytes."""
+    """The part that outlasts the message, without its other bytes."""
     return value.copy(order="K") if type(value) is np.ndarray and value.nbytes > SMALL else value

@@ -20,13 +20,13 @@ from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 
 
 class Transport(Protocol):
-    """Where questions for agents that work elsewhere are handed in."""
+    """The place where questions for agents that work elsewhere are handed in."""
 
     def send_frame(self, frame: Frame) -> Any:
         """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
 
     def ask(self, call: Call) -> Any:
-        """What the agent's cue returns.
+        """Return what the agent's cue returns.
 
         Raises:
             AgentUnavailable: it gives no answer.
@@ -51,7 +51,7 @@ class SentFrames:
     is_points: bool = True
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
-        """Where the two frames lie."""
+        """The places of the two frames."""
         where: NDArray[np.object_] = np.empty(2, dtype=object)
         # The older one first: it lies there already, and must not be overwritten by the newer.
         where[1] = None if frames.previous is None else self.transport.send_frame(frames.previous)
@@ -61,7 +61,7 @@ class SentFrames:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """What all proxies have: a name to ask by, and the plane that sends frames."""
+    """Common part of all proxies: a name to ask by, and the plane that sends frames."""
 
     agent: str
     transport: Transport
@@ -83,11 +83,11 @@ class Placed:
         return self.transport.begin(self._call(asked[0], asked[1], asked[2:]))
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
-        """As of a `Cue`."""
+        """Learn like a `Cue`."""
         return Learnt(self, "learn", planes, (box,))
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """As of a `Cue`; what was learnt just now is learnt and blended at once."""
+        """Blend like a `Cue`; a reference that was learnt just now is learnt and blended at once."""
         blended: Reference = self.ask(*self._blending(old, new, rate))
         return blended
 

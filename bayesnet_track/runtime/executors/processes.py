@@ -94,7 +94,7 @@ class Processes:
     patience: Patience | None
 
     def send_frame(self, frame: Frame) -> SharedFrame:
-        """Where the frame lies in the shared memory; with a new one, agents are placed anew if need be."""
+        """Place the frame in the shared memory; with a new one, agents are placed anew if need be."""
         with self._asking:
             shared = self._store.put(frame)
             if shared.number > self._frames:
@@ -104,7 +104,9 @@ class Processes:
             return shared
 
     def ask(self, call: Call) -> Any:
-        """What the agent's cue returns; raises what it raised, by type name and text, or AgentUnavailable."""
+        """Return what the agent's cue returns; raises what it raised, by type name and text, or
+        AgentUnavailable.
+        """
         return self.begin(call)()
 
     def begin(self, call: Call) -> Callable[[], Any]:
@@ -183,7 +185,7 @@ class Processes:
                 self._hand_over(pending, slot, worker, until)
 
     def _forward(self, pending: Pending) -> bool:
-        """Whether the question could be sent without waiting for anything."""
+        """Send the question if that takes no waiting; true if it was sent."""
         slot = self._pool.slot(pending.agent)
         if slot.asked is not None or (slot.worker is not None and slot.worker.busy_with is not None):
             return False

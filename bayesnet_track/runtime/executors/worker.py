@@ -83,7 +83,7 @@ class AgentHost:
         self._cues.pop(agent, None)
 
     def answer(self, question: Call) -> Answer:
-        """What the cue says; whatever it raises is told, not raised."""
+        """Ask the cue; an exception that it raises becomes part of the answer."""
         started = time.perf_counter()
         try:
             value = self._ask(question)

@@ -63,7 +63,7 @@ MEMORY_OF_COST = 0.9
 
 @dataclass(frozen=True, eq=False)
 class AgentSpec:
-    """How a worker makes an agent's cue, and what it is expected to cost, seconds a frame."""
+    """The recipe of an agent's cue for a worker, and its expected cost, seconds a frame."""
 
     make: Callable[[Any], AnyCue]
     parameters: Any
@@ -104,7 +104,7 @@ class WorkerPool:
         self._assign(pack(self._costs, len(self.slots)))
 
     def slot(self, agent: str) -> Slot:
-        """Where the agent is, which is to be asked something."""
+        """The slot of the agent, which is to be asked something."""
         self._asked_in[agent] = self._frames
         slot = self._slot_of.get(agent)
         if slot is None:

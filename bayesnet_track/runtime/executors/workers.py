@@ -194,7 +194,7 @@ class ForkServer:
 
 @contextmanager
 def _cue_files() -> Iterator[int | IO[bytes]]:
-    """What the fork server reads the engine's cue files from."""
+    """The file from which the fork server reads the engine's cue files."""
     content = pack()
     if not content:
         yield subprocess.DEVNULL
@@ -234,7 +234,7 @@ class Late(AgentUnavailable):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a worker may take.
+    """Limits of a worker.
 
     Attributes:
         answer_s: seconds for an answer.
@@ -276,7 +276,7 @@ class Worker:
 
     @property
     def is_dead(self) -> bool:
-        """Whether its end of the channel is closed."""
+        """True if its end of the channel is closed."""
         try:
             return self.channel.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
         except BlockingIOError:
@@ -353,7 +353,7 @@ class Worker:
         cut(lifeline)
 
     def _is_new(self, frame: SharedFrame) -> bool:
-        """Whether the frame has not been told of; from now on it has."""
+        """True if the worker has not been told of the frame; from now on it has."""
         if frame.number in self._frames:
             return False
         self._frames[frame.number] = None

@@ -17,7 +17,7 @@ GiveUp = Callable[[], bool]
 
 
 class Refused(ValueError):
-    """What was asked for makes no sense, or not now; the message is for the person."""
+    """A request that makes no sense, or not now; the message is for the person."""
 
 
 def never() -> bool:

@@ -241,7 +241,7 @@ class Feed:
             self._add({"event": row})
 
     def frame(self, result: Result) -> None:
-        """What one frame gave."""
+        """Append the result of a frame."""
         self.frames += 1
         self._newest = result
         self._moments.append(time.monotonic())

@@ -114,7 +114,7 @@ HEADERS = {
 
 
 class Served(Protocol):
-    """What is served. Called from many threads."""
+    """The content that a server offers. Called from many threads."""
 
     def page(self) -> tuple[bytes, str]:
         """The page, and its content security policy."""
@@ -165,7 +165,7 @@ class Server(socketserver.ThreadingMixIn, HTTPServer):
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port on which it listens."""
         return int(self.server_address[1])
 
     @property
@@ -176,7 +176,7 @@ class Server(socketserver.ThreadingMixIn, HTTPServer):
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self.token}/"
 
     def knows(self, host: str) -> bool:
-        """Whether a request may call this server so: by any name, foreign pages could (DNS rebinding)."""
+        """True if a request may call this server so: by any name, foreign pages could (DNS rebinding)."""
         name, _, port = host.rpartition(":")
         if port != str(self.port):
             return False
@@ -276,7 +276,7 @@ class Handler(BaseHTTPRequestHandler):
         self._answer(b"{}", "application/json")
 
     def _allowed(self) -> str | None:
-        """What is asked for behind the token; None, answered already, where nothing may be."""
+        """The path behind the token; None, answered already, if the request is not allowed."""
         if not self.server.knows(self.headers.get("Host", "")):
             self._refuse(HTTPStatus.FORBIDDEN, "not the address of this page")
             return None

@@ -62,17 +62,17 @@ class LiveView:
 
     @property
     def address(self) -> str:
-        """Where the page is, with its token."""
+        """The address of the page, with its token."""
         return self._server.address
 
     @property
     def is_open(self) -> bool:
-        """Whether a page asked for news within the last seconds."""
+        """True if a page asked for news within the last seconds."""
         with self._news:
             return self._asking > 0 or time.monotonic() - self._asked < GONE_S
 
     def shows(self, graph: CheckedGraph, source: FrameSource | None = None, **about: Any) -> None:
-        """What the page shows before the first frame is done: the graph, the source's name and size."""
+        """Show, before the first frame is done, the graph, the source's name and size."""
         self._feed.graph = graph
         with self._news:
             self._about |= {"graph": graph.spec.name, "plates": list(graph.targets), **about}
@@ -85,7 +85,7 @@ class LiveView:
     def recall(
         self, events: Iterable[Event], metrics: Iterable[FrameMetrics], timings: Iterable[Mapping[str, Any]]
     ) -> None:
-        """What a run that goes on has behind it, as its files tell: the page shows it, without pictures."""
+        """Show the past of a run that goes on, as its files have it, without pictures."""
         self._feed.recall(events, metrics, timings)
 
     def wait_for_page(self, give_up: GiveUp = never) -> bool:
@@ -114,7 +114,7 @@ class LiveView:
         self._feed.frame(result)
 
     def __call__(self, frame: int) -> Sequence[Input]:
-        """What was switched on the page since the frame before."""
+        """Switches that were set on the page since the frame before."""
         return self.controls.board(frame)
 
     def hold(self, give_up: GiveUp = never) -> bool:
@@ -166,7 +166,7 @@ class LiveView:
         return self._thumbnails.of(frame)
 
     def ask(self, what: Mapping[str, Any]) -> None:
-        """What a person does on the page; raises Refused."""
+        """Do what a person asks for on the page; raises Refused."""
         self.controls.ask(what)
 
     def _lines(self, first: int, seen: int, began: float) -> list[bytes]:

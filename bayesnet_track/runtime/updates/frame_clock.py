@@ -150,7 +150,7 @@ def _number(value: object) -> float:
 
 
 def image_users(engine: Engine) -> tuple[str, ...]:
-    """What needs the pixels of each frame, in words; nothing where given detections are all that is used."""
+    """Names of what needs the pixels of each frame; empty if given detections are all that is used."""
     return tuple(
         f"{name} of {plate}" if len(engine.plates) > 1 else name
         for plate, compiled in engine.plates.items()

@@ -24,7 +24,7 @@ LEAST_AREA_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class GivenDetections:
-    """Those that can be used.
+    """Detections that can be used.
 
     Attributes:
         detections: centre boxes, scores and labels.
@@ -37,7 +37,7 @@ class GivenDetections:
     count: int
 
     def kept(self, fits: NDArray[np.bool_]) -> GivenDetections:
-        """Those of them where `fits` (N,) is true."""
+        """Detections for which `fits` (N,) is true."""
         if fits.all():
             return self
         one, labels = self.detections, self.detections.labels
@@ -47,13 +47,13 @@ class GivenDetections:
         )
 
     def without(self, fits: NDArray[np.bool_], describe: Callable[[Sequence[int]], str]) -> GivenDetections:
-        """Those where `fits` (N,) is true; a notice describes the rows of the others."""
+        """Detections for which `fits` (N,) is true; a notice describes the rows of the others."""
         if not fits.all():
             notice(describe(self.rows[~fits].tolist()))
         return self.kept(fits)
 
     def inside(self, width: int, height: int) -> GivenDetections:
-        """Those that touch a frame of this size, px; a notice names the others."""
+        """Detections that touch a frame of this size, px; a notice names the others."""
         boxes = self.detections.boxes
         apart = np.abs(2.0 * boxes[:, :2] - (width - 1, height - 1)) >= boxes[:, 2:] + (width, height)
         found = self.without(
@@ -70,7 +70,7 @@ class GivenDetections:
 
 
 def _advice(boxes: Floats) -> str:
-    """Why boxes are so small: perhaps all of them are in parts of the frame."""
+    """The reason why boxes are so small: perhaps all of them are in parts of the frame."""
     corners = xyxy_from_centre(boxes)
     if (corners >= 0).all() and (corners <= 1).all():
         return (

@@ -87,7 +87,7 @@ class StoredError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """What is stored of a tracker.
+    """Contents of a stored tracker.
 
     Attributes:
         graph: the graph.
@@ -100,7 +100,7 @@ class Stored:
     body: bytes
 
     def standing(self, engine: Engine) -> Standing | None:
-        """Where it stands, to go on with `engine`; None before its first frame. Raises StoredError."""
+        """The standing to go on from with `engine`; None before its first frame. Raises StoredError."""
         try:
             now = decode(self.body, stored_classes(), engine)
         except StateError as error:
@@ -178,7 +178,7 @@ def pack(
 
 
 def unpack(data: bytes, kind: str, given: CheckedGraph | None = None) -> Stored:
-    """What bytes say, to be made with the `given` graph, which is the stored one with None.
+    """Contents of the bytes, to be made with the `given` graph, which is the stored one with None.
 
     Raises:
         StoredError: they are damaged, of another version, kind or graph, or a model file is not as it was.
@@ -248,7 +248,7 @@ class Storable:
     _has_own_motion = False
 
     def _options(self) -> Mapping[str, Any]:
-        """What it was made with, besides the graph."""
+        """Options that it was made with, besides the graph."""
         raise NotImplementedError
 
     def _make_again(self, graph: CheckedGraph, options: Mapping[str, Any]) -> None:
@@ -320,11 +320,11 @@ class Storable:
         return other
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """As `copy.copy`: no tracker changes what copies share."""
+        """Copy like `copy.copy`: no tracker changes what copies share."""
         return copy.copy(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """As `save`, and the attributes of subclasses; raises TypeError for what cannot be stored."""
+        """Store like `save`, with the attributes of subclasses; raises TypeError for what cannot be stored."""
         try:
             with self._turns.take("pickling"):
                 data = self._bytes()

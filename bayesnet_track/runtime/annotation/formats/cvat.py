@@ -117,7 +117,7 @@ CUBOID = tuple(f"{side}{face}" for face in (1, 2) for side in ("tl", "bl", "tr",
 
 @dataclass(frozen=True)
 class Task:
-    """How the frames of a file are numbered: frame n of the video is number `first + n * step`."""
+    """Numbering of the frames of a file: frame n of the video is number `first + n * step`."""
 
     first: int = 0
     step: int = 1
@@ -164,7 +164,7 @@ def read_cvat(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
 
 
 def _check_meta(root: Tree.Element, chosen: str | None, video: Video, path: Path) -> Task:
-    """How the task, of a project the `chosen` one, numbers its frames; raises MismatchError."""
+    """Read how the task, of a project the `chosen` one, numbers its frames; raises MismatchError."""
     of_project = root.findall("meta/project/tasks/task")
     jobs = [*root.findall("meta/task"), *root.findall("meta/job")]
     task = Task()
@@ -231,7 +231,7 @@ def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: 
 
 
 def _explain_empty(shapes: Sequence[Tree.Element]) -> str:
-    """Why no box of a track is given."""
+    """The reason why no box of a track is given."""
     outside = sum(one.get("outside") == "1" for one in shapes)
     between = sum(one.get("keyframe", "1") != "1" for one in shapes if one.get("outside") != "1")
     reasons = [f"{outside} outside"] * bool(outside) + [f"{between} between key frames (keyframe 0)"] * bool(

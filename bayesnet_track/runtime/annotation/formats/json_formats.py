@@ -230,7 +230,7 @@ def _identities(annotations: Sequence[Mapping[str, Any]], path: Path) -> list[st
 
 
 def _differ(keys: Sequence[str], others: Sequence[object]) -> bool:
-    """Whether two columns of identities part the annotations otherwise."""
+    """True if two columns of identities part the annotations otherwise."""
     both = len({(key, str(other)) for key, other in zip(keys, others, strict=True)})
     return both != len(set(keys)) or both != len({str(other) for other in others})
 

@@ -65,7 +65,7 @@ class Document:
 
 
 def label_of(target: str) -> str:
-    """What a target is: its name without the number at its end ("ball 2" is a ball)."""
+    """The class of a target: its name without the number at its end ("ball 2" is a ball)."""
     return re.sub(r"[ _#-]*\d+$", "", target) or "target"
 
 
@@ -157,7 +157,7 @@ def annotations_in(folder: Path) -> Path:
 
 
 def label_folders(folder: Path) -> list[Path]:
-    """Where YOLO's labels are below a folder, if they are not in itself."""
+    """Folders of YOLO's labels below a folder, if they are not in itself."""
     found = [folder / "labels", *sorted(folder.glob("obj_*_data")), *sorted(folder.glob("*/labels"))]
     return [one for one in found if one.is_dir()]
 

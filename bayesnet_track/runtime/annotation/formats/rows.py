@@ -112,7 +112,7 @@ def _fitting(boxes: list[Row], video: Video) -> tuple[list[Row], list[str]]:
 
 
 def _of(count: int, total: int) -> str:
-    """How many of all boxes are.
+    """The share of all boxes, in words.
 
     >>> _of(1, 1), _of(2, 9)
     ('1 of 1 box is', '2 of 9 boxes are')

@@ -51,7 +51,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a line draws: `values` in parts of the frame, and the identity that it ends with."""
+    """A shape of a line: `values` in parts of the frame, and the identity that the line ends with."""
 
     line: Line
     values: tuple[float, ...]
@@ -85,7 +85,7 @@ def parse_line(text: str, place: str, path: str) -> Line:
 
 
 def boxes_of(lines: Sequence[Line], keypoints: object, path: Path) -> list[Drawn]:
-    """What the lines draw; lines of as many numbers are read alike.
+    """Boxes that the lines draw; lines of as many numbers are read alike.
 
     `keypoints` is YOLO's `kpt_shape`, how many points of how many numbers stand behind each box, or None.
 
@@ -108,7 +108,7 @@ def boxes_of(lines: Sequence[Line], keypoints: object, path: Path) -> list[Drawn
 
 
 def _points(keypoints: object, path: Path) -> int:
-    """How many numbers the keypoints of a line have."""
+    """The count of numbers of the keypoints of a line."""
     if keypoints is None:
         return 0
     match keypoints:
@@ -120,7 +120,7 @@ def _points(keypoints: object, path: Path) -> int:
 def _reading(
     lines: Sequence[Line], count: int, points: int, longer: bool, path: Path
 ) -> Callable[[Line], Drawn]:
-    """How lines of `count` numbers are read: what is drawn, then perhaps a confidence, then an identity."""
+    """Read lines of `count` numbers: a shape, then perhaps a confidence, then an identity."""
     if count == 4 or (points and count == 4 + points):
         return lambda line: _box(line, None)
     ends_whole = all(_WHOLE.match(line.words[-1]) for line in lines)
@@ -278,7 +278,7 @@ def _frames(path: Path, names: Sequence[str], video: Video, images: Sequence[str
 
 
 def _about(path: Path) -> Mapping[str, Any]:
-    """What the folder, or the one above its labels, says: `names` of classes by number, `kpt_shape`."""
+    """Settings of the folder, or of the one above its labels: `names` of classes by number, `kpt_shape`."""
     is_part = "labels" in (path.name, path.parent.name) or path.name.startswith("obj_")
     places = [path, path.parent, path.parent.parent] if is_part else [path]
     for file in (place / name for place in places for name in CLASS_FILES):
