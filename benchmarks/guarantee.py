@@ -26,7 +26,7 @@ import numpy as np
 from measuring import Image, environment, on_one_thread, table
 from sequences import find_sequences
 
-from bayesnet_track.engine.scoring.assurance import e_value, level_afterwards, next_rise
+from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_rise
 from bayesnet_track.evaluate.calibration import OFF_TARGET, fit, score_of
 from bayesnet_track.evaluate.calibration_data import (
     CalibrationData,

@@ -365,7 +365,7 @@ def share_by_overlap(
 ) -> Owners:
     """(T,) the detection of each target, or `NOBODY`, by overlap with the boxes (T, 4) that are expected.
 
-    `observed` (T, H) is what is remembered of the targets' detections (`adapt.association`). All overlaps count
+    `observed` (T, H) is what is remembered of the targets' detections. All overlaps count
     in the assignment; pairs that overlap by less than `min_overlap` are rejected after it.
     """
 

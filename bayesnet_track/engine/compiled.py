@@ -17,7 +17,7 @@ from bayesnet_track.belief.motion.formulas import make_formula_motion
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
 from bayesnet_track.belief.particles.belief import ParticleFilter
-from bayesnet_track.engine.scoring.verifying import VerifierAtWork, make_verifiers
+from bayesnet_track.engine.scoring.rivals import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters

@@ -1,333 +1,337 @@
-"""The second half of a target's frame: its belief is measured, decided on, learnt from and described.
+"""Second half of a frame: beliefs are measured, decided on, learnt from and described, in groups of targets.
 
-Between the two halves (`filtering.filter_target`, `finish_target`) the beliefs of several targets can be
-joined. Both are functions of the target's state and the frame; time is read for the timings only.
+Between the two halves (`filtering` and this one) the beliefs of several targets can be joined. Both are
+functions of the targets' states and the frame; time is read for the timings only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
-from functools import partial
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import Any
 
-import numpy as np
-
-from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_columns import RuleColumns
-from bayesnet_track.adapt.rule_inputs import Measures, Situation
-from bayesnet_track.adapt.rules import decide
-from bayesnet_track.belief.contract import estimate
+from bayesnet_track.belief.contract import Step
 from bayesnet_track.belief.particles.belief import find_maps
+from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult, heard
-from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.learning import learn_all
+from bayesnet_track.engine.groups import FilteredEach, LiveGroup
+from bayesnet_track.engine.judging import JudgedGroup, judge_group
+from bayesnet_track.engine.learning import LearntGroup, learn_group
+from bayesnet_track.engine.metrics import (
+    Heard,
+    Measured,
+    Summary,
+    find_covariances,
+    find_summaries,
+    frame_metrics,
+)
 from bayesnet_track.engine.modes import with_modes
-from bayesnet_track.engine.rows.filtered_rows import Together
-from bayesnet_track.engine.rows.plain_rows import Described, Results, finish_rows
-from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
-from bayesnet_track.engine.scoring.confidences import confidences
-from bayesnet_track.engine.scoring.distractors import find_distractor, follow_distractor, with_distractor
-from bayesnet_track.engine.scoring.encounters import Place
-from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
-from bayesnet_track.engine.scoring.score import Scored, extent_beyond, most, probability
-from bayesnet_track.engine.scoring.verifying import HELD, Verification
-from bayesnet_track.engine.state import TargetState, inside_frame
-from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
-from bayesnet_track.graph.spec import Distractors, InferenceNode
+from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
+from bayesnet_track.engine.rows.particle_table import ParticleTable
+from bayesnet_track.engine.scoring.outcome import ScoreOutcome
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.guard import changes
-from bayesnet_track.inference.measure import measure
-from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
-from bayesnet_track.journal.events.beliefs import DegenerateBelief, Reappeared
+from bayesnet_track.inference.measure_rows import StepArrays
+from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, MotionFlawed
-from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded, FoundAgain
+from bayesnet_track.journal.events.statuses import DistractorSeen
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import apply_decisions
+from bayesnet_track.journal.net.net import Decision, apply_decisions
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.log_weights import kl
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import Found, changed
+from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 
-def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
-    """As `finish_targets`, of one."""
-    return finish_targets(work, {filtered.target: filtered})[filtered.target]
+@dataclass(frozen=True, eq=False)
+class FinishedGroup:
+    """What the frame gave for the targets of a group.
+
+    Attributes:
+        work: the frame, without planes: lines may be asked for much later.
+        judged: measures and decisions.
+        learnt: what the agents learnt.
+        summaries: target -> its belief in a few numbers.
+        table: the targets of which columns say all that is known of them after the frame; None without any.
+        singles: row -> its target, of all others.
+    """
+
+    work: FrameWork
+    judged: JudgedGroup
+    learnt: LearntGroup
+    summaries: Mapping[str, Summary]
+    table: ParticleTable | None
+    singles: Mapping[int, str]
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """The targets."""
+        return self.judged.filtered.ids
+
+    @property
+    def boxes(self) -> Floats:
+        """(T, 4) estimates, centre boxes in px."""
+        return self.judged.boxes
+
+    def state(self, row: int) -> TargetState:
+        """The state of one target after the frame, still with the plan that the frame began with."""
+        judged, one = self.judged, self.judged.filtered.of(row)
+        before, outcome, measures = one.before, judged.score(row), judged.measures
+        ud_px2, area_px2 = float(measures.uds[one.plan.root][row]), float(measures.areas[row])
+        baseline_px2, beside = judged.baselines_px2[row], self.learnt.beside.get(row)
+        return TargetState(
+            one.step.posterior,
+            self._references(row) if beside is None else beside.references,
+            judged.memory if len(judged.memory) == 1 else judged.memory.take([row]),
+            before.plan,
+            self.work.frame.time,
+            before.watched if beside is None else beside.watched,
+            one.predicted.after(ud_px2, area_px2, baseline_px2, judged.held(row)),
+            outcome.scored,
+            frozenset({*one.flaws, *one.undefined}),
+            before.existence,
+            before.started,
+        )
+
+    def _references(self, row: int) -> Mapping[str, Reference]:
+        return {agent: of[row] for agent, of in self.learnt.references.items()}
+
+    def decisions(self, row: int) -> tuple[Decision, ...]:
+        """Decisions about one target, in order; they take effect on the next frame."""
+        one, beside = self.judged.filtered.beside(row), self.learnt.beside.get(row)
+        faults = () if one is None else one.faults
+        by_hand = self.work.by_hand.get(self.ids[row], ())
+        return (*faults, *by_hand, *(() if beside is None else beside.decisions))
+
+    def events(self, row: int) -> tuple[Event, ...]:
+        """What is written down of one target besides."""
+        one, frame, target = self.judged.filtered.of(row), self.work.frame.index, self.ids[row]
+        before, stepped, outcome = one.before, one.step, self.judged.score(row)
+        mode = None if one.modes is None else one.modes.change(frame, target)
+        events: list[Event] = [
+            *one.predicted.events,
+            *(() if mode is None else (mode,)),
+            *(report(frame, target) for report in stepped.reports),
+        ]
+        events += _report_flaws(self.judged, row, frame)
+        if stepped.degenerate is not None:
+            events.append(DegenerateBelief(frame, target, stepped.degenerate))
+        if outcome.distractor is not None and outcome.scored.doubt > 0 and not before.scored.doubt:
+            events.append(_with_level(outcome.distractor, outcome))
+        events += outcome.notices
+        beside, rule = self.learnt.beside.get(row), self.judged.filtered.compiled.guard
+        if beside is not None:
+            events += changes(frame, target, before.watched, beside.watched, beside.judged, rule)
+        return tuple(events)
+
+    def line(self, row: int) -> FrameMetrics:
+        """What is written down of one target."""
+        judged, one, outcome = self.judged, self.judged.filtered.of(row), self.judged.score(row)
+        measured = Measured(
+            judged.boxes[row], judged.measures.of(row), outcome.scored, outcome.score, outcome.bound
+        )
+        learnt = self.learnt.rates[row], self.learnt.angle(row)
+        baseline_px2, summary = judged.baselines_px2[row], self.summaries[one.target]
+        line = frame_metrics(self.work, one, measured, baseline_px2, learnt, summary)
+        return with_modes(line, one.modes, outcome.score is not None)
+
+    def heard(self, row: int) -> Heard:
+        """What the agents of one target said."""
+        one = self.judged.filtered.of(row)
+        return _heard(one.step, one.plan.active)
 
 
-def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> Results:
-    """Measure the beliefs, decide what changes, let the agents learn, and describe them: target -> result.
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What the frame gave for all targets.
+
+    Attributes:
+        groups: of targets that were finished together.
+        order: all targets.
+        covariances: target -> (D, D) of its belief.
+    """
+
+    groups: Sequence[FinishedGroup]
+    order: Sequence[str]
+    covariances: Mapping[str, Floats]
+
+    @cached_property
+    def places(self) -> Mapping[str, tuple[FinishedGroup, int]]:
+        """Target -> its group, and its row there, in the order of the targets."""
+        found = {target: (group, row) for group in self.groups for row, target in enumerate(group.ids)}
+        return {target: found[target] for target in self.order}
+
+    @property
+    def singles(self) -> Mapping[str, tuple[FinishedGroup, int]]:
+        """The same of the targets that are in no table."""
+        found = {target: (group, row) for group in self.groups for row, target in group.singles.items()}
+        return {target: found[target] for target in self.order if target in found} if found else {}
+
+    @property
+    def lines(self) -> list[Callable[[], FrameMetrics]]:
+        """What makes the line of each."""
+        return [partial(group.line, row) for group, row in self.places.values()]
+
+    @property
+    def boxes(self) -> dict[str, Floats]:
+        """Target -> its box (4,)."""
+        return {target: group.boxes[row] for target, (group, row) in self.places.items()}
+
+    @property
+    def heard(self) -> Mapping[str, Heard]:
+        """Target -> what its agents said."""
+        return Found(
+            self.order,
+            lambda: {target: group.heard(row) for target, (group, row) in self.places.items()},
+        )
+
+
+def finish_targets(work: FrameWork, filtered: Together) -> Results:
+    """Measure the beliefs, decide what changes, let the agents learn, and describe them.
 
     One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
     """
     started = work.engine.clock()
-    groups = filtered.groups if isinstance(filtered, Together) else ()
-    for group in groups:
-        group.find_maps()
-    find_maps(one.step for one in (filtered.others if isinstance(filtered, Together) else filtered).values())
-    work.charge("belief", started)
-    bare = changed(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
-    spreads = find_covariances(filtered)
-    described = Described(bare, spreads, find_summaries(bare, filtered, spreads))
-    finished = [done for group in groups if (done := finish_rows(work, group, described)) is not None]
-    names = [*filtered]
-    together = {target for done in finished for target in done.rows}
-    left = {target: filtered[target] for target in names if target not in together}
-    results: dict[str, TargetResult] = {}
-    states = {target: estimate_target(work, one) for target, one in left.items()}
-    boxes = {target: inside_frame(state[:4], work.frame) for target, state in states.items()}
-    started = work.engine.clock()
-    measures = measure_all(work, left, boxes)
-    measured = {
-        target: measure_target(work, one, states[target], boxes[target], measures[target])
-        for target, one in left.items()
-    }
-    decided = decide_all(work, left, measured)
+    groups = _groups_of(work, filtered)
+    started = work.charge("belief", started)
+    bare = changed(work, cache=PlaneCache(FramePair(work.frame, None)))
+    covariances = find_covariances(filtered)
+    summaries = find_summaries(bare, filtered, covariances)
+    judged = [judge_group(work, group) for group in groups]
     started = work.charge("measure", started)
-    learnt = learn_all(work, left, measured, decided)
+    learnt = [learn_group(work, group) for group in judged]
     work.charge("learn", started)
-    for target, one in left.items():
-        found = measured[target], decided[target], learnt[target]
-        line = partial(_line, bare, one, found, described.summaries)
-        results[target] = describe_target(work, one, found, line, partial(spreads.__getitem__, target))
-    return Results(finished, results, names)
+    done = [_finished(bare, group, found, summaries) for group, found in zip(judged, learnt, strict=True)]
+    return Results(done, [*filtered], covariances)
 
 
-def estimate_target(work: FrameWork, filtered: Filtered) -> Floats:
-    """(D,) the state that stands for the belief."""
-    plate = work.plate_of(filtered.target).plate
-    return estimate(plate.inference(plate.root).estimate, filtered.step)
+def _finished(
+    work: FrameWork, judged: JudgedGroup, learnt: LearntGroup, summaries: Mapping[str, Summary]
+) -> FinishedGroup:
+    filtered = judged.filtered
+    kept: list[int] = []
+    if isinstance(filtered, FilteredRows) and columns_say_all(filtered.compiled):
+        kept = [row for row in range(len(judged.nets)) if row not in learnt.beside]
+    if not kept:
+        return FinishedGroup(work, judged, learnt, summaries, None, dict(enumerate(filtered.ids)))
+    assert isinstance(filtered, FilteredRows)
+    table = filtered.before.then(
+        work.frame.time, filtered.clouds, learnt.references, judged.memory, work.net.targets
+    )
+    singles = {row: filtered.ids[row] for row in learnt.beside}
+    return FinishedGroup(work, judged, learnt, summaries, table.take(kept) if singles else table, singles)
 
 
-def measure_all(
-    work: FrameWork, filtered: Mapping[str, Filtered], boxes: Mapping[str, Floats]
-) -> dict[str, Measures]:
-    """Target -> UD, KL, ... of its belief, its estimate in `boxes` (4,); those of flat nets by groups."""
-    alike: dict[Hashable, list[str]] = {}
-    found: dict[str, Measures] = {}
-    areas = {target: float(boxes[target][2] * boxes[target][3]) for target in filtered}
-    for target, one in filtered.items():
-        plate = work.plate_of(target).plate
-        if is_flat(plate) and not one.step.evidence.latent:
-            alike.setdefault((plate.name, StepArrays.key(one.plan, one.step)), []).append(target)
-        else:
-            found[target] = measure(plate, one.plan, one.step, areas[target])
-    for targets in alike.values():
-        plan, plate = filtered[targets[0]].plan, work.plate_of(targets[0]).plate
-        steps = StepArrays.of(plate, plan, [filtered[target].step for target in targets])
-        rows = measure_rows(plate, plan, steps, [areas[target] for target in targets])
-        found.update((target, rows.of(row)) for row, target in enumerate(targets))
-    return found
-
-
-def measure_target(
-    work: FrameWork, filtered: Filtered, state: Floats, box: Floats, measures: Measures
-) -> Measured:
-    """How sure it is to hold the target with the estimate `state` (D,), whose `box` is inside the frame."""
-    compiled = work.plate_of(filtered.target)
+@lru_cache(maxsize=64)
+def columns_say_all(compiled: CompiledPlate) -> bool:
+    """Whether a target's state is its belief, references and rule memory, as long as nothing is decided."""
     root = compiled.plate.inference(compiled.plate.root)
-    by_hand = work.by_hand.get(filtered.target, ())
-    net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
-    if out := filtered.missed.keys() | filtered.resting:
-        net = changed(net, active=net.active - out)
-    scored = filtered.before.scored
-    if root.score is None:
-        return Measured(state, box, net, measures, scored)
-    rule, distractor, ended = root.score.settings, None, None
-    unfit = measures.fit < rule.full_fit
-    verification = Verification(compiled.verifiers, work.cache, filtered.target, box)
-    verified = verification.verify(scored.references, unfit or scored.unfit or not scored.smooth)
-    ud_px2 = None if unfit or _is_sought(work, filtered) else measures.ud_px2[compiled.plate.root]
-    further = {**verified.values, **confidences(rule, filtered.step.evidence)}
-    further["border"] = extent_beyond(box, work.frame)
-    scored = scored.after(rule, measures, filtered.step, ud_px2, further)
-    if root.distractors is not None:
-        scored, distractor, ended = _follow_distractors(
-            work, filtered, root.distractors, box, measures, scored
-        )
-    bound = most(rule, measures.fit, scored.doubt)
-    if filtered.modes is not None and filtered.modes.hidden is not None:
-        bound = min(bound, 1.0 - filtered.modes.hidden)
-    score = min(probability(rule, scored.features(rule)), bound)
-    found: FoundAgain | None = None
-    if root.lost is not None and root.lost.found_fit is not None:
-        look = _look(work, filtered, box, score, measures.fit)
-        scored, most_now, found = follow_fit(scored, root.lost, look)
-        bound = min(bound, most_now)
-        score = min(score, bound)
-    scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
-    notices = (*notices, *(one for one in (found, ended) if one is not None))
-    if score >= HELD and not unfit:
-        verified = verification.follow(verified)
-    scored, notices = changed(scored, references=verified.references), (*notices, *verified.failed)
-    return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
+    return (
+        root.score is None
+        and compiled.guard is None
+        and compiled.moving is None
+        and compiled.modes is None
+        and not any(is_elsewhere(cue) for cue in compiled.cues.values())
+    )
 
 
-def _is_sought(work: FrameWork, filtered: Filtered) -> bool:
-    """Whether the target is lost, or found by a search in this frame: the belief is as wide as the search."""
-    frame, target = work.frame.index, filtered.target
-    events = (report(frame, target) for report in filtered.step.reports)
-    return work.net.targets[target].status == "lost" or any(isinstance(one, Reappeared) for one in events)
-
-
-def _follow_distractors(
-    work: FrameWork,
-    filtered: Filtered,
-    rule: Distractors,
-    box: Floats,
-    measures: Measures,
-    scored: Scored,
-) -> tuple[Scored, DistractorSeen | None, DoubtEnded | None]:
-    """With what looks like the target beside it, or the end of the doubt that this raised."""
-    frame, target = work.frame.index, filtered.target
-    able = work.plate_of(target).cues.keys() - work.net.targets[target].quarantined
-    if not able <= measures.kl.keys():  # it takes all of them to tell things apart
-        return scored, None, None
-    seen = find_distractor(rule, frame, target, filtered.step, measures)
-    if measures.fit < rule.fit or _is_sought(work, filtered):  # its estimate shows no motion
-        return with_distractor(scored, seen, rule.frames), seen, None
-    place, side = Place(frame, float(box[0]), float(box[1])), float(np.sqrt(max(measures.area_px2, 1.0)))
-    scored, ended = follow_distractor(scored, seen, rule.frames, target, place, side)
-    return scored, seen, ended
-
-
-def _with_turn(seen: DistractorSeen, scored: Scored) -> DistractorSeen:
+def _with_level(seen: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
     """With the largest level that would not have raised this doubt: all of its frames count."""
-    return seen if scored.encounter is None else changed(seen, turning_nats=scored.encounter.behind_nats)
+    encounter = outcome.scored.encounter
+    return seen if encounter is None else changed(seen, turning_nats=encounter.behind_nats)
 
 
-def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:
-    """What the frame shows of a target whose estimate is `box` (4,)."""
-    target, (x, y, w, h) = filtered.target, box.tolist()
-    surprise = kl(filtered.step.support.weights.log, filtered.step.prior.log)
-    status = work.net.targets[target].status
-    return Look(work.frame.index, target, status, score, fit, surprise, x, y, float(np.sqrt(w * h)))
-
-
-def _follow(
-    root: InferenceNode, before: Scored, scored: Scored, score: float, frame: int, target: str
-) -> tuple[Scored, tuple[Event, ...]]:
-    """What guarantee and alarm remember after a frame, and what they give to write down."""
-    notices: list[Event | None] = []
-    if root.guarantee is not None:
-        scored = with_recent(scored, score, root.guarantee)
-        notices.append(judge_assurance(before, scored, root.guarantee, frame, target))
-    if root.alarm is not None:
-        scored, notice = judge_alarm(before, with_evidence(scored, score, frame), root.alarm, frame, target)
-        notices.append(notice)
-    return scored, tuple(notice for notice in notices if notice is not None)
-
-
-def decide_all(
-    work: FrameWork, filtered: Mapping[str, Filtered], measured: Mapping[str, Measured]
-) -> dict[str, Decided]:
-    """Target -> what the rules choose: for those together that the rules see alike."""
-    alike: dict[Hashable, list[str]] = {}
-    seen = {target: _see(work, one, measured[target]) for target, one in filtered.items()}
-    for target, now in seen.items():
-        alike.setdefault(RuleColumns.key(now), []).append(target)
-    found: dict[str, Decided] = {}
-    for targets in alike.values():
-        known = RuleMemory.join([filtered[target].before.memory for target in targets])
-        columns = RuleColumns.of([seen[target] for target in targets], known.layout.checked)
-        chosen, memory = decide(columns, known)
-        root = columns.plate.root
-        levels = memory.levels_px2(root, columns.plate.below[root] & columns.active).tolist()
-        for row, (target, level) in enumerate(zip(targets, levels, strict=True)):
-            own = memory if len(targets) == 1 else memory.take([row])
-            baseline = None if level != level else level
-            found[target] = Decided(chosen.get(row, ()), own, baseline, seen[target])
-    return {target: found[target] for target in filtered}
-
-
-def _see(work: FrameWork, filtered: Filtered, measured: Measured) -> Situation:
-    """What the rules of a target see."""
-    compiled = work.plate_of(filtered.target)
-    return Situation(
-        work.frame.index,
-        filtered.target,
-        compiled.plate,
-        measured.net,
-        measured.measures,
-        compiled.costs_ms,
-        compiled.adaptable,
-        filtered.hidden,
-        measured.score,
-        filtered.missed,
-        filtered.before.existence,
-        None if filtered.modes is None else filtered.modes.hiding,
-        filtered.call,
-        work.frame.stride,
-    )
-
-
-def describe_target(
-    work: FrameWork,
-    filtered: Filtered,
-    done: tuple[Measured, Decided, Learnt],
-    line: Callable[[], FrameMetrics],
-    covariance: Callable[[], Floats],
-) -> TargetResult:
-    """The state for the next frame, and all that is written down of this one."""
-    measured, decided, learnt = done
-    compiled, frame, target = work.plate_of(filtered.target), work.frame, filtered.target
-    before, stepped, measures = filtered.before, filtered.step, measured.measures
-    ud_px2 = measures.ud_px2[compiled.plate.root]
-    after = TargetState(
-        stepped.posterior,
-        learnt.references,
-        decided.memory,
-        before.plan,
-        frame.time,
-        learnt.watched,
-        filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2, measured.held),
-        measured.scored,
-        frozenset({*filtered.flaws, *filtered.undefined}),
-        before.existence,
-        before.started,
-    )
-    changed = None if filtered.modes is None else filtered.modes.change(frame.index, target)
-    events: list[Event] = [
-        *filtered.predicted.events,
-        *(() if changed is None else (changed,)),
-        *(report(frame.index, target) for report in stepped.reports),
-    ]
-    events += _report_flaws(filtered, frame.index, after.flawed)
-    if stepped.degenerate is not None:
-        events.append(DegenerateBelief(frame.index, target, stepped.degenerate))
-    if measured.distractor is not None and measured.scored.doubt > 0 and not before.scored.doubt:
-        events.append(_with_turn(measured.distractor, measured.scored))
-    events += measured.notices
-    events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
-    decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
-    said = partial(heard, stepped, filtered.plan.active)
-    return TargetResult(after, measured.box, line, decisions, tuple(events), covariance, said)
-
-
-def _line(
-    work: FrameWork,
-    filtered: Filtered,
-    done: tuple[Measured, Decided, Learnt],
-    summaries: Mapping[str, Summary],
-) -> FrameMetrics:
-    measured, decided, learnt = done
-    line = frame_metrics(work, filtered, measured, decided.quiet_px2, learnt, summaries[filtered.target])
-    return with_modes(line, filtered.modes, measured.score is not None)
-
-
-def _report_flaws(filtered: Filtered, frame: int, now: frozenset[str]) -> list[Event]:
+def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
     """What is written of expressions that begin to have no value in this frame, and of those that end to."""
-    target, before = filtered.target, filtered.before.flawed
+    one = judged.filtered.of(row)
+    target, before, after = one.target, one.before.flawed, {*one.flaws, *one.undefined}
     return [
         *(
             FactorFlawed(frame, target, factor, flaw.undefined, flaw.hypotheses, flaw.ignored)
-            for factor, flaw in filtered.flaws.items()
+            for factor, flaw in one.flaws.items()
             if factor not in before
         ),
         *(
-            MotionFlawed(frame, target, part, one.states, one.asked)
-            for part, one in filtered.undefined.items()
+            MotionFlawed(frame, target, part, undefined.states, undefined.asked)
+            for part, undefined in one.undefined.items()
             if part not in before
         ),
-        *(FlawEnded(frame, target, what) for what in sorted(before - now)),
+        *(FlawEnded(frame, target, part) for part in sorted(before - after)),
     ]
+
+
+def _heard(step: Step[Any], agents: frozenset[str]) -> Heard:
+    """What the active `agents` said in a step, of the hypotheses that are still the belief's."""
+    evidence = step.evidence
+    is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
+    messages = {name: evidence.messages[name] for name in evidence.messages if is_aligned and name in agents}
+    measured = {
+        name: one
+        for name, one in evidence.gaussians.items()
+        if name in agents and one.seen is None and not one.choices
+    }
+    return Heard(messages, measured)
+
+
+# ------------------------------------------------------------------------------------ groups
+
+
+def _groups_of(work: FrameWork, filtered: Together) -> list[LiveGroup]:
+    """All targets of a frame; those that were filtered as arrays first, with their MAP states found."""
+    groups: list[LiveGroup] = []
+    others = [*filtered.others.values()]
+    for group in filtered.groups:
+        group.find_maps()
+        fits = [row for row in range(len(group)) if _fits(work, group, row)]
+        if len(fits) < len(group):
+            others += [group[target] for row, target in enumerate(group.ids) if row not in fits]
+            group = group.take(fits)
+        if fits:
+            groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
+    find_maps(one.step for one in others)
+    alike: dict[Hashable, list[Filtered]] = {}
+    nets: dict[str, TargetNet] = {}
+    for one in others:
+        nets[one.target] = net = _live_net(work, one)
+        alike.setdefault(_key(one, net), []).append(one)
+    for targets in alike.values():
+        each = FilteredEach(work.plate_of(targets[0].target), targets)
+        groups.append(LiveGroup(each, [nets[target] for target in each.ids]))
+    return groups
+
+
+def _fits(work: FrameWork, group: FilteredRows, row: int) -> bool:
+    """Whether nothing is known of a target of an array that has no column."""
+    table, target = group.before, group.ids[row]
+    if target in work.by_hand:
+        return False
+    if row < len(table.nets):
+        return True
+    net, state = work.net.targets[target], table.base[row]
+    is_usual = net.active == group.plan.active and not net.sampled and not state.flawed
+    return is_usual and table.references.keys() == table.compiled.cues.keys() == state.references.keys()
+
+
+def _live_net(work: FrameWork, filtered: Filtered) -> TargetNet:
+    """The live net as a person switched it, without agents that failed or gave no answer."""
+    by_hand = work.by_hand.get(filtered.target, ())
+    if not filtered.faults and not by_hand:
+        net = work.net.targets[filtered.target]
+    else:
+        net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
+    out = filtered.missed.keys() | filtered.resting
+    return changed(net, active=net.active - out) if out else net
+
+
+def _key(filtered: Filtered, net: TargetNet) -> Hashable:
+    """Equal for targets that make columns together."""
+    step, before = filtered.step, filtered.before
+    hiding = filtered.modes is None or filtered.modes.hiding is None
+    known = before.existence is None, hiding, bool(step.evidence.latent), (*before.references,)
+    return net.template, net.active, StepArrays.key(filtered.plan, step), known

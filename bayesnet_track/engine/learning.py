@@ -1,176 +1,347 @@
-"""The last part of a target's frame: its references learn, and agents do what they do by themselves."""
+"""Second half of a frame, second part: references move toward the estimates, and agents act by themselves.
+
+An agent learns of all targets of a group at once. What guards references, tunes them, or lets an agent start
+late is done for one target at a time, and only where it is asked for.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import Situation, quiet_level
+from bayesnet_track.adapt.rule_inputs import quiet_level
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import hypotheses_of
-from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.findings import Decided, Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.judging import JudgedGroup
+from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.starting import start_late
-from bayesnet_track.engine.state import TargetState, inside_frame
+from bayesnet_track.engine.state import inside_frame
+from bayesnet_track.graph.spec import Learn
+from bayesnet_track.inference.asking import Fault, fault_of, follow
+from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import is_elsewhere
-from bayesnet_track.inference.guard import guard, judge, judge_nothing, watch
+from bayesnet_track.inference.guard import Judged, Watched, guard, judge, judge_nothing, watch
 from bayesnet_track.inference.learn import (
     Lesson,
     adapt_reference,
+    blend_ahead,
     frames_between,
     largest_rate,
-    learn_references,
     learning_rate,
     over_frames,
 )
 from bayesnet_track.inference.part_measures import part_rates
-from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.switches import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import changed
-from bayesnet_track.observation.cue import ANGLE
+from bayesnet_track.observation.cue import ANGLE, FAULTS, AnyCue, Reference, context_of
+from bayesnet_track.observation.likelihoods import ReferenceRows
+from bayesnet_track.observation.planes import Planes
 
-Rates = tuple[float, Mapping[str, float]]
-"""The share of the largest rate that the belief allows, and agent -> its rate."""
-
-
-def learn_all(
-    work: FrameWork,
-    filtered: Mapping[str, Filtered],
-    measured: Mapping[str, Measured],
-    decided: Mapping[str, Decided],
-) -> dict[str, Learnt]:
-    """Target -> what its agents learnt."""
-    rates = {
-        target: learning_rates(work, one, measured[target], decided[target])
-        for target, one in filtered.items()
-    }
-    found: dict[str, Learnt] = {}
-    for target, one in filtered.items():
-        if _learns_nothing(one, decided[target], rates[target]):
-            before, chosen = one.before, decided[target].chosen
-            judged = judge_nothing(before.watched)
-            found[target] = Learnt(before.references, before.watched, judged, chosen, 0.0, rates[target][0])
-        else:
-            found[target] = learn_target(work, one, measured[target], decided[target], rates[target])
-    return found
+References = Mapping[str, Sequence[Reference]]
+"""Agent -> its reference of each target."""
 
 
-def _learns_nothing(filtered: Filtered, decided: Decided, rates: Rates) -> bool:
-    """Whether no reference moves and nothing else is done to one."""
-    still = all(rate <= 0.0 for rate in rates[1].values())
-    return still and not decided.chosen and ANGLE not in filtered.step.posterior.fields
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What was learnt of one target besides the references that moved.
+
+    Attributes:
+        references: agent -> what it remembers.
+        watched: the slow references that guard the others against drift.
+        judged: what these say.
+        decisions: those that stand, in order.
+    """
+
+    references: Mapping[str, Reference]
+    watched: Watched
+    judged: Judged
+    decisions: tuple[Decision, ...]
 
 
-@lru_cache(maxsize=64)
-def plate_learns(compiled: CompiledPlate) -> bool:
-    """Whether the references of a plate's targets do nothing but learn, by cues that are at work here."""
-    return (
-        compiled.guard is None
-        and not compiled.part_of
-        and not any(is_elsewhere(cue) for cue in compiled.cues.values())
-    )
+@dataclass(frozen=True, eq=False)
+class LearntGroup:
+    """What the agents learnt of T targets.
+
+    Attributes:
+        references: agent -> its reference of each.
+        rates: of each the share of the largest learning rate.
+        beside: row -> what was done besides.
+        angles: (T,) rotations of the estimates, degrees; None for a motion without them.
+    """
+
+    references: References
+    rates: Sequence[float]
+    beside: Mapping[int, Beside] = field(default_factory=dict)
+    angles: Floats | None = None
+
+    def angle(self, row: int) -> float:
+        """The rotation of one estimate, degrees."""
+        return 0.0 if self.angles is None else float(self.angles[row])
 
 
-def learn_target(
-    work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided, rates: Rates
-) -> Learnt:
-    """References move toward the estimate; agents that gave none at the start learn theirs."""
-    compiled, box, (rate, own_rates) = work.plate_of(filtered.target), measured.box, rates
-    parts = measured.measures.parts
-    lesson = Lesson(
-        compiled.cues,
-        work.cache,
-        hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
-        {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
-        work.availability,
-        filtered.target,
-        work.faults.get((filtered.target, "learning"), {}),
-    )
-    learnt = learn(lesson, compiled, filtered.before, decided, own_rates)
-    first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)
-    if not first and not still_out:
-        return changed(learnt, rate=rate)
-    slow = {**learnt.watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
-    return replace(
-        learnt,
-        references={**learnt.references, **first},
-        watched=replace(learnt.watched, slow=slow),
-        decisions=(*learnt.decisions, *still_out),
-        rate=rate,
-    )
+def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
+    """References move toward the estimates; agents that gave none at the start learn theirs."""
+    filtered, compiled = group.filtered, group.filtered.compiled
+    shares, rates = learning_rates(work, group)
+    is_learning = any(any(one) for one in rates.values())
+    fields = filtered.fields
+    angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
+    if not is_learning and not group.chosen:
+        return LearntGroup(filtered.references, shares, angles=angles)
+    lesson, checks, free = partial(_lesson, work, group), dict[int, Judged](), rates
+    if is_learning and compiled.guard is not None:
+        free = {agent: [*of] for agent, of in rates.items()}
+        for row in range(len(shares)):
+            own = {agent: of[row] for agent, of in rates.items()}
+            if any(own.values()):
+                known = {agent: of[row] for agent, of in filtered.references.items()}
+                checks[row] = judge(lesson(row), filtered.state(row).watched, known, own, compiled.guard)
+            for agent in checks[row].held & free.keys() if row in checks else ():
+                free[agent][row] = 0.0
+    references, faults = move_references(work, group, lesson, free, angles)
+    beside = {}
+    for row in sorted({*group.chosen, *faults, *checks}):
+        judged = checks.get(row) or judge_nothing(filtered.state(row).watched)
+        moved = {agent: of[row] for agent, of in references.items()}
+        own = {agent: of[row] for agent, of in rates.items()}
+        beside[row] = _learn_beside(group, row, lesson(row), judged, (moved, own, faults.get(row, {})))
+    return LearntGroup(references, shares, beside, angles)
 
 
-def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided) -> Rates:
-    """The share of the largest rate that the belief allows, and agent -> its rate.
+def _lesson(work: FrameWork, group: JudgedGroup, row: int) -> Lesson:
+    """What the agents of one target can learn from."""
+    filtered, compiled = group.filtered, group.filtered.compiled
+    state = np.concatenate([group.boxes[row], group.states[row, 4:]])[None]
+    parts = group.measures.of(row).parts if compiled.part_of else {}
+    boxes = {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()}
+    at = hypotheses_of(state, filtered.fields)
+    return Lesson(compiled.cues, work.cache, at, boxes, work.availability, filtered.ids[row])
+
+
+# ------------------------------------------------------------------------------------ rates
+
+
+def learning_rates(work: FrameWork, group: JudgedGroup) -> tuple[list[float], dict[str, list[float]]]:
+    """Of each target the share of the largest rate that its belief allows, and agent -> the rate of each.
 
     The less of the target is visible the less is learnt, and nothing when half of it is hidden, since the box
     shows what hides it.
     """
-    compiled, measures, net = work.plate_of(filtered.target), measured.measures, measured.net
-    rule = compiled.plate.inference(compiled.plate.root).learn
-    ud_px2 = measures.ud_px2[compiled.plate.root]
-    rate = learning_rate(rule, ud_px2, measures.area_px2, decided.quiet_px2)
-    seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
-    rate, at_parts = rate * seen, dict[str, float]()
-    if measures.parts:
-        quiet_of = partial(quiet_level, compiled.plate, net.active, decided.memory)
-        at_parts = {part: own * seen for part, own in part_rates(rule, measures.parts, quiet_of).items()}
-    score, least = measured.score, None if rule is None else rule.score_above
-    likely = score is not None and least is not None and score > least
-    held = net.status == "tracking" or (net.status == "uncertain" and (likely or measured.scored.doubt > 0))
-    held = held and measured.scored.missing is None
-    live = work.net.targets[filtered.target]
+    filtered, compiled, measures = group.filtered, group.filtered.compiled, group.measures
+    plate, count = compiled.plate, len(group.nets)
+    rule = plate.inference(plate.root).learn
+    if rule is None:
+        return [0.0] * count, {}
+    shares, rates = [], {agent: [0.0] * count for agent in compiled.rate_max}
+    columns = zip(
+        measures.uds[plate.root].tolist(),
+        measures.areas.tolist(),
+        group.baselines_px2,
+        filtered.hidden,
+        strict=True,
+    )
+    for row, (ud_px2, area_px2, baseline_px2, hidden) in enumerate(columns):
+        beside, seen = filtered.beside(row), max(1.0 - 2.0 * hidden, 0.0)
+        share, of_parts = learning_rate(rule, ud_px2, area_px2, baseline_px2) * seen, dict[str, float]()
+        if measures.part_areas:
+            of_parts = _part_rates(group, row, rule, seen)
+        every, rests = _rhythm(work, group, row, rule, beside)
+        if rests or not _is_held(group, row, rule) or (beside is not None and beside.step.degenerate):
+            share, of_parts = 0.0, {}
+        shares.append(share)
+        if share <= 0.0 and not any(of_parts.values()):
+            continue
+        age, net = work.frame.since(filtered.state(row).started), group.nets[row]
+        for agent, largest in compiled.rate_max.items():
+            if agent not in net.quarantined and (beside is None or agent not in beside.missed):
+                own = of_parts.get(compiled.part_of.get(agent, ""), share) * largest_rate(rule, largest, age)
+                rates[agent][row] = over_frames(own, every)
+    return shares, rates
+
+
+def _part_rates(group: JudgedGroup, row: int, rule: Learn, seen: float) -> dict[str, float]:
+    """Part -> share of the largest rate."""
+    plate, net = group.filtered.compiled.plate, group.nets[row]
+    baseline_of = partial(quiet_level, plate, net.active, group.memory.take([row]))
+    found = part_rates(rule, group.measures.of(row).parts, baseline_of)
+    return {part: share * seen for part, share in found.items()}
+
+
+def _is_held(group: JudgedGroup, row: int, rule: Learn) -> bool:
+    """Whether the box shows the target, as far as status and score say."""
+    net, outcome = group.nets[row], group.score(row)
+    likely = outcome.score is not None and rule.score_above is not None and outcome.score > rule.score_above
+    held = net.status == "tracking" or (net.status == "uncertain" and (likely or outcome.scored.doubt > 0))
+    return held and outcome.scored.missing is None and len(net.active) > 0
+
+
+def _rhythm(
+    work: FrameWork, group: JudgedGroup, row: int, rule: Learn, beside: Filtered | None
+) -> tuple[int, bool]:
+    """In one of how many frames a target's agents learn, and whether they rest in this one."""
+    live = work.net.targets[group.filtered.ids[row]]
     every = frames_between(rule, live.sampled)
-    rests = work.frame.ordinal % every > 0
-    if filtered.call is not None and live.turn is not None:  # without a call none of them rests
-        every, rests = live.turn.since(work.frame.index, work.frame.stride), not filtered.call.ran
-    if not held or not net.active or filtered.step.degenerate is not None or rests:
-        rate, at_parts = 0.0, {}
-    age = work.frame.since(filtered.before.started)
-    return rate, {
-        agent: over_frames(
-            at_parts.get(compiled.part_of.get(agent, ""), rate) * largest_rate(rule, own, age), every
-        )
-        for agent, own in compiled.rate_max.items()
-        if agent not in net.quarantined and agent not in filtered.missed
-    }
+    if beside is None or beside.call is None or live.turn is None:
+        return every, work.frame.ordinal % every > 0
+    return live.turn.since(work.frame.index, work.frame.stride), not beside.call.ran
 
 
-def learn(
-    lesson: Lesson, compiled: CompiledPlate, before: TargetState, decided: Decided, rates: Mapping[str, float]
-) -> Learnt:
-    """Move all references that are guarded by none or agree with their guard, then carry out local actions.
+# ------------------------------------------------------------------------------------ references
 
-    The decisions that stand are those chosen, without actions that found nothing left to try, and the
-    quarantine of agents that failed here.
+
+def move_references(
+    work: FrameWork,
+    group: JudgedGroup,
+    lesson: Callable[[int], Lesson],
+    rates: Mapping[str, Sequence[float]],
+    angles: Floats | None,
+) -> tuple[References, dict[int, dict[str, str]]]:
+    """The references of all agents, active or not, each moved by its rate toward what its box holds now.
+
+    Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
+    own region holds that. An agent that fails keeps its reference; the second mapping says of each row what
+    was wrong. An agent that gives no answer for a reason outside of it keeps
+    its reference, too; the frame's availability has it.
     """
-    judged = judge(lesson, before.watched, before.references, rates, compiled.guard)
-    free = {agent: rate for agent, rate in rates.items() if agent not in judged.held}
-    moved, faults = learn_references(lesson, before.references, free)
-    moved, watched, failed = guard(lesson, before.watched, judged, moved, rates, compiled.guard)
-    faults |= failed
+    filtered, cues = group.filtered, group.filtered.compiled.cues
+    references, outcomes = dict(filtered.references), dict[str, dict[int, Fault]]()
+    learning = {agent: _rows(work, group, agent, of) for agent, of in rates.items() if agent in references}
+    waits = {
+        (agent, row): blend_ahead(lesson(row), agent, references[agent][row], rates[agent][row])
+        for agent, rows in learning.items()
+        for row in (rows if is_elsewhere(cues[agent]) else ())
+    }
+    for agent, rows in learning.items():
+        if len(rows) and not is_elsewhere(cues[agent]):
+            own, known = np.array(rates[agent])[rows], _taken(references[agent], rows)
+            found, outcomes[agent] = _follow(work, group, agent, rows, (known, own, angles))
+            references[agent] = _replaced(references[agent], rows, found)
+    for (agent, row), wait in waits.items():
+        answer = wait()
+        if isinstance(answer, str | Missing):
+            outcomes.setdefault(agent, {})[row] = answer
+        else:
+            references[agent] = _replaced(references[agent], np.array([row]), [answer])
+    faults: dict[int, dict[str, str]] = {}
+    for agent in rates:
+        for row, fault in outcomes.get(agent, {}).items():
+            if isinstance(fault, str):
+                faults.setdefault(row, {})[agent] = fault
+            else:
+                work.availability.note(filtered.ids[row], agent, "learning", fault.reason)
+    return references, faults
+
+
+def _rows(work: FrameWork, group: JudgedGroup, agent: str, rates: Sequence[float]) -> Ints:
+    """The targets of which an agent learns."""
+    ids, availability = group.filtered.ids, work.availability
+    rows = [row for row, rate in enumerate(rates) if rate > 0.0]
+    if availability.known:
+        rows = [row for row in rows if availability.misses(ids[row], agent, "learning") is None]
+    return np.array(rows, dtype=np.intp)
+
+
+def _follow(
+    work: FrameWork,
+    group: JudgedGroup,
+    agent: str,
+    rows: Ints,
+    given: tuple[Sequence[Reference], Floats, Floats | None],
+) -> tuple[Sequence[Reference], dict[int, Fault]]:
+    """References of some rows after learning, and row -> what was wrong.
+
+    `given` are the references and rates of these rows, and the rotations of all targets.
+    """
+    compiled = group.filtered.compiled
+    cue, part, (known, rates, angles) = compiled.cues[agent], compiled.part_of.get(agent), given
+    boxes = group.boxes[rows]
+    if part is not None:
+        places = [group.measures.of(row).parts[part].box for row in rows.tolist()]
+        boxes = np.array([inside_frame(box, work.frame) for box in places])
+    try:
+        planes = _planes(work, cue, boxes)
+    except FAULTS as error:
+        if len(rows) == 1:
+            return known, {int(rows[0]): fault_of(error, " while learning")}
+        found: list[Reference] = []
+        faults: dict[int, Fault] = {}
+        for t in range(len(rows)):  # of which target it is shows where each learns by itself
+            one, fault = _follow(work, group, agent, rows[t : t + 1], ([known[t]], rates[t : t + 1], angles))
+            found, faults = [*found, *one], faults | fault
+        return found, faults
+    turned = None if angles is None else angles[rows]
+    moved, failed = follow(cue, planes, boxes, known, rates, turned)
+    return moved, {int(rows[t]): fault for t, fault in failed.items()}
+
+
+def _planes(work: FrameWork, cue: AnyCue, boxes: Floats) -> list[Planes]:
+    starts, share = np.arange(len(boxes) + 1), hasattr(cue, "follow_each")
+    return planes_of_each(work, cue.needs, boxes, starts, context_of(cue), share)
+
+
+def _taken(references: Sequence[Reference], rows: Ints) -> Sequence[Reference]:
+    """The references of some rows."""
+    if len(rows) == len(references):
+        return references
+    if isinstance(references, ReferenceRows):
+        return references.take(rows)
+    return [references[row] for row in rows.tolist()]
+
+
+def _replaced(known: Sequence[Reference], rows: Ints, found: Sequence[Reference]) -> Sequence[Reference]:
+    """What is known, with what was found in some rows."""
+    if len(rows) == len(known):
+        return found
+    if isinstance(known, ReferenceRows) and isinstance(found, ReferenceRows):
+        together = known.replaced(rows, found)
+        if together is not None:
+            return together
+    after = list(known)
+    for row, reference in zip(rows.tolist(), found, strict=True):
+        after[row] = reference
+    return after
+
+
+# ------------------------------------------------------------------------------------ one target
+
+
+def _learn_beside(
+    group: JudgedGroup,
+    row: int,
+    lesson: Lesson,
+    judged: Judged,
+    learnt: tuple[Mapping[str, Reference], Mapping[str, float], Mapping[str, str]],
+) -> Beside:
+    """Guard the references of one target, carry out local actions, and let agents start late.
+
+    `learnt` are its references, the rates, and agent -> what was wrong. The decisions that stand are those
+    chosen, without actions that found nothing left to try, and the quarantine of agents that failed here.
+    """
+    moved, rates, faults = learnt
+    compiled, before = group.filtered.compiled, group.filtered.state(row)
+    now, chosen = group.see(row), group.chosen.get(row, ())
+    references, watched, failed = guard(lesson, before.watched, judged, moved, rates, compiled.guard)
+    faults = {**faults, **failed}
     kept: list[Decision] = []
-    for decision in decided.chosen:
+    for decision in chosen:
         if isinstance(decision, LocallyAdapted):
             if decision.node in faults:
                 continue
-            tuned = adapt_reference(lesson, decision.node, moved[decision.node], decision.attempt)
+            tuned = adapt_reference(lesson, decision.node, references[decision.node], decision.attempt)
             if isinstance(tuned, str):
                 faults[decision.node] = tuned
             if tuned is None or isinstance(tuned, str):
                 continue
-            moved[decision.node] = tuned
+            references[decision.node] = tuned
         kept.append(decision)
-    return Learnt(moved, watched, judged, (*kept, *_quarantine_failed(decided.now, faults)), lesson.angle)
-
-
-def _quarantine_failed(now: Situation, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:
-    return tuple(
-        quarantine(now.net, now.frame, now.target, agent, reason) for agent, reason in faults.items()
-    )
+    first, still_out = start_late(lesson, now, references, chosen)
+    slow = {**watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
+    out = (quarantine(now.net, now.frame, now.target, agent, reason) for agent, reason in faults.items())
+    return Beside({**references, **first}, changed(watched, slow=slow), judged, (*kept, *out, *still_out))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -13,13 +12,12 @@ from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load, balance
 from bayesnet_track.engine.external_inputs import ExternalInputs
-from bayesnet_track.engine.findings import Heard
-from bayesnet_track.engine.frame_metrics import Lines, WhenAsked
+from bayesnet_track.engine.finishing import Results
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reaches_of
+from bayesnet_track.engine.metrics import Heard, Lines, WhenAsked
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.judging import JudgedRows
-from bayesnet_track.engine.rows.plain_rows import Results
 from bayesnet_track.engine.rows.row_heard import RowHeard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.shedding import balance_load
@@ -91,24 +89,22 @@ def carry_out(
     judged: Sequence[JudgedRows] = (),
 ) -> Outcome:
     """The outcome of the targets' frames: decisions are carried out, of rows first."""
-    net, others = work.net, {}
+    net, others = work.net, dict[str, TargetState]()
     events: list[Event] = [*joint.events]
     for one in judged:
         net = apply_decisions(net, one.decisions)
         events += one.decisions
-    for target, result in results.others.items():
-        net = apply_decisions(net, result.decisions)
-        others[target] = recompile(work.engine, net, target, result.state)
-        events += [*result.events, *result.decisions]
-    metrics: Sequence[FrameMetrics] = Lines(results.lines, results.boxes) if len(results) else ()
-    tables = [group.table for group in results.groups]
+    for target, (group, row) in results.singles.items():
+        decisions = group.decisions(row)
+        net = apply_decisions(net, decisions)
+        others[target] = recompile(work.engine, net, target, group.state(row))
+        events += [*group.events(row), *decisions]
+    metrics: Sequence[FrameMetrics] = Lines(results.lines, results.boxes) if results.order else ()
+    tables = [group.table for group in results.groups if group.table is not None]
     targets: Mapping[str, TargetState] = others
     if tables:
         targets = Targets((), tables, others, results.order)
-    made = partial(WhenAsked, results.order)
-    covariances: Mapping[str, Floats] = made(lambda target: results[target].covariance())
-    heard: Mapping[str, Heard] = made(lambda target: results[target].heard())
-    history = state.history
+    covariances, heard, history = results.covariances, results.heard, state.history
     if judged:
         several = [one.table(work.frame.time, net.targets) for one in judged]
         targets = Targets(several, tables, others, results.order)

@@ -12,13 +12,11 @@ from bayesnet_track.adapt.status import next_try, quarantine
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
-from bayesnet_track.engine.scoring.distractors import without_motion
+from bayesnet_track.engine.scoring.rivals import first_references, without_motion
 from bayesnet_track.engine.scoring.score import Scored
-from bayesnet_track.engine.scoring.verifying import first_references
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
@@ -26,7 +24,7 @@ from bayesnet_track.inference.learn import Lesson, learn_first
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
@@ -93,7 +91,7 @@ def start(
         existence=compiled.first_existence,
         started=frame.index,
     )
-    metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
+    metrics = _first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     if compiled.modes is not None:
         states = ModeState.of(compiled.modes, born.belief, born.belief, 1.0)
         metrics = with_modes(metrics, states, calibrated=True)
@@ -164,3 +162,45 @@ def _start_belief(work: FrameWork, compiled: CompiledPlate, birth: str, box: Flo
     motion = confined(compiled.motion, work.frame.width, work.frame.height)
     belief: Posterior = compiled.belief.start(box, motion, work.stream_of(birth, compiled.plate.root))
     return belief
+
+
+def _first_frame_metrics(
+    frame: Frame,
+    target: str,
+    size: int,
+    active: tuple[str, ...],
+    box: Floats,
+    parts: Mapping[str, Floats],
+) -> FrameMetrics:
+    """The frame in which the target starts: its box is known, and by it those of its parts (4,)."""
+    where = tuple(map(float, box))
+    point = (where[0], where[0], where[1], where[1])
+    return FrameMetrics(
+        frame=frame.index,
+        time_s=frame.time_s,
+        target=target,
+        centre_box=where,
+        map=where,
+        sd=(0.0, 0.0, 0.0, 0.0),
+        ud_px2=0.0,
+        ud_nodes={},
+        quiet_px2=None,
+        status="tracking",
+        score=1.0,
+        log_evidence=0.0,
+        surprise=0.0,
+        ess=float(size),
+        particles=size,
+        active=active,
+        kl={},
+        contribution={},
+        agent_ud_px2={},
+        strength={},
+        learn_rate=1.0,
+        region50=point,
+        region90=point,
+        cloud=(),
+        parts={
+            name: PartMetrics(tuple(map(float, at)), (0.0,) * 4, 0.0, "seen") for name, at in parts.items()
+        },
+    )

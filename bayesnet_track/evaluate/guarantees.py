@@ -13,7 +13,7 @@ from statistics import fmean
 
 import numpy as np
 
-from bayesnet_track.engine.scoring.assurance import level_afterwards, means_of, next_rise
+from bayesnet_track.engine.scoring.outcome import level_afterwards, means_of, next_rise
 from bayesnet_track.evaluate.calibration import OFF_TARGET, ON_TARGET
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.numerics.arrays import Floats

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.observation.cue import FAULTS, Hypotheses, Reference, real_numbers, said, text_of
+from bayesnet_track.observation.cue import (
+    FAULTS,
+    Hypotheses,
+    Reference,
+    Turnable,
+    real_numbers,
+    said,
+    text_of,
+)
 from bayesnet_track.observation.likelihoods import ReferenceRows
 from bayesnet_track.observation.planes import Planes, seal, shown
 
@@ -63,13 +71,19 @@ def score(
 
 
 def follow(
-    cue: Any, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats
+    cue: Any,
+    planes: Sequence[Planes],
+    boxes: Floats,
+    references: Sequence[Reference],
+    rates: Floats,
+    angles: Floats | None = None,
 ) -> tuple[Sequence[Reference], dict[int, Fault]]:
     """T references, each blended at its rate with what is learnt in its centre box of (T, 4), and the faults.
 
-    A target with a fault keeps its reference. Without a change of shapes, `ReferenceRows` stay rows.
+    `angles` are the rotations of the targets, degrees. A target with a fault keeps its reference. Without a
+    change of shapes, `ReferenceRows` stay rows.
     """
-    if len(references) > 1 and hasattr(cue, "follow_each"):
+    if len(references) > 1 and angles is None and hasattr(cue, "follow_each"):
         try:
             moved = cue.follow_each(planes, boxes.copy(), _shown(references), rates)
             if len(moved) == len(references) and _are_finite(moved):
@@ -79,8 +93,8 @@ def follow(
     after, faults = list(references), dict[int, Fault]()
     for t, reference in enumerate(references):
         try:
-            known, rate = shown(reference), float(rates[t])
-            checked = check_reference(_follow_one(cue, planes[t], boxes[t].copy(), known, rate))
+            given = boxes[t].copy(), 0.0 if angles is None else float(angles[t])
+            checked = check_reference(_follow_one(cue, planes[t], given, shown(reference), float(rates[t])))
         except FAULTS as error:
             faults[t] = fault_of(error, " while learning")
             continue
@@ -91,14 +105,21 @@ def follow(
     return (ReferenceRows.of(after) if isinstance(references, ReferenceRows) else after), faults
 
 
-def _follow_one(cue: Any, planes: Planes, box: Floats, reference: Reference, rate: float) -> Reference:
-    """The reference blended with what the cue sees in the centre box (4,)."""
+def _follow_one(
+    cue: Any, planes: Planes, at: tuple[Floats, float], reference: Reference, rate: float
+) -> Reference:
+    """The reference blended with what the cue sees `at` a centre box (4,) that is turned by an angle."""
+    box, angle = at
     own = getattr(cue, "follow", None)
     moved: Reference
-    if own is None:
-        moved = cue.blend(reference, cue.learn(planes, box), rate)
-    else:
+    if angle != 0.0 and isinstance(cue, Turnable):
+        learnt = cue.learn_turned(planes, box, angle)
+    elif own is not None:
         moved = own(planes, box, reference, rate)
+        return moved
+    else:
+        learnt = cue.learn(planes, box)
+    moved = cue.blend(reference, learnt, rate)
     return moved
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from bayesnet_track.adapt.rule_inputs import scale_of
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.asking import check_reference, fault_of, follow
+from bayesnet_track.inference.asking import check_reference, fault_of
 from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
@@ -47,7 +45,6 @@ class Lesson:
         own_boxes: agent that looks at a part -> the centre box (4,) of that part.
         availability: agents that give no answer for a reason outside of them.
         target: target id.
-        failed: agent -> what was wrong when it learnt in a group; it is not asked again.
     """
 
     cues: Mapping[str, AnyCue]
@@ -56,7 +53,6 @@ class Lesson:
     own_boxes: Mapping[str, Floats] = field(default_factory=dict)
     availability: Availability = field(default_factory=Availability)
     target: str = ""
-    failed: Mapping[str, str] = field(default_factory=dict)
 
     def box_of(self, agent: str) -> Floats:
         """(4,) the centre box that the agent looks at."""
@@ -77,7 +73,7 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
     """Share of the largest rate at this UD: (1 - tanh(2 (UD - theta) / theta)) / 2, 0 from theta upward.
 
     Thesis eq. 2.16. As printed it applies to every target whose UD is below theta and replaces more than half
-    of the reference there, so `learn_references` multiplies it by a largest rate (corrected).
+    of the reference there, so learning multiplies it by a largest rate (corrected).
 
     >>> from bayesnet_track.graph.spec import Learn, Level
     >>> rule = Learn(below=Level(ud_px2=100.0))
@@ -136,22 +132,8 @@ def learn_first(lesson: Lesson, agents: Iterable[str]) -> tuple[dict[str, Refere
     """
     availability = lesson.availability_for("starting")
     learning = [agent for agent in agents if availability.misses(agent) is None]
-    return _all_learnt(lesson, learning, {}, {}, availability)
-
-
-def learn_references(
-    lesson: Lesson, references: Mapping[str, Reference], rates: Mapping[str, float]
-) -> tuple[dict[str, Reference], dict[str, str]]:
-    """The references of all agents, active or not, each moved by its rate toward what its box holds now.
-
-    Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
-    own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong. So
-    does one that gives no answer for a reason outside of it, which the lesson's availability has.
-    """
-    availability = lesson.availability_for("learning")
-    learning = [agent for agent, rate in rates.items() if rate > 0.0 and availability.misses(agent) is None]
-    moved, faults = _all_learnt(lesson, learning, references, rates, availability)
-    return {**references, **moved}, faults
+    outcomes = dict(each_at_once(partial(_learn_ahead, lesson), partial(_learnt, lesson), learning))
+    return _split_faults({agent: outcomes[agent] for agent in learning}, availability)
 
 
 def blend_reference(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
@@ -183,43 +165,28 @@ def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: i
         return f"raised {type(error).__name__} while adapting: {text_of(error)}"
 
 
-def _all_learnt(
-    lesson: Lesson,
-    agents: Sequence[str],
-    old: Mapping[str, Reference],
-    rates: Mapping[str, float],
-    availability: TargetAvailability,
-) -> tuple[dict[str, Reference], dict[str, str]]:
-    """What the agents learn, blended into their old references where they have one; and what went wrong."""
-    ahead, here = partial(_learn_ahead, lesson, old, rates), partial(_learnt, lesson, old, rates)
-    outcomes: dict[str, Reference | str | Missing] = {
-        name: lesson.failed[name] for name in agents if name in lesson.failed
-    }
-    outcomes |= dict(each_at_once(ahead, here, [agent for agent in agents if agent not in outcomes]))
-    return _split_faults({agent: outcomes[agent] for agent in agents}, availability)
-
-
-def _learnt(
-    lesson: Lesson, old: Mapping[str, Reference], rates: Mapping[str, float], agent: str
-) -> Reference | str | Missing:
-    """What the cue sees in its box, blended into the old reference; or what went wrong."""
+def blend_ahead(lesson: Lesson, agent: str, old: Reference, rate: float) -> Wait[Reference | str | Missing]:
+    """Ask a cue elsewhere to learn and blend: what waits for the reference, or for what went wrong."""
     cue: Any = lesson.cues[agent]
+
+    def ask() -> Wait[Reference]:
+        method, arguments = _to_learn(lesson, agent)
+        wait: Wait[Reference] = cue.ask_ahead("blend", shown(old), getattr(cue, method)(*arguments), rate)
+        return wait
+
+    return partial(_collect, defer_faults(ask, FAULTS))
+
+
+def _learnt(lesson: Lesson, agent: str) -> Reference | str | Missing:
+    """What the cue sees in its box, or what went wrong."""
     try:
         method, arguments = _to_learn(lesson, agent)
-        if agent not in old:
-            return check_reference(getattr(cue, method)(*arguments))
-        if method == "learn":
-            planes, box = arguments
-            after, faults = follow(cue, [planes], box[None], [old[agent]], np.array([rates[agent]]))
-            return faults.get(0, after[0])
-        return check_reference(cue.blend(shown(old[agent]), getattr(cue, method)(*arguments), rates[agent]))
+        return check_reference(getattr(lesson.cues[agent], method)(*arguments))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
         return fault_of(error, " while learning")
 
 
-def _learn_ahead(
-    lesson: Lesson, old: Mapping[str, Reference], rates: Mapping[str, float], agent: str
-) -> Wait[Reference | str | Missing] | None:
+def _learn_ahead(lesson: Lesson, agent: str) -> Wait[Reference | str | Missing] | None:
     """Ask a cue elsewhere to learn: what waits for the outcome, as `_learnt` has it; None for one here."""
     cue: Any = lesson.cues[agent]
     if not is_elsewhere(cue):
@@ -227,11 +194,7 @@ def _learn_ahead(
 
     def ask() -> Wait[Reference]:
         method, arguments = _to_learn(lesson, agent)
-        if agent in old:
-            seen = getattr(cue, method)(*arguments)
-            wait: Wait[Reference] = cue.ask_ahead("blend", shown(old[agent]), seen, rates[agent])
-        else:
-            wait = cue.ask_ahead(method, *arguments)
+        wait: Wait[Reference] = cue.ask_ahead(method, *arguments)
         return wait
 
     return partial(_collect, defer_faults(ask, FAULTS))

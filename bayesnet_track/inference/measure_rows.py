@@ -7,13 +7,13 @@ depends on who else is measured.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from dataclasses import dataclass, field
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import Measures
+from bayesnet_track.adapt.rule_inputs import Inside, Measures
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
@@ -47,52 +47,45 @@ def is_alone(plan: Plan) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class RowMeasures:
-    """What is measured of T targets; what rules seldom ask for is found when they do, for all at once.
+class GroupMeasures:
+    """Measures of T targets of a plate, as columns of what rules ask for in every frame.
 
     Attributes:
-        target: the flat net.
+        uds: inference node -> (T,) UD of its belief, px^2.
+        areas: (T,) of the estimates, px^2.
+        fits: (T,) as in `Measures`.
         agents: those who said something, A of them.
-        silent: those of them that measure and did not see the targets.
-        uds: of each target, UD of its belief, px^2.
-        fits: of each, as in `Measures`.
-        areas: of each estimate, px^2.
         nats: (T, A) contributions.
-        find_rest: () -> of each target by agent, KL and strength in nats, UD in px^2.
+        of: row -> all that is measured of one target.
+        part_areas: part -> (T,) areas of the estimates, px^2.
+        insides: (node, radius) -> what of each belief lies within, for the windows that rules ask about.
     """
 
-    target: CheckedTarget
+    uds: Mapping[str, Floats]
+    areas: Floats
+    fits: Floats
     agents: Sequence[str]
-    silent: tuple[str, ...]
-    uds: Sequence[float]
-    fits: Sequence[float]
-    areas: Sequence[float]
     nats: Floats
-    find_rest: Callable[[], Rest]
+    of: Callable[[int], Measures]
+    part_areas: Mapping[str, Floats] = field(default_factory=dict)
+    insides: Mapping[tuple[str, float], Sequence[Inside]] = field(default_factory=dict)
 
-    def __len__(self) -> int:
-        return len(self.uds)
-
-    @cached_property
-    def _rest(self) -> Rest:
-        return self.find_rest()
-
-    def of(self, row: int) -> Measures:
-        """What is measured of one."""
-        kl, strength, uds = (Found(self.agents, partial(self._rest_of, row, part)) for part in range(3))
-        return Measures(
-            ud_px2={self.target.root: self.uds[row]},
-            agent_ud_px2=uds,
-            kl=kl,
-            contribution=dict(zip(self.agents, self.nats[row].tolist(), strict=True)),
-            strength=strength,
-            fit=self.fits[row],
-            area_px2=self.areas[row],
-            silent=self.silent,
+    @classmethod
+    def of_each(cls, measures: Sequence[Measures]) -> GroupMeasures:
+        """The columns of targets that were measured one by one, by the same agents."""
+        head = measures[0]
+        agents = (*head.contribution,)
+        nats = [[one.contribution[agent] for agent in agents] for one in measures]
+        return cls(
+            {node: np.array([one.ud_px2[node] for one in measures]) for node in head.ud_px2},
+            np.array([one.area_px2 for one in measures]),
+            np.array([one.fit for one in measures]),
+            agents,
+            np.array(nats).reshape(len(measures), len(agents)),
+            measures.__getitem__,
+            {part: np.array([one.parts[part].area_px2 for one in measures]) for part in head.parts},
+            {key: [one.inside[key] for one in measures] for key in head.inside},
         )
-
-    def _rest_of(self, row: int, part: int) -> dict[str, float]:
-        return dict(zip(self.agents, self._rest[part][row], strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,19 +145,48 @@ def silent_of(evidence: Evidence) -> tuple[str, ...]:
     return tuple(agent for agent, own in evidence.measured.items() if own is None)
 
 
-def measure_rows(
-    target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2: Sequence[float]
-) -> RowMeasures:
-    """What is measured of the steps of a flat net; every index is taken on the step's own hypotheses."""
+def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2: Floats) -> GroupMeasures:
+    """Measures of the steps of a flat net; every index is taken on the step's own hypotheses.
+
+    Those that rules seldom ask for are found when one does, for all targets at once.
+    """
     agents, messages = steps.agents, steps.messages
     without = steps.prior[None] if is_alone(plan) else tilt(steps.prior, _without_each(plan, steps))
     nats = divergences(np.broadcast_to(steps.log, (len(agents), *steps.log.shape)), without).T
     seeing = [messages[agent] for agent in agents if agent not in steps.silent]
     total = sum((own / len(seeing) for own in seeing), np.zeros_like(steps.prior)).max(axis=1)
-    fits = np.exp(np.minimum(total, 0.0)).tolist() if seeing else [0.0] * len(areas_px2)
+    fits = np.exp(np.minimum(total, 0.0)) if seeing else np.zeros(len(areas_px2))
     heard = np.array([messages[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
-    rest = partial(_find_rest, target, plan, heard, steps)
-    return RowMeasures(target, agents, steps.silent, steps.uds, fits, areas_px2, nats, rest)
+    columns = {target.root: np.array(steps.uds)}, areas_px2, fits, agents, nats
+    rest = cache(partial(_find_rest, target, plan, heard, steps))
+    return GroupMeasures(*columns, partial(_measures_of, columns, target.root, steps.silent, rest))
+
+
+Columns = tuple[Mapping[str, Floats], Floats, Floats, Sequence[str], Floats]
+
+
+def _measures_of(
+    columns: Columns, root: str, silent: tuple[str, ...], find_rest: Callable[[], Rest], row: int
+) -> Measures:
+    """All that is measured of one target."""
+    uds, areas, fits, agents, nats = columns
+    kl, strength, agent_uds = (
+        Found(agents, partial(_of_agents, agents, find_rest, row, part)) for part in range(3)
+    )
+    return Measures(
+        ud_px2={root: float(uds[root][row])},
+        agent_ud_px2=agent_uds,
+        kl=kl,
+        contribution=dict(zip(agents, nats[row].tolist(), strict=True)),
+        strength=strength,
+        fit=float(fits[row]),
+        area_px2=float(areas[row]),
+        silent=silent,
+    )
+
+
+def _of_agents(agents: Sequence[str], find_rest: Callable[[], Rest], row: int, part: int) -> dict[str, float]:
+    return dict(zip(agents, find_rest()[part][row], strict=True))
 
 
 def _find_rest(target: CheckedTarget, plan: Plan, messages: Floats, steps: StepArrays) -> Rest:

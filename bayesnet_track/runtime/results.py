@@ -12,7 +12,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.findings import Heard
+from bayesnet_track.engine.metrics import Heard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event, Input

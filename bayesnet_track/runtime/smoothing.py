@@ -16,8 +16,8 @@ from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
 from bayesnet_track.engine.compiled import make_plate_motion
+from bayesnet_track.engine.metrics import CLOUD_SIZE
 from bayesnet_track.engine.scoring.score import blur_regions
-from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted

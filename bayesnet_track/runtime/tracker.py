@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import Forecast, forecast
-from bayesnet_track.engine.frame_metrics import Lines
-from bayesnet_track.engine.scoring.assurance import said_status
+from bayesnet_track.engine.metrics import Lines
+from bayesnet_track.engine.scoring.outcome import said_status
 from bayesnet_track.engine.starts import Start, check_given, check_started, say_blank, start_targets
 from bayesnet_track.engine.step import Engine, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.engine.scoring.assurance import (
+from bayesnet_track.engine.scoring.outcome import (
     e_value,
     is_assured,
     judge_alarm,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.engine.scoring.confidences import confidences, log_odds
-from bayesnet_track.engine.scoring.score import probability
+from bayesnet_track.engine.scoring.score import confidences, log_odds, probability
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.spec import Logistic
 from bayesnet_track.observation.cue import Measurement

@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track import Tracker
-from bayesnet_track.engine.scoring.distractors import follow_distractor, with_distractor, without_motion
-from bayesnet_track.engine.scoring.encounters import Encounter, Place, distances_since, motion_before
-from bayesnet_track.engine.scoring.score import Scored, most
+from bayesnet_track.engine.scoring.rivals import follow_distractor, with_distractor, without_motion
+from bayesnet_track.engine.scoring.score import Encounter, Place, Scored, distances_since, most, motion_before
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic

@@ -1,4 +1,4 @@
-"""The two halves of a target's frame, by themselves: `filter_target`, then `finish_target`."""
+"""The first half of a target's frame by itself, and the order in which carried targets go."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from types import SimpleNamespace
 
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.filtering import filter_target
-from bayesnet_track.engine.findings import TargetResult
-from bayesnet_track.engine.finishing import finish_target
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.step import step
 from bayesnet_track.inference.availability import Availability
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
@@ -19,18 +16,6 @@ NODES = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a"
 def work_of(engine, state, frame, **settings):
     cache = PlaneCache(FramePair(frame, state.previous))
     return FrameWork(engine, state.net, cache, state.history.births, **settings)
-
-
-def test_both_halves_are_the_step_of_a_target_that_is_alone(fakes):
-    engine = fakes.engine(NODES, {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14)})[0]
-    state, frame = fakes.play(engine, 1)[-1].state, fakes.frame(2)
-    work = work_of(engine, state, frame)
-    result = finish_target(work, filter_target(work, "1", state.targets["1"]))
-    whole = step(engine, state, frame)
-    assert isinstance(result, TargetResult)
-    assert whole.metrics == (result.line(),)
-    assert whole.events == (*result.events, *result.decisions)
-    assert {"planes", "belief", "measure", "learn", "a", "b"} == set(work.seconds)
 
 
 def test_who_gives_no_answer_is_of_one_frame_only(fakes):

@@ -1,4 +1,4 @@
-"""Targets held by particles that are filtered together: the same bytes as one by one."""
+"""Targets held by particles: the bytes of a target do not depend on who else is in its group."""
 
 import pickle
 from dataclasses import replace
@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cues.color_histogram import ColorHistogram
-from bayesnet_track.engine import finishing, learning
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.rows import plain_rows
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
 from bayesnet_track.engine.rows.particle_table import ParticleTable
-from bayesnet_track.engine.rows.row_learning import follow_rows
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.text.load import load_graph
@@ -42,23 +39,24 @@ def frame(index):
     return Frame(index, float(index), np.roll(image, 2 * index, axis=1))
 
 
-def started(graph=GRAPH, plate="thing"):
+def started(graph=GRAPH, plate="thing", names="0123"):
     engine, state = steps.make_engine(graph, 3), steps.State()
-    for number, at in enumerate(PLACES):
-        box = np.array([*at, 16.0, 16.0])
-        state = steps.start_target(engine, state, frame(0), str(number), plate, box).state
+    for name in names:
+        box = np.array([*PLACES[int(name)], 16.0, 16.0])
+        state = steps.start_target(engine, state, frame(0), name, plate, box).state
     return engine, state
 
 
-def lines(frames=5):
-    """All that is written down."""
-    engine, state = started()
-    written = []
-    for index in range(1, frames):
+def lines(names, frames):
+    """Target -> all that is written down of it."""
+    engine, state = started(names=names)
+    written = {name: [] for name in names}
+    for index in frames:
         outcome = steps.step(engine, state, frame(index))
         state = outcome.state
-        written += [to_json(one) for one in (*outcome.metrics, *outcome.events)]
-    return written
+        for one in (*outcome.metrics, *outcome.events):
+            written[one.target].append(to_json(one))
+    return written, {target: known(one) for target, one in state.targets.items()}
 
 
 def known(state):
@@ -76,37 +74,26 @@ def known(state):
     return keys, references, [array.tobytes() for array in arrays], state.time, state.plan.active
 
 
-def test_finished_together_and_one_by_one_are_the_same_bytes(monkeypatch):
-    """So is what the rules remember; a target that looks lost is finished by itself."""
-    finished = []
-
-    def finish(*given):
-        found = plain_rows.finish_rows(*given)
-        finished.append(0 if found is None else len(found))
-        return found
-
-    def memories():
-        engine, state = started()
-        for index in range(1, 14):
-            state = steps.step(engine, state, frame(index if index < 10 else index + 30)).state
-        return {target: known(one) for target, one in state.targets.items()}
-
-    monkeypatch.setattr(finishing, "finish_rows", finish)
-    together, remembered = lines(8), memories()
-    assert max(finished) == len(PLACES) and min(finished) < len(PLACES)
-    monkeypatch.setattr(finishing, "finish_rows", lambda *_: None)
-    assert lines(8) == together and memories() == remembered
+def test_a_target_has_the_same_bytes_in_a_group_and_alone():
+    """So is what the rules remember, also of a target that looks lost, and of one that is found again."""
+    frames = [*range(1, 10), *range(40, 44), *range(76, 80)]  # the image repeats after 64 frames
+    written, remembered = lines("0123", frames)
+    events = [one for of in written.values() for one in of if "status" in one and "cause" in one]
+    assert events, "nothing was decided"
+    for name in "0123":
+        alone = lines(name, frames)
+        assert alone[0][name] == written[name] and alone[1][name] == remembered[name]
 
 
 def test_what_learns_early_in_every_second_frame_learns_the_same_together(monkeypatch):
     root = NODES["thing"] | {"learn": {"below": {"ud_px2": 100}, "every": 2, "early_rate": 0.5}}
     graph = load_graph({"name": "things", "targets": {"thing": {"nodes": NODES | {"thing": root}}}})
 
-    def references():
-        engine, state = started(graph)
+    def references(names, late):
+        engine, state = started(graph, names=names)
         for index in range(1, 7):
             state = steps.step(engine, state, frame(index)).state
-            if index == 3:
+            if index == 3 and late:
                 box = np.array([100.0, 20.0, 16.0, 16.0])
                 state = steps.start_target(engine, state, frame(3), "late", "thing", box).state
         return {target: known(one) for target, one in state.targets.items()}
@@ -115,12 +102,12 @@ def test_what_learns_early_in_every_second_frame_learns_the_same_together(monkey
     monkeypatch.setattr(
         ColorHistogram, "follow_each", lambda self, *args: asked.append(args[3].tolist()) or own(self, *args)
     )
-    together = references()
+    together = references("0123", True)
     assert [len(rates) for rates in asked] == [4, 4, 5, 5, 5, 5]  # two agents in frames 2, 4 and 6
     assert max(asked[2][:4]) < asked[2][4]  # the late one's second frame
-    monkeypatch.setattr(finishing, "finish_rows", lambda *_: None)
-    monkeypatch.setattr(learning, "plate_learns", lambda compiled: False)
-    assert references() == together
+    for name in "0123":
+        assert references(name, False)[name] == together[name]
+    assert references("0", True)["late"] == together["late"]
 
 
 def test_only_targets_that_fit_go_together():
@@ -187,15 +174,18 @@ def test_targets_are_rows_until_something_is_decided_about_them():
     "change",
     [{"status": "lost"}, {"quarantined": frozenset({"coarse"})}, {"sampled": {"coarse": 2}}],
 )
-def test_rows_of_which_something_may_be_decided_are_finished_one_by_one(change):
-    engine, state = started()
-    nets = {**state.net.targets, "2": replace(state.net.targets["2"], **change)}
-    cache = PlaneCache(FramePair(frame(1), frame(0)))
-    work = FrameWork(engine, replace(state.net, targets=nets), cache, state.history.births)
-    groups = filter_rows(work, state.targets)
-    (group,) = [one for one in groups if len(one) > 1]
-    found = plain_rows.finish_rows(work, group, plain_rows.Described(work, {}, {}))
-    assert found is not None and "2" not in found
+def test_a_target_of_which_something_may_be_decided_does_not_change_the_others(change):
+    def states(names):
+        engine, state = started(names=names)
+        if "2" in names:
+            nets = {**state.net.targets, "2": replace(state.net.targets["2"], **change)}
+            state = replace(state, net=replace(state.net, targets=nets))
+        for index in (1, 2):
+            state = steps.step(engine, state, frame(index)).state
+        return {target: known(one) for target, one in state.targets.items()}
+
+    together = states("0123")
+    assert all(states(name)[name] == together[name] for name in "0123")
 
 
 def test_a_group_and_some_of_it_hold_the_same_of_each():
@@ -214,20 +204,12 @@ def test_a_group_and_some_of_it_hold_the_same_of_each():
 
 def test_agents_learn_only_of_targets_with_a_rate():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
-    table = ParticleTable.of(engine.plates["thing"], state.targets)
-    boxes = np.array([[*at, 16.0, 16.0] for at in PLACES])
-    every, some, none = (
-        follow_rows(work, table, boxes, rates)[0]
-        for rates in ([0.5, 0.5, 0.5, 0.5], [0.5, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 0.0])
-    )
-    for agent in ("color", "coarse"):
-        assert none[agent] is table.references[agent]
-        for row in range(4):
-            same = every if row % 2 == 0 else none
-            assert some[agent][row]["shares"].tobytes() == same[agent][row]["shares"].tobytes()
-    listed = replace(table, references={agent: list(own) for agent, own in table.references.items()})
-    again, _ = follow_rows(work, listed, boxes, [0.5, 0.0, 0.5, 0.0])
-    assert [one["shares"].tolist() for one in again["color"]] == [
-        one["shares"].tolist() for one in some["color"]
-    ]
+    nets = {**state.net.targets, "2": replace(state.net.targets["2"], status="lost")}
+    before = {name: known(one)[1] for name, one in state.targets.items()}
+    outcome = steps.step(engine, replace(state, net=replace(state.net, targets=nets)), frame(1))
+    rates = {one.target: one.learn_rate for one in outcome.metrics}
+    assert rates["2"] == 0.0 and all(rates[name] > 0.0 for name in "013")
+    for name, one in outcome.state.targets.items():
+        after = known(one)[1]
+        moved = [agent for agent in after if after[agent] != before[name][agent]]
+        assert moved == ([] if name == "2" else ["color", "coarse"])

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
-from bayesnet_track.engine.scoring.score import Scored
+from bayesnet_track.engine.scoring.score import Look, Scored, follow_fit
 from bayesnet_track.graph.settings.adapt import Lost
 
 RULE = Lost(score_below=0.25, uncertain_below=0.55, frames=3, found_fit=0.25)

@@ -9,7 +9,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.scoring.assurance import e_value, level_afterwards, next_rise
+from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_rise
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.evaluate.guarantees import (
     Run,

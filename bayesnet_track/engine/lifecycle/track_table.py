@@ -10,7 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.frame_metrics import Lines
+from bayesnet_track.engine.metrics import Lines
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.finding import rows_of

@@ -17,7 +17,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step, hypothes
 from bayesnet_track.belief.motion.jumps import TELL_ABOVE, Within
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import MotionContext, PredictedMotion
-from bayesnet_track.engine.scoring.confidences import log_odds
+from bayesnet_track.engine.scoring.score import log_odds
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.inference.compile import Plan

@@ -15,7 +15,7 @@ from bayesnet_track.belief.contract import MotionModel, Posterior, Step
 from bayesnet_track.belief.motion.jumps import Jumping, Search, Within
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import PredictedMotion
-from bayesnet_track.engine.scoring.reacquisition import usual_fit
+from bayesnet_track.engine.scoring.score import usual_fit
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.motion import Sudden
 from bayesnet_track.inference.compile import Plan

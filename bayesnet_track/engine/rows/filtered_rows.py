@@ -8,21 +8,25 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Evidence, MotionModel, Step
+from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.belief.contract import Evidence, MotionModel, Step, estimate
 from bayesnet_track.belief.particles.belief import Before, FindMap, find_places
 from bayesnet_track.belief.particles.particle_set import Clouds, Inputs, some
 from bayesnet_track.engine.attachment import particles
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.particle_table import ParticleTable
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import columns_of
 from bayesnet_track.inference.measure_rows import StepArrays, uncertainties
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights, effective, select
-from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.cue import Hypotheses, Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +62,47 @@ class FilteredRows(Mapping[str, Filtered]):
         return self.before.ids
 
     @property
+    def compiled(self) -> CompiledPlate:
+        """The plate of the targets."""
+        return self.before.compiled
+
+    @property
     def plan(self) -> Plan:
         """The compiled net of the frame."""
         return self.before.plan
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The D fields of a state."""
+        return self.clouds.fields
+
+    @property
+    def references(self) -> Mapping[str, Sequence[Reference]]:
+        """Agent -> its reference of each target."""
+        return self.before.references
+
+    @property
+    def memory(self) -> RuleMemory:
+        """Rule memory of all targets."""
+        return self.before.columns()
+
+    def of(self, row: int) -> Filtered:
+        """The first half of the frame of one target."""
+        return self[self.ids[row]]
+
+    def beside(self, row: int) -> Filtered | None:
+        """Nothing beside the columns is known of a target."""
+        return None
+
+    def state(self, row: int) -> TargetState:
+        """The state of one target before the frame; its belief, references and memory may be elsewhere."""
+        return self.before.base[row]
+
+    def estimates(self, rule: Estimate | None) -> Floats:
+        """(T, D) states that stand for the beliefs."""
+        if rule is None or rule.kind == "map":
+            return self.best
+        return np.array([estimate(rule, self[target].step) for target in self.ids])
 
     @property
     def dt(self) -> float:

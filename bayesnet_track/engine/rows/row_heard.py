@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.engine.findings import Heard
+from bayesnet_track.engine.metrics import Heard
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.observation.cue import Measurement
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.gaussian.belief import draw_boxes
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.metrics import CLOUD_SIZE
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
-from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.encoder import Written, written
 from bayesnet_track.journal.frame_columns import ABSENT, texts
 from bayesnet_track.journal.metrics import FrameMetrics

@@ -7,8 +7,8 @@ from dataclasses import replace
 from bayesnet_track.adapt.memory import STATUS_STREAKS
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.outcome import State
-from bayesnet_track.engine.scoring.distractors import without_motion
-from bayesnet_track.engine.scoring.reacquisition import LEAST_FRAMES
+from bayesnet_track.engine.scoring.rivals import without_motion
+from bayesnet_track.engine.scoring.score import LEAST_FRAMES
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import SceneCut

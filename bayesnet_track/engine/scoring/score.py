@@ -1,9 +1,9 @@
-"""How sure it is that the target is held, from features of a frame; and regions that allow for it."""
+"""Score features of a target: how sure it is that it is held, how it met its like, and when it is back."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from types import MappingProxyType
@@ -11,14 +11,122 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesnet_track.adapt.rule_inputs import Measures
-from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.engine.scoring.encounters import Encounter, Place
+from bayesnet_track.belief.contract import Evidence, Posterior, Step
+from bayesnet_track.graph.settings.adapt import Lost
+from bayesnet_track.graph.settings.scores import confidence_feature
 from bayesnet_track.graph.spec import Localization, Logistic
+from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
+
+SUREST = 0.999
+"""More confidence than this, or less than 1 minus this, says no more."""
+
+
+def confidences(rule: Logistic, evidence: Evidence) -> dict[str, float]:
+    """Feature of the score -> log odds of the confidence of an agent; only of those that ran in the frame.
+
+    An agent that saw nothing has none.
+    """
+    measured = {agent: evidence.measured[agent] for agent in rule.confidence if agent in evidence.measured}
+    said = {agent: 0.0 if own is None else own.confidence for agent, own in measured.items()}
+    return {confidence_feature(agent): log_odds(own) for agent, own in said.items() if own is not None}
+
+
+def log_odds(confidence: float) -> float:
+    """log(p / (1 - p)) of a confidence 0..1, which counts as at most `SUREST`.
+
+    >>> round(log_odds(0.9), 3), round(log_odds(1.0), 3), round(log_odds(0.0), 3)
+    (2.197, 6.907, -6.907)
+    """
+    p = min(max(confidence, 1.0 - SUREST), SUREST)
+    return math.log(p / (1.0 - p))
+
+
+SPAN = 5
+"""Estimates from which the target's motion is taken."""
+
+BEFORE = 5
+"""Estimates before a look-alike is noticed that do not count: the wrong one may be followed already."""
+
+WAIT = 2
+"""Frames without a look-alike after which motion may show it."""
+
+LASTS = 50
+"""Frames after the look-alike was seen for which either is taken to move on in a straight line."""
+
+APART_BOX = 1.0
+"""Box sides that the two have to be apart by then."""
+
+NEAR_BOX = 2.0
+"""Box sides from the target's place within which the estimate has to be: farther off it is neither's."""
+
+NEARER = 0.5
+"""The estimate has to be nearer to the target's place than this share of its distance to the other's."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """The centre of something in a frame, px."""
+
+    frame: int
+    x: float
+    y: float
+
+    def distance(self, other: Place) -> float:
+        """Distance of the centres, px."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """How a target and something that looks like it moved when they met.
+
+    Attributes:
+        own: two places of the target before; None where there are no two.
+        first: the look-alike's when it was seen first, and `last` when it was seen last.
+        behind_nats: by how much it was less likely than the target, at most.
+    """
+
+    own: tuple[Place, Place] | None
+    first: Place
+    last: Place
+    behind_nats: float
+
+
+def place_in(frame: int, first: Place, last: Place) -> Place:
+    """Where something is in a frame if it moves on as between two places.
+
+    >>> place_in(4, Place(1, 0.0, 5.0), Place(2, 3.0, 5.0))
+    Place(frame=4, x=9.0, y=5.0)
+    """
+    steps = (frame - last.frame) / (last.frame - first.frame)
+    return Place(frame, last.x + steps * (last.x - first.x), last.y + steps * (last.y - first.y))
+
+
+def motion_before(places: Sequence[Place]) -> tuple[Place, Place] | None:
+    """Two places that show how the target moved before a look-alike was noticed; None with fewer places."""
+    told = places[:-BEFORE][-SPAN:]
+    told = told if len(told) > 1 else places[:2]
+    return (told[0], told[-1]) if len(told) > 1 else None
+
+
+def distances_since(met: Encounter, place: Place, side_px: float) -> tuple[float, float] | None:
+    """How far an estimate is from where the target and the other one should be by now, in box sides.
+
+    None where motion does not show it: the other was seen in one frame only or long ago, or both should be at
+    nearly the same place.
+    """
+    if met.own is None or met.first.frame == met.last.frame or place.frame - met.last.frame > LASTS:
+        return None
+    own, other = place_in(place.frame, *met.own), place_in(place.frame, met.first, met.last)
+    if own.distance(other) <= APART_BOX * side_px:
+        return None
+    return place.distance(own) / side_px, place.distance(other) / side_px
+
 
 Region = tuple[float, float, float, float]
 
@@ -222,3 +330,103 @@ def _mean(values: list[float]) -> float:
 
 def _log(value: float) -> float:
     return max(math.log(value), LEAST_LOG) if value > 0 else LEAST_LOG
+
+
+FIT_FRAMES = 10
+"""Frames on target whose median fit counts as usual."""
+
+LEAST_FRAMES = 5
+"""Frames without which nothing is usual yet."""
+
+SAYS_NOTHING = 0.1
+"""Nats by which a frame moves the belief, below which all hypotheses fit alike, as in a black frame."""
+
+FAR_BOX = 4.0
+"""Box sides from which on distance asks for no more of the fit, nor one side farther of the score: there the
+fifth roots of the levels count."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a frame shows of a target.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        status: the target's before the frame.
+        score: what it is worth by itself.
+        fit: likelihood of the best hypothesis, geometric mean over the agents.
+        surprise: how far the frame moved the belief, nats.
+        x: of the estimate, px; likewise `y`.
+        side_px: root of its area.
+    """
+
+    frame: int
+    target: str
+    status: str
+    score: float
+    fit: float
+    surprise: float
+    x: float
+    y: float
+    side_px: float
+
+
+def usual_fit(scored: Scored) -> float | None:
+    """How well the target usually fits; None while nothing is usual yet, or it is missing."""
+    if scored.missing is not None or len(scored.fits) < LEAST_FRAMES:
+        return None
+    return math.exp(median(scored.fits))
+
+
+def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, FoundAgain | None]:
+    """What is remembered after a frame, the most that its score may be, and how a target was found again.
+
+    A target is missing after `frames` frames with a score below `score_below`, those left out in which
+    nothing is seen at all. It is found when something fits at least `found_fit` of what was usual for
+    `frames` frames in a row, and the score of the last is that of a tracked target: `uncertain_below`. More
+    is asked for away from where the target was held, of the score from one box side on. What fits less well,
+    something beside it or what hides it, keeps the score at one half or below.
+    """
+    assert rule.found_fit is not None and rule.score_below is not None
+    log_fit = max(math.log(look.fit), LEAST_LOG) if look.fit > 0.0 else LEAST_LOG
+    if scored.missing is None:
+        if look.surprise < SAYS_NOTHING:
+            return changed(scored, low=0), 1.0, None
+        if look.score >= rule.score_below:
+            if look.score < (rule.uncertain_below or rule.score_below):
+                return changed(scored, low=0), 1.0, None
+            held = (*scored.fits, log_fit)[-FIT_FRAMES:]
+            return changed(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
+        low = scored.low + 1
+        is_lost = low >= rule.frames and len(scored.fits) >= LEAST_FRAMES
+        return changed(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
+    share = math.exp(log_fit - median(scored.fits))
+    moved_px = math.hypot(look.x - scored.place[0], look.y - scored.place[1])
+    away = moved_px / look.side_px
+    strict = 1.0 / (1.0 + min(away, FAR_BOX))
+    level = rule.found_fit**strict
+    if share < level:
+        return changed(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
+    again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
+    if len(again) < rule.frames:
+        return changed(scored, again=again), 1.0, None
+    # Where the target was badly held its usual fit is poor, and a look-alike reaches it, but no high score.
+    beyond = min(max(away - 1.0, 0.0), FAR_BOX)
+    score_level = (rule.uncertain_below or rule.score_below) ** (1.0 / (1.0 + beyond))
+    if look.score < score_level:
+        return changed(scored, again=again[1:]), 0.5, None
+    found = FoundAgain(
+        look.frame,
+        look.target,
+        share,
+        level,
+        rule.found_fit,
+        rule.frames,
+        min(again),
+        scored.missing,
+        moved_px,
+        look.score,
+        score_level,
+    )
+    return changed(scored, missing=None, again=(), low=0), 1.0, found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bayesnet_track.engine.scoring.assurance import level_afterwards, means_of
+from bayesnet_track.engine.scoring.outcome import level_afterwards, means_of
 from bayesnet_track.graph.spec import Guarantee, InferenceNode, Target
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.recording.run_reader import Run

@@ -1,0 +1,247 @@
+"""Score of one target in one frame: from what fits, its verifiers and its like, with guarantee and alarm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
+
+import numpy as np
+
+from bayesnet_track.adapt.rule_inputs import Measures
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.scoring.rivals import (
+    HELD,
+    Verification,
+    find_distractor,
+    follow_distractor,
+    with_distractor,
+)
+from bayesnet_track.engine.scoring.score import (
+    Look,
+    Place,
+    Scored,
+    confidences,
+    extent_beyond,
+    follow_fit,
+    most,
+    probability,
+)
+from bayesnet_track.graph.settings.scores import Alarm, Guarantee
+from bayesnet_track.graph.spec import Distractors, InferenceNode
+from bayesnet_track.journal.events.beliefs import Reappeared
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.statuses import (
+    AlarmEnded,
+    AlarmRaised,
+    AssuranceChanged,
+    DistractorSeen,
+    DoubtEnded,
+    FoundAgain,
+)
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.log_weights import kl
+from bayesnet_track.numerics.records import changed
+
+SHIFT_NATS = 1.0
+"""Log odds of being off target above which the alarm's evidence rises: at scores below 0.27."""
+
+MOST_NATS = 1.0
+"""What a single frame counts at most, so that one bad frame decides nothing."""
+
+
+def with_recent(scored: Scored, score: float, rule: Guarantee) -> Scored:
+    """With the score of one frame more."""
+    return replace(scored, recent=(*scored.recent, score)[-rule.frames :])
+
+
+def is_assured(scored: Scored, rule: Guarantee | None) -> bool:
+    """Whether `tracking` may be said; always without a guarantee, and in the first frame."""
+    return rule is None or not scored.recent or fmean(scored.recent) > rule.above
+
+
+def said_status(status: str, scored: Scored, rule: Guarantee | None) -> str:
+    """The status as it is reported: at most uncertain where the guarantee does not hold otherwise."""
+    return "uncertain" if status == "tracking" and not is_assured(scored, rule) else status
+
+
+def means_of(scores: Sequence[float], frames: int) -> Floats:
+    """(n,) mean of the last `frames` scores after each of n frames, fewer at the start.
+
+    >>> means_of([0.5, 1.0, 0.0], 2).tolist()
+    [0.5, 0.75, 0.5]
+    """
+    return np.array([fmean(scores[max(0, k + 1 - frames) : k + 1]) for k in range(len(scores))])
+
+
+def level_afterwards(levels: Sequence[float], means: Floats) -> float:
+    """The level of a run that is over: the lowest that is allowed for the share of its frames above.
+
+    `levels` are a guarantee's `afterwards`; `means` (n,) of every frame after the first, 0 where there was no
+    target any more.
+
+    >>> level_afterwards([0.2, 0.6], np.array([0.1, 0.5, 0.5, 0.9]))
+    0.5
+    """
+    above = np.sort(means)[::-1]
+    kept = (
+        float(above[count]) if (count := k * len(above) // len(levels)) < len(above) else 0.0
+        for k in range(1, len(levels) + 1)
+    )  # the lowest level with at most `count` frames above
+    return min(max(level, lowest) for level, lowest in zip(levels, kept, strict=True))
+
+
+def next_rise(rise: float, score: float) -> float:
+    """The alarm's evidence C after a frame: max(0, C + clip(log((1 - score) / score) - 1, -1, 1)).
+
+    >>> next_rise(0.5, 0.0), next_rise(1.5, 0.9), next_rise(0.5, 0.9)
+    (1.5, 0.5, 0.0)
+    """
+    odds = math.inf if score <= 0.0 else math.log1p(-score) - math.log(score) if score < 1.0 else -math.inf
+    return max(0.0, rise + min(max(odds - SHIFT_NATS, -MOST_NATS), MOST_NATS))
+
+
+def e_value(rise: float, rule: Alarm) -> float:
+    """(videos + 1) X / (total + X), X = exp(rise): at most 1 in expectation while the target is held.
+
+    Over a video exchangeable with the calibration videos the largest value has the expectation 1, so that it
+    reaches 1 / share with a probability of at most `share`, whatever the dependence of its frames.
+    """
+    return (rule.videos + 1) / (1.0 + rule.total * math.exp(-rise))
+
+
+def with_evidence(scored: Scored, score: float, frame: int) -> Scored:
+    """With the alarm's evidence after a frame."""
+    rise = next_rise(scored.rise, score)
+    if rise == 0.0:
+        return replace(scored, rise=0.0, since=None, alarmed=False)
+    return replace(scored, rise=rise, since=frame if scored.since is None else scored.since)
+
+
+def judge_alarm(
+    before: Scored, scored: Scored, rule: Alarm, frame: int, target: str
+) -> tuple[Scored, AlarmRaised | AlarmEnded | None]:
+    """Whether the alarm is raised, or ends as its evidence has gone."""
+    found = e_value(scored.rise, rule)
+    if not scored.alarmed and found >= 1.0 / rule.share and scored.since is not None:
+        raised = AlarmRaised(frame, target, found, rule.share, scored.since, rule.videos)
+        return replace(scored, alarmed=True), raised
+    return scored, AlarmEnded(frame, target) if before.alarmed and not scored.alarmed else None
+
+
+def judge_assurance(
+    before: Scored, scored: Scored, rule: Guarantee, frame: int, target: str
+) -> AssuranceChanged | None:
+    """What is written down when `tracking` may no longer be said, or may be said again."""
+    now = is_assured(scored, rule)
+    if now == is_assured(before, rule):
+        return None
+    return AssuranceChanged(
+        frame, target, now, fmean(scored.recent), rule.above, len(scored.recent), rule.share
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreOutcome:
+    """Score of one target in one frame.
+
+    Attributes:
+        scored: what the score remembers.
+        score: probability of being on target; None where the graph does not say how it comes about.
+        bound: the most that the score may be.
+        distractor: what looks like the target beside it.
+        notices: what guarantee and alarm give to write down.
+    """
+
+    scored: Scored
+    score: float | None = None
+    bound: float = 1.0
+    distractor: DistractorSeen | None = None
+    notices: tuple[Event, ...] = ()
+
+
+def score_target(work: FrameWork, filtered: Filtered, box: Floats, measures: Measures) -> ScoreOutcome:
+    """How sure it is that a target is held whose estimate is `box` (4,), inside the frame."""
+    compiled, scored = work.plate_of(filtered.target), filtered.before.scored
+    root = compiled.plate.inference(compiled.plate.root)
+    assert root.score is not None
+    rule, distractor, ended = root.score.settings, None, None
+    unfit = measures.fit < rule.full_fit
+    verification = Verification(compiled.verifiers, work.cache, filtered.target, box)
+    verified = verification.verify(scored.references, unfit or scored.unfit or not scored.smooth)
+    ud_px2 = None if unfit or _is_sought(work, filtered) else measures.ud_px2[compiled.plate.root]
+    further = {**verified.values, **confidences(rule, filtered.step.evidence)}
+    further["border"] = extent_beyond(box, work.frame)
+    scored = scored.after(rule, measures, filtered.step, ud_px2, further)
+    if root.distractors is not None:
+        scored, distractor, ended = _follow_distractors(
+            work, filtered, root.distractors, box, measures, scored
+        )
+    bound = most(rule, measures.fit, scored.doubt)
+    if filtered.modes is not None and filtered.modes.hidden is not None:
+        bound = min(bound, 1.0 - filtered.modes.hidden)
+    score = min(probability(rule, scored.features(rule)), bound)
+    found: FoundAgain | None = None
+    if root.lost is not None and root.lost.found_fit is not None:
+        look = _look(work, filtered, box, score, measures.fit)
+        scored, most_now, found = follow_fit(scored, root.lost, look)
+        bound = min(bound, most_now)
+        score = min(score, bound)
+    scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
+    notices = (*notices, *(one for one in (found, ended) if one is not None))
+    if score >= HELD and not unfit:
+        verified = verification.follow(verified)
+    scored, notices = changed(scored, references=verified.references), (*notices, *verified.failed)
+    return ScoreOutcome(scored, score, bound, distractor, notices)
+
+
+def _is_sought(work: FrameWork, filtered: Filtered) -> bool:
+    """Whether the target is lost, or found by a search in this frame: the belief is as wide as the search."""
+    frame, target = work.frame.index, filtered.target
+    events = (report(frame, target) for report in filtered.step.reports)
+    return work.net.targets[target].status == "lost" or any(isinstance(one, Reappeared) for one in events)
+
+
+def _follow_distractors(
+    work: FrameWork,
+    filtered: Filtered,
+    rule: Distractors,
+    box: Floats,
+    measures: Measures,
+    scored: Scored,
+) -> tuple[Scored, DistractorSeen | None, DoubtEnded | None]:
+    """With what looks like the target beside it, or the end of the doubt that this raised."""
+    frame, target = work.frame.index, filtered.target
+    able = work.plate_of(target).cues.keys() - work.net.targets[target].quarantined
+    if not able <= measures.kl.keys():  # it takes all of them to tell things apart
+        return scored, None, None
+    seen = find_distractor(rule, frame, target, filtered.step, measures)
+    if measures.fit < rule.fit or _is_sought(work, filtered):  # its estimate shows no motion
+        return with_distractor(scored, seen, rule.frames), seen, None
+    place, side = Place(frame, float(box[0]), float(box[1])), float(np.sqrt(max(measures.area_px2, 1.0)))
+    scored, ended = follow_distractor(scored, seen, rule.frames, target, place, side)
+    return scored, seen, ended
+
+
+def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:
+    """What the frame shows of a target whose estimate is `box` (4,)."""
+    target, (x, y, w, h) = filtered.target, box.tolist()
+    surprise = kl(filtered.step.support.weights.log, filtered.step.prior.log)
+    status = work.net.targets[target].status
+    return Look(work.frame.index, target, status, score, fit, surprise, x, y, float(np.sqrt(w * h)))
+
+
+def _follow(
+    root: InferenceNode, before: Scored, scored: Scored, score: float, frame: int, target: str
+) -> tuple[Scored, tuple[Event, ...]]:
+    """What guarantee and alarm remember after a frame, and what they give to write down."""
+    notices: list[Event | None] = []
+    if root.guarantee is not None:
+        scored = with_recent(scored, score, root.guarantee)
+        notices.append(judge_assurance(before, scored, root.guarantee, frame, target))
+    if root.alarm is not None:
+        scored, notice = judge_alarm(before, with_evidence(scored, score, frame), root.alarm, frame, target)
+        notices.append(notice)
+    return scored, tuple(notice for notice in notices if notice is not None)
