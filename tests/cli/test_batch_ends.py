@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import pytest
 
 from bayesnet_track.cli.batch import places
@@ -22,6 +24,7 @@ from bayesnet_track.cli.batch.results import Results
 from bayesnet_track.cli.batch.table import BatchProgress, Silence
 from bayesnet_track.cli.batch.work import FINISHED, failed_row
 from bayesnet_track.cli.main import main
+from bayesnet_track.sources.scenes.library import SceneSource, make_scene
 
 
 def job(name, seed=0):
@@ -161,3 +164,61 @@ def test_a_cluster_that_does_not_start_in_time_is_a_clear_error(tmp_path, monkey
     error = capsys.readouterr().err
     assert "timed out during startup" in error and "Traceback" not in error
     assert ("cannot be started here" if address is None else f"no Ray cluster at {address}") in error
+
+
+def outputs(folder):
+    """What is a function of graph, source, start and seed: file -> bytes."""
+    names = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "graph.yaml")
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.mark.slow
+def test_a_process_leaves_nothing_of_a_video_to_the_next_one(tmp_path, monkeypatch):
+    """In any order, the files are those that a fresh process writes."""
+    for scene in ("two_squares", "gray_square"):
+        (tmp_path / scene).mkdir()
+        for frame in SceneSource(make_scene(scene, seed=0), scene, 12):
+            cv2.imwrite(str(tmp_path / scene / f"{frame.index:03}.png"), frame.image)
+    kinds = [("general", "two_squares"), ("general", "gray_square"), ("two_squares", "two_squares")]
+
+    def tracked(where, order):
+        top = tmp_path / where
+        jobs = [
+            Job(graph, Video(str(tmp_path / scene), scene, init="60,50,40,40"), 3, str(top / graph / scene))
+            for graph, scene in order
+        ]
+        rows = rows_of(Processes(1), *jobs)
+        assert [row["status"] for row in rows.values()] == 3 * [FINISHED]
+        return {(job.graph, job.video.name): outputs(Path(job.out)) for job in jobs}
+
+    begun = []
+    begin = subprocess.Popen
+
+    def counted(*arguments, **options):
+        begun.append(begin(*arguments, **options))
+        return begun[-1]
+
+    monkeypatch.setattr(places.subprocess, "Popen", counted)
+    monkeypatch.setattr(places, "MOST_JOBS", 1)
+    fresh = tracked("fresh", kinds)
+    assert len(begun) == 3
+    monkeypatch.setattr(places, "MOST_JOBS", 100)
+    assert tracked("warm", kinds) == tracked("other", kinds[::-1]) == fresh
+    assert len(begun) == 5 and all(process.poll() is not None for process in begun)
+
+
+def test_after_a_video_that_failed_the_process_is_another(monkeypatch):
+    statuses = iter(["failed", "finished", "finished"])
+    program = """import sys
+for line in sys.stdin: print('{"row": {"status": "%s"}}', flush=True)"""
+    begun = []
+
+    class Other(subprocess.Popen):
+        def __init__(self, *_, **options):
+            super().__init__([sys.executable, "-c", program % next(statuses)], **options)
+            begun.append(self)
+
+    monkeypatch.setattr(places.subprocess, "Popen", Other)
+    rows = rows_of(Processes(1), job("a"), job("b"), job("c"), job("d"))
+    assert [row["status"] for row in rows.values()] == ["failed", "finished", "finished", "finished"]
+    assert len(begun) == 2 and all(process.poll() is not None for process in begun)

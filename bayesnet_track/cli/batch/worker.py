@@ -1,4 +1,4 @@
-"""A job in a process of its own: read from the input; how far it is, and its row, told as lines of JSON."""
+"""Jobs in a process of their own, a line of the input each; progress and rows are told as lines of JSON."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 
 from bayesnet_track.cli.batch.jobs import Job, allow
 
@@ -14,7 +15,7 @@ EVERY_S = 0.5
 
 
 def main() -> int:
-    """Do one job; the exit code."""
+    """Do jobs until the input ends; the exit code."""
     from bayesnet_track.cli.batch.work import do, failed_row
     from bayesnet_track.cli.commands.answer import words
     from bayesnet_track.observation.settings import by_command_line
@@ -27,7 +28,20 @@ def main() -> int:
     def send(what: object) -> None:
         os.write(answers, json.dumps(what).encode() + b"\n")
 
-    job = Job.from_json(sys.stdin.readline())
+    for line in sys.stdin:
+        job = Job.from_json(line)
+        try:
+            with heard(lambda text: send({"notice": text})), by_command_line():
+                allow(job)
+                row = do(job, _progress(send))
+        except (OSError, ValueError) as error:
+            row = failed_row(job, " ".join(words(error).split()))
+        send({"row": row})
+    return 0
+
+
+def _progress(send: Callable[[object], None]) -> Callable[[int, int | None], None]:
+    """Tell how far a job is, now and then."""
     shown = 0.0
 
     def progress(done: int, expected: int | None) -> None:
@@ -36,11 +50,4 @@ def main() -> int:
             shown = time.monotonic()
             send({"done": done, "expected": expected})
 
-    try:
-        with heard(lambda text: send({"notice": text})), by_command_line():
-            allow(job)
-            row = do(job, progress)
-        send({"row": row})
-    except (OSError, ValueError) as error:
-        send({"row": failed_row(job, " ".join(words(error).split()))})
-    return 0
+    return progress
