@@ -30,7 +30,7 @@ from bayesnet_track.observation.planes import Frame, Plane, Planes
 from bayesnet_track.vision.planes import WholeFrame
 
 if TYPE_CHECKING:
-    from bayesnet_track.vision.kernels.mean_shift_kernels import Cells
+    from bayesnet_track.vision.kernels.mean_shift_kernels import CellLayout
 
 
 STEP = 1.4
@@ -160,11 +160,11 @@ class ForegroundColor:
         """A larger gain; None at once when the target has no contrast."""
         return sharpen(reference, attempt, STEP) if float(reference["contrast"]) > 0.0 else None
 
-    def _cells(self, frame: Frame) -> Cells:
-        from bayesnet_track.vision.kernels.mean_shift_kernels import Cells
+    def _cells(self, frame: Frame) -> CellLayout:
+        from bayesnet_track.vision.kernels.mean_shift_kernels import CellLayout
 
         p = self.parameters
-        return Cells(p.levels, False) if frame.has_color else Cells(p.gray_levels, True)
+        return CellLayout(p.levels, False) if frame.has_color else CellLayout(p.gray_levels, True)
 
     def _posterior(self, shares: Reference) -> Bytes:
         from bayesnet_track.vision.kernels.mean_shift_kernels import posterior
