@@ -26,7 +26,7 @@ import numpy as np
 from measuring import Image, environment, on_one_thread, table
 from sequences import find_sequences
 
-from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_rise
+from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_cusum
 from bayesnet_track.evaluate.calibration import OFF_TARGET, fit, score_of
 from bayesnet_track.evaluate.calibration_data import (
     CalibrationData,
@@ -120,7 +120,7 @@ def alarm_rows(data: Sequence[CalibrationData], share: float) -> list[list[str]]
             end = int(gone[0]) if len(gone) else None
             rise, raised = 0.0, None
             for k, score in enumerate(one.all_scores):
-                rise = next_rise(rise, float(score))
+                rise = next_cusum(rise, float(score))
                 if e_value(rise, rule) >= 1.0 / share:
                     raised = k
                     break

@@ -23,7 +23,7 @@ from bayesnet_track.numerics.records import changed
 
 
 @dataclass(frozen=True)
-class Worth:
+class InformationRate:
     """What agents contributed, the past fading.
 
     Attributes:
@@ -34,7 +34,7 @@ class Worth:
     nats: Mapping[str, float] = field(default_factory=dict)
     frames: Mapping[str, float] = field(default_factory=dict)
 
-    def after(self, contribution: Mapping[str, float], memory: int) -> Worth:
+    def after(self, contribution: Mapping[str, float], memory: int) -> InformationRate:
         """With a frame more, in which the active agents contributed so many nats."""
         fade = math.exp(-1.0 / memory)
         nats = {agent: value * fade for agent, value in self.nats.items()}
@@ -42,7 +42,7 @@ class Worth:
         for agent, value in contribution.items():
             nats[agent] = nats.get(agent, 0.0) + value
             frames[agent] = frames.get(agent, 0.0) + 1.0
-        return Worth(nats, frames)
+        return InformationRate(nats, frames)
 
     def mean(self, agent: str) -> float | None:
         """Its remembered mean contribution, nats; None when it was never active."""
@@ -61,18 +61,18 @@ class Worth:
         return mean + exploration * math.sqrt(math.log1p(total) / self.frames[agent])
 
 
-def goes_by_worth(rules: Adapt) -> bool:
+def goes_by_information(rules: Adapt) -> bool:
     """Whether rules choose agents by what they contributed."""
     on = rules.activate is not None and rules.activate.which == "information_per_ms"
     return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
 
 
 def expected_per_ms(
-    worth: Worth, agents: Iterable[str], costs_ms: Mapping[str, float], settings: Information
+    worth: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float], settings: Information
 ) -> dict[str, float]:
     """Agent -> information that may be expected of it per declared cost, nats per ms.
 
-    >>> worth = Worth().after({"a": 0.4, "b": 0.6}, memory=100)
+    >>> worth = InformationRate().after({"a": 0.4, "b": 0.6}, memory=100)
     >>> found = expected_per_ms(worth, "abc", {"a": 0.5, "b": 1.0, "c": 9.0}, Information(exploration=0))
     >>> round(found["a"], 9), round(found["b"], 9), found["c"]
     (0.8, 0.6, inf)
@@ -80,7 +80,9 @@ def expected_per_ms(
     return {agent: worth.hope(agent, settings.exploration) / costs_ms[agent] for agent in agents}
 
 
-def remembered_per_ms(worth: Worth, agents: Iterable[str], costs_ms: Mapping[str, float]) -> dict[str, float]:
+def remembered_per_ms(
+    worth: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float]
+) -> dict[str, float]:
     """Agent -> mean information that it gave per declared cost, nats per ms; for agents that are active."""
     return {agent: (worth.mean(agent) or 0.0) / costs_ms[agent] for agent in agents}
 
@@ -213,7 +215,7 @@ class RuleMemory:
     nats: Floats
     frames: Ints
     missed: Ints
-    worth: tuple[Mapping[str, Worth], ...]
+    worth: tuple[Mapping[str, InformationRate], ...]
 
     def __len__(self) -> int:
         """T."""

@@ -17,11 +17,11 @@ from bayesnet_track.adapt.memory import (
     UNSURE,
     USUAL,
     Baseline,
+    InformationRate,
     RuleMemory,
-    Worth,
-    goes_by_worth,
+    goes_by_information,
 )
-from bayesnet_track.adapt.rule_inputs import Inside, Situation, apply_test
+from bayesnet_track.adapt.rule_inputs import Inside, RuleInputs, apply_test
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Condition, Level, Lost
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
@@ -64,7 +64,7 @@ class RuleColumns:
     fits: Floats
     agents: Sequence[str]
     nats: Floats
-    see: Callable[[int], Situation]
+    see: Callable[[int], RuleInputs]
     hidden: Floats | None = None
     part_areas: Mapping[str, Floats] = field(default_factory=dict)
     agent_uds: Mapping[str, Floats] = field(default_factory=dict)
@@ -76,14 +76,14 @@ class RuleColumns:
     pending: Bools | None = None
 
     @staticmethod
-    def key(inputs: Situation) -> Hashable:
+    def key(inputs: RuleInputs) -> Hashable:
         """Equal for targets that make columns together."""
         known = inputs.score is None, inputs.existence is None, inputs.hiding is None
         said, parts = (*inputs.measures.contribution,), (*inputs.measures.parts,)
         return inputs.plate.name, inputs.net.active, said, parts, known
 
     @classmethod
-    def of(cls, group: Sequence[Situation], checked: Sequence[str]) -> RuleColumns:
+    def of(cls, group: Sequence[RuleInputs], checked: Sequence[str]) -> RuleColumns:
         """The columns of targets with the same key; `checked` agents have a self-check."""
         head, measures = group[0], [one.measures for one in group]
         agents = [*head.measures.contribution]
@@ -116,12 +116,12 @@ class RuleColumns:
         return self.part_areas.get(node, self.areas)
 
 
-def _own_ud(inputs: Situation, agent: str) -> float:
+def _own_ud(inputs: RuleInputs, agent: str) -> float:
     checks = agent in inputs.net.active and agent not in inputs.net.by_hand
     return inputs.measures.agent_ud_px2.get(agent, np.nan) if checks else np.nan
 
 
-def _asks(inputs: Situation) -> bool:
+def _asks(inputs: RuleInputs) -> bool:
     return bool(inputs.net.quarantined or inputs.missed or (inputs.call is not None and inputs.call.ran))
 
 
@@ -185,12 +185,12 @@ def _with_contributions(
     rates = memory.worth
     for node in layout.nodes:
         rules = inputs.plate.inference(node).adapt
-        if rules is not None and goes_by_worth(rules):
+        if rules is not None and goes_by_information(rules):
             governed = [k for k, agent in enumerate(inputs.agents) if inputs.plate.governor[agent] == node]
             contributions = [{inputs.agents[k]: row[k] for k in governed} for row in inputs.nats.tolist()]
             frames_kept = rules.information.memory_frames
             rates = tuple(
-                {**rate, node: rate.get(node, Worth()).after(contribution, frames_kept)}
+                {**rate, node: rate.get(node, InformationRate()).after(contribution, frames_kept)}
                 for rate, contribution in zip(rates, contributions, strict=True)
             )
     return changed(memory, nats=nats, frames=frames, worth=rates, baselines=baselines)

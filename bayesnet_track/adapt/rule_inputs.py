@@ -202,7 +202,7 @@ class Measures:
 
 
 @dataclass(frozen=True)
-class Call:
+class OnCallOutcome:
     """What became of the agents on call in one frame.
 
     Attributes:
@@ -219,7 +219,7 @@ class Call:
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class RuleInputs:
     """All that the rules of one target see in one frame.
 
     Attributes:
@@ -252,22 +252,24 @@ class Situation:
     missed: Mapping[str, str] = field(default_factory=dict)
     existence: float | None = None
     hiding: HiddenCause | None = None
-    call: Call | None = None
+    call: OnCallOutcome | None = None
     stride: int = 1
 
 
-def quiet_level(plate: CheckedTarget, active: frozenset[str], memory: RuleMemory, node: str) -> float | None:
+def baseline_level(
+    plate: CheckedTarget, active: frozenset[str], memory: RuleMemory, node: str
+) -> float | None:
     """The measured baseline of a node's UD in px^2 with the agents that are `active`; None while unknown."""
     return memory.level_px2(node, plate.below[node] & active)
 
 
-def read_ud(now: Situation, memory: RuleMemory, node: str, level: Level) -> Reading | None:
+def read_ud(now: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
     """The UD of an inference node in the level's unit."""
-    quiet = quiet_level(now.plate, now.net.active, memory, node) if level.kind == "ud_baseline" else None
+    quiet = baseline_level(now.plate, now.net.active, memory, node) if level.kind == "ud_baseline" else None
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 
-def read_ud_beside_more(now: Situation, memory: RuleMemory, node: str, level: Level) -> Reading | None:
+def read_ud_beside_more(now: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
     """As `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
 
     It is the lower one, so that help is called early; for a target that is lost, of which no baseline is

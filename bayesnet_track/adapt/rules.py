@@ -15,15 +15,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesnet_track.adapt.memory import RuleMemory, Streak, Worth, expected_per_ms, remembered_per_ms
+from bayesnet_track.adapt.memory import (
+    InformationRate,
+    RuleMemory,
+    Streak,
+    expected_per_ms,
+    remembered_per_ms,
+)
 from bayesnet_track.adapt.rule_columns import RuleColumns, remember
 from bayesnet_track.adapt.rule_inputs import (
     Reading,
-    Situation,
+    RuleInputs,
     Tested,
     apply_test,
+    baseline_level,
     count_left_out,
-    quiet_level,
     read_level,
     read_ud,
     read_ud_beside_more,
@@ -50,7 +56,7 @@ def decide(now: RuleColumns, memory: RuleMemory) -> tuple[dict[int, tuple[Decisi
 
 
 def decide_row(
-    now: Situation, memory: RuleMemory
+    now: RuleInputs, memory: RuleMemory
 ) -> tuple[tuple[Decision, ...], Mapping[str, int] | None, list[Streak]]:
     """The decisions of one frame for one target, of which `memory` is, this frame counted.
 
@@ -71,7 +77,7 @@ def decide_row(
 
 
 def _find(
-    now: Situation, memory: RuleMemory, node: str, level: Level | None, test: Condition | None
+    now: RuleInputs, memory: RuleMemory, node: str, level: Level | None, test: Condition | None
 ) -> Reading | Tested | None:
     """What a rule's condition finds in the node's belief; None while it cannot be told."""
     if level is not None:
@@ -85,13 +91,15 @@ def _find(
 # ------------------------------------------------------------------------------------ self-checks
 
 
-def _check_selves(now: Situation, memory: RuleMemory, decisions: list[Decision], ended: list[Streak]) -> None:
+def _check_selves(
+    now: RuleInputs, memory: RuleMemory, decisions: list[Decision], ended: list[Streak]
+) -> None:
     """Agents watch their own UD: act locally on each frame above, stop at the one that makes `frames`.
 
     The last active agent does not stop itself.
     """
     active = set(now.net.active)
-    quiet = quiet_level(now.plate, now.net.active, memory, now.plate.root)
+    quiet = baseline_level(now.plate, now.net.active, memory, now.plate.root)
     for agent in now.measures.agent_ud_px2 if memory.layout.checked else ():
         check, streak = now.plate.agent(agent).self_check, ("self_check", agent)
         count = 0 if check is None else memory.count(streak)
@@ -115,7 +123,7 @@ def _check_selves(now: Situation, memory: RuleMemory, decisions: list[Decision],
 
 
 def _govern(
-    now: Situation,
+    now: RuleInputs,
     memory: RuleMemory,
     node: str,
     rules: Adapt,
@@ -152,7 +160,7 @@ def _govern(
         ended += [streak for streak in (up, down) if streak in memory.layout.streaks]
 
 
-def _eligible(now: Situation) -> list[str]:
+def _eligible(now: RuleInputs) -> list[str]:
     """Inactive agents that may be switched on for the next frame, those shed for want of time, too."""
     return [
         agent
@@ -174,7 +182,7 @@ class _Chosen:
     expected: Mapping[str, float] = field(default_factory=dict)
 
 
-def _choose_to_activate(now: Situation, memory: RuleMemory, node: str, rules: Adapt) -> list[_Chosen]:
+def _choose_to_activate(now: RuleInputs, memory: RuleMemory, node: str, rules: Adapt) -> list[_Chosen]:
     """All, or the one that a rule thinks best; one never tried comes first.
 
     By expected information all are switched on while the target is lost: what it is worth was learnt while it
@@ -185,7 +193,7 @@ def _choose_to_activate(now: Situation, memory: RuleMemory, node: str, rules: Ad
     ]
     which = "all" if rules.activate is None else rules.activate.which
     if which == "information_per_ms" and agents and now.net.status != "lost":
-        worth = memory.worth[0].get(node, Worth())
+        worth = memory.worth[0].get(node, InformationRate())
         expected = expected_per_ms(worth, agents, now.costs_ms, rules.information)
         best = max(agents, key=lambda agent: expected[agent])
         return [_Chosen(best, worth.mean(best), expected)]
@@ -197,7 +205,7 @@ def _choose_to_activate(now: Situation, memory: RuleMemory, node: str, rules: Ad
 
 
 def _drop_index(
-    now: Situation, memory: RuleMemory, node: str, drop: str, decisions: list[Decision]
+    now: RuleInputs, memory: RuleMemory, node: str, drop: str, decisions: list[Decision]
 ) -> dict[str, float]:
     """Governed agent -> the index by which one is dropped.
 
@@ -219,23 +227,23 @@ def _drop_index(
     if drop == "most_expensive":
         return {agent: now.costs_ms[agent] for agent in agents}
     if drop == "min_information_per_ms":
-        return remembered_per_ms(memory.worth[0].get(node, Worth()), agents, now.costs_ms)
+        return remembered_per_ms(memory.worth[0].get(node, InformationRate()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
 
 
-def _count_held_on(now: Situation, node: str) -> int:
+def _count_held_on(now: RuleInputs, node: str) -> int:
     """How many governed agents work because a person switched them on."""
     return sum(now.plate.governor[agent] == node and agent in now.net.active for agent in now.net.by_hand)
 
 
-def _count_left_out_on(now: Situation, node: str, decisions: list[Decision]) -> int:
+def _count_left_out_on(now: RuleInputs, node: str, decisions: list[Decision]) -> int:
     """How many agents stay on that the node's rules may not switch."""
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
     return count_left_out(now.plate, now.net.active - stopped, node)
 
 
 def _choose_drop(
-    now: Situation, memory: RuleMemory, node: str, rules: Adapt, index: Mapping[str, float]
+    now: RuleInputs, memory: RuleMemory, node: str, rules: Adapt, index: Mapping[str, float]
 ) -> str | None:
     """The agent to switch off by its index; None where none can be spared."""
     if rules.deactivate is None or rules.deactivate.drop != "most_expensive_redundant":
@@ -244,7 +252,7 @@ def _choose_drop(
     # Without it the rule that switches agents on would not call it back at once.
     level = rules.deactivate.below if rules.activate is None else rules.activate.above
     assert level is not None
-    quiet = quiet_level(now.plate, now.net.active, memory, node)
+    quiet = baseline_level(now.plate, now.net.active, memory, node)
     spared = [
         agent
         for agent, ud in index.items()
@@ -254,7 +262,7 @@ def _choose_drop(
     return max(spared, key=lambda agent: now.costs_ms[agent], default=None)
 
 
-def _wake(now: Situation, decisions: list[Decision]) -> None:
+def _wake(now: RuleInputs, decisions: list[Decision]) -> None:
     """With no agent active, switch on all that may be: nothing else could bring the net back."""
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped | Deactivated)}
     readmitted = any(isinstance(d, Readmitted) and d.on for d in decisions)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from bayesnet_track.adapt.memory import FOUND, LOST, SEEN, UNFIT, UNSURE, USUAL, RuleMemory
-from bayesnet_track.adapt.rule_inputs import Situation, read_ud
+from bayesnet_track.adapt.rule_inputs import RuleInputs, read_ud
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.adapt import OnCall
 from bayesnet_track.graph.spec import Lost
@@ -54,7 +54,7 @@ def next_try(frame: int, before: Fault | None) -> tuple[int, int]:
     return frame + min(FIRST_WAIT * 2 ** min(times - 1, 20), LONGEST_WAIT), times
 
 
-def readmit(now: Situation) -> list[Decision]:
+def readmit(now: RuleInputs) -> list[Decision]:
     """The agents whose time is over, in the order of the plate."""
     decisions: list[Decision] = []
     for agent in now.plate.agents:
@@ -69,7 +69,7 @@ def readmit(now: Situation) -> list[Decision]:
 
 
 def give_up_on_missing(
-    now: Situation, memory: RuleMemory, decisions: list[Decision]
+    now: RuleInputs, memory: RuleMemory, decisions: list[Decision]
 ) -> Mapping[str, int] | None:
     """Put out agents that gave no answer for some frames in a row; how many there were of the others.
 
@@ -98,7 +98,7 @@ def is_due(net: TargetNet, frame: int) -> bool:
     return net.turn is None or frame >= net.turn.due or net.status == "lost"
 
 
-def schedule(now: Situation, memory: RuleMemory) -> tuple[Scheduled, ...]:
+def schedule(now: RuleInputs, memory: RuleMemory) -> tuple[Scheduled, ...]:
     """When the agents on call run next; nothing where that is as it was."""
     rule, call, turn = on_call_rule(now.plate), now.call, now.net.turn
     if rule is None or call is None or not call.ran:
@@ -127,7 +127,7 @@ def schedule(now: Situation, memory: RuleMemory) -> tuple[Scheduled, ...]:
     return (scheduled,)
 
 
-def judge_status(now: Situation, memory: RuleMemory, decisions: list[Decision]) -> None:
+def judge_status(now: RuleInputs, memory: RuleMemory, decisions: list[Decision]) -> None:
     """Change the status after as many frames as the rule says.
 
     A target that probably cannot be seen, by its modes, is lost at once: their memory is in that probability.
@@ -161,7 +161,7 @@ class Scale:
 
 
 def _by_score(
-    now: Situation, memory: RuleMemory, rule: Lost, scale: Scale, decisions: list[Decision]
+    now: RuleInputs, memory: RuleMemory, rule: Lost, scale: Scale, decisions: list[Decision]
 ) -> None:
     """tracking, uncertain and lost by two levels of the score, each passed for `rule.frames` frames.
 
@@ -187,7 +187,7 @@ def _by_score(
         decisions.append(StatusChanged(now.frame, now.target, status, cause))
 
 
-def _by_ud(now: Situation, memory: RuleMemory, rule: Lost, decisions: list[Decision]) -> None:
+def _by_ud(now: RuleInputs, memory: RuleMemory, rule: Lost, decisions: list[Decision]) -> None:
     """tracking <-> lost by UD and fit."""
     reading = read_ud(now, memory, now.plate.root, rule.above)
     too_wide = reading is not None and reading.value > reading.level
@@ -213,7 +213,7 @@ def _by_ud(now: Situation, memory: RuleMemory, rule: Lost, decisions: list[Decis
         decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
 
 
-def _blind(now: Situation) -> str:
+def _blind(now: RuleInputs) -> str:
     """Why nothing can fit, where nobody looked; else empty."""
     if not now.net.active:
         return "no agent is active, so the belief is prediction only"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import Call
+from bayesnet_track.adapt.rule_inputs import OnCallOutcome
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import (
     Belief,
@@ -84,7 +84,7 @@ class Filtered:
     flaws: Mapping[str, Flaw] = field(default_factory=dict)
     undefined: Mapping[str, Undefined] = field(default_factory=dict)
     modes: ModeState | None = None
-    call: Call | None = None
+    call: OnCallOutcome | None = None
 
     @property
     def resting(self) -> frozenset[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory, layout_of
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
-from bayesnet_track.adapt.rule_inputs import Situation
+from bayesnet_track.adapt.rule_inputs import RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
@@ -50,7 +50,7 @@ class JudgedGroup:
     chosen: Mapping[int, tuple[Decision, ...]]
     memory: RuleMemory
     baselines_px2: Sequence[float | None]
-    see: Callable[[int], Situation]
+    see: Callable[[int], RuleInputs]
 
     def score(self, row: int) -> ScoreOutcome:
         """Score of one target."""
@@ -105,7 +105,10 @@ def measure_group(filtered: FilteredGroup, areas_px2: Floats) -> GroupMeasures:
 
 
 def rule_columns(
-    group: LiveGroup, measures: GroupMeasures, scores: Sequence[ScoreOutcome], see: Callable[[int], Situation]
+    group: LiveGroup,
+    measures: GroupMeasures,
+    scores: Sequence[ScoreOutcome],
+    see: Callable[[int], RuleInputs],
 ) -> RuleColumns:
     """The inputs of the rules as columns."""
     filtered, nets = group.filtered, group.nets
@@ -164,11 +167,11 @@ def _asks(nets: Sequence[TargetNet], beside: Sequence[Filtered | None]) -> Bools
 
 def _see(
     work: FrameWork, group: LiveGroup, measures: GroupMeasures, scores: Sequence[ScoreOutcome], row: int
-) -> Situation:
+) -> RuleInputs:
     """All that the rules of one target see."""
     filtered, compiled = group.filtered, group.filtered.compiled
     one = filtered.beside(row)
-    return Situation(
+    return RuleInputs(
         work.frame.index,
         filtered.ids[row],
         compiled.plate,

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import quiet_level
+from bayesnet_track.adapt.rule_inputs import baseline_level
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
@@ -25,9 +25,9 @@ from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.asking import Fault, fault_of, follow
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import is_elsewhere
-from bayesnet_track.inference.guard import Judged, Watched, guard, judge, judge_nothing, watch
+from bayesnet_track.inference.guard import DriftCheck, SlowReferences, guard, judge, judge_nothing, watch
 from bayesnet_track.inference.learn import (
-    Lesson,
+    LearningInputs,
     adapt_reference,
     blend_ahead,
     frames_between,
@@ -60,8 +60,8 @@ class Beside:
     """
 
     references: Mapping[str, Reference]
-    watched: Watched
-    judged: Judged
+    watched: SlowReferences
+    judged: DriftCheck
     decisions: tuple[Decision, ...]
 
 
@@ -95,7 +95,7 @@ def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
     angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
     if not is_learning and not group.chosen:
         return LearntGroup(filtered.references, shares, angles=angles)
-    lesson, checks, free = partial(_lesson, work, group), dict[int, Judged](), rates
+    lesson, checks, free = partial(_lesson, work, group), dict[int, DriftCheck](), rates
     if is_learning and compiled.guard is not None:
         free = {agent: [*of] for agent, of in rates.items()}
         for row in range(len(shares)):
@@ -115,14 +115,14 @@ def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
     return LearntGroup(references, shares, beside, angles)
 
 
-def _lesson(work: FrameWork, group: JudgedGroup, row: int) -> Lesson:
+def _lesson(work: FrameWork, group: JudgedGroup, row: int) -> LearningInputs:
     """What the agents of one target can learn from."""
     filtered, compiled = group.filtered, group.filtered.compiled
     state = np.concatenate([group.boxes[row], group.states[row, 4:]])[None]
     parts = group.measures.of(row).parts if compiled.part_of else {}
     boxes = {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()}
     at = hypotheses_of(state, filtered.fields)
-    return Lesson(compiled.cues, work.cache, at, boxes, work.availability, filtered.ids[row])
+    return LearningInputs(compiled.cues, work.cache, at, boxes, work.availability, filtered.ids[row])
 
 
 # ------------------------------------------------------------------------------------ rates
@@ -169,7 +169,7 @@ def learning_rates(work: FrameWork, group: JudgedGroup) -> tuple[list[float], di
 def _part_rates(group: JudgedGroup, row: int, rule: Learn, seen: float) -> dict[str, float]:
     """Part -> share of the largest rate."""
     plate, net = group.filtered.compiled.plate, group.nets[row]
-    baseline_of = partial(quiet_level, plate, net.active, group.memory.take([row]))
+    baseline_of = partial(baseline_level, plate, net.active, group.memory.take([row]))
     found = part_rates(rule, group.measures.of(row).parts, baseline_of)
     return {part: share * seen for part, share in found.items()}
 
@@ -199,7 +199,7 @@ def _rhythm(
 def move_references(
     work: FrameWork,
     group: JudgedGroup,
-    lesson: Callable[[int], Lesson],
+    lesson: Callable[[int], LearningInputs],
     rates: Mapping[str, Sequence[float]],
     angles: Floats | None,
 ) -> tuple[References, dict[int, dict[str, str]]]:
@@ -315,8 +315,8 @@ def _replaced(known: Sequence[Reference], rows: Ints, found: Sequence[Reference]
 def _learn_beside(
     group: JudgedGroup,
     row: int,
-    lesson: Lesson,
-    judged: Judged,
+    lesson: LearningInputs,
+    judged: DriftCheck,
     learnt: tuple[Mapping[str, Reference], Mapping[str, float], Mapping[str, str]],
 ) -> Beside:
     """Guard the references of one target, carry out local actions, and let agents start late.

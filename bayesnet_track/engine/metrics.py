@@ -20,8 +20,8 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.filtered_rows import Together
-from bayesnet_track.engine.scoring.outcome import e_value, said_status
-from bayesnet_track.engine.scoring.score import Scored, blur_regions
+from bayesnet_track.engine.scoring.outcome import e_value, reported_status
+from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
 from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.encoder import written
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
@@ -45,7 +45,7 @@ class Measured:
 
     box: Floats
     measures: Measures
-    scored: Scored
+    scored: ScoreState
     score: float | None = None
     bound: float = 1.0
 
@@ -181,7 +181,7 @@ def frame_metrics(
         ud_px2=measures.ud_px2[plate.root],
         ud_nodes=measures.ud_px2,
         quiet_px2=baseline_px2,
-        status=said_status(work.net.targets[target].status, measured.scored, root.guarantee),
+        status=reported_status(work.net.targets[target].status, measured.scored, root.guarantee),
         score=score,
         log_evidence=stepped.log_evidence,
         surprise=summary.surprise,

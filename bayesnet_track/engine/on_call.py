@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_inputs import Call, Reading, quiet_level, read_level
+from bayesnet_track.adapt.rule_inputs import OnCallOutcome, Reading, baseline_level, read_level
 from bayesnet_track.adapt.status import is_due, on_call_rule
 from bayesnet_track.belief.contract import Posterior, Step, estimate, hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
@@ -47,7 +47,7 @@ def call_agents(
     before: TargetState,
     observer: Observer,
     steps: tuple[Plan, Step[Posterior], By],
-) -> tuple[Plan, Step[Posterior], Call | None]:
+) -> tuple[Plan, Step[Posterior], OnCallOutcome | None]:
     """The agents that took part in the frame, its step, and what became of those on call.
 
     `steps` are the agents that look first, their step, and what makes another. Those on call run, too,
@@ -61,7 +61,7 @@ def call_agents(
     reading = _read(plate, before.memory, plan, first, alone)
     due = is_due(net, work.frame.index) or plan.active <= _without_answer(observer)
     if not due and (reading is None or not reading.above):
-        return plan, first, Call(agents, ran=False)
+        return plan, first, OnCallOutcome(agents, ran=False)
     _ask_around(before.plan, observer, agents, hypotheses_of(alone[None], first.posterior.fields))
     both, out = by(before.plan), _without_answer(observer)
     ran = tuple(agent for agent in agents if agent not in out)
@@ -69,7 +69,7 @@ def call_agents(
         return before.plan, both, None
     share = overlap_of_two(alone[:4], estimate(root.estimate, both)[:4])
     cause = None if due or reading is None else reading.cause(1, reading.value)
-    return before.plan, both, Call(ran, True, share, cause)
+    return before.plan, both, OnCallOutcome(ran, True, share, cause)
 
 
 def _without_answer(observer: Observer) -> set[str]:
@@ -90,5 +90,7 @@ def _read(
     assert rule is not None
     ud_px2 = step.posterior.uncertainty(step.map_state, columns_of(plate, plate.root))
     # Of more agents the baseline is lower: they would always be called.
-    quiet = quiet_level(plate, plan.active, memory, plate.root) if rule.above.kind == "ud_baseline" else None
+    quiet = (
+        baseline_level(plate, plan.active, memory, plate.root) if rule.above.kind == "ud_baseline" else None
+    )
     return read_level(rule.above, ud_px2, float(state[2] * state[3]), quiet)

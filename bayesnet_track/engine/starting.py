@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_inputs import Situation
+from bayesnet_track.adapt.rule_inputs import RuleInputs
 from bayesnet_track.adapt.status import next_try, quarantine
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.borders import confined
@@ -16,11 +16,11 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
-from bayesnet_track.engine.scoring.score import Scored
+from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
-from bayesnet_track.inference.learn import Lesson, learn_first
+from bayesnet_track.inference.learn import LearningInputs, learn_first
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
@@ -87,7 +87,7 @@ def start(
         time=frame.time,
         watched=watch(references, compiled.looks, compiled.guard),
         motion_context=start_motion_context(compiled, box, work.cache.frames),
-        scored=Scored(references=first_references(compiled.verifiers, lesson.cache, box)),
+        scored=ScoreState(references=first_references(compiled.verifiers, lesson.cache, box)),
         existence=compiled.first_existence,
         started=frame.index,
     )
@@ -99,7 +99,10 @@ def start(
 
 
 def start_late(
-    lesson: Lesson, now: Situation, references: Mapping[str, Reference], decisions: Iterable[Decision]
+    lesson: LearningInputs,
+    now: RuleInputs,
+    references: Mapping[str, Reference],
+    decisions: Iterable[Decision],
 ) -> tuple[dict[str, Reference], tuple[Quarantined, ...]]:
     """First references of the agents that are admitted now and gave none when the target started.
 
@@ -150,11 +153,11 @@ def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floa
 
 def _first_lesson(
     work: FrameWork, compiled: CompiledPlate, target: str, box: Floats, parts: Mapping[str, Floats]
-) -> Lesson:
+) -> LearningInputs:
     """What agents learn their first references from: planes of its own, on this target's region."""
     own = {agent: parts[part] for agent, part in compiled.part_of.items()}
     cache = PlaneCache(work.cache.frames)
-    return Lesson(compiled.cues, cache, Hypotheses(box[None]), own, work.availability, target)
+    return LearningInputs(compiled.cues, cache, Hypotheses(box[None]), own, work.availability, target)
 
 
 def _start_belief(work: FrameWork, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:

@@ -12,9 +12,9 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.moving.predicting import MotionContext
-from bayesnet_track.engine.scoring.score import Scored
+from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.inference.compile import Plan, compile_plan
-from bayesnet_track.inference.guard import Watched
+from bayesnet_track.inference.guard import SlowReferences
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
@@ -45,9 +45,9 @@ class TargetState:
     memory: RuleMemory
     plan: Plan
     time: float
-    watched: Watched = field(default_factory=Watched)
+    watched: SlowReferences = field(default_factory=SlowReferences)
     motion_context: MotionContext | None = None
-    scored: Scored = field(default_factory=Scored)
+    scored: ScoreState = field(default_factory=ScoreState)
     flawed: frozenset[str] = frozenset()
     existence: float | None = None
     started: int = 0

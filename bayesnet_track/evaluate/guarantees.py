@@ -13,7 +13,7 @@ from statistics import fmean
 
 import numpy as np
 
-from bayesnet_track.engine.scoring.outcome import level_afterwards, means_of, next_rise
+from bayesnet_track.engine.scoring.outcome import level_afterwards, means_of, next_cusum
 from bayesnet_track.evaluate.calibration import OFF_TARGET, ON_TARGET
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.numerics.arrays import Floats
@@ -160,7 +160,7 @@ def largest_evidence(scores: Iterable[float], iou: Iterable[float]) -> float:
     for score, overlap in zip(scores, iou, strict=True):
         if overlap < OFF_TARGET:
             break
-        rise = next_rise(rise, score)
+        rise = next_cusum(rise, score)
         most = max(most, rise)
     return math.exp(most)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.inference.learn import Lesson, blend_reference
+from bayesnet_track.inference.learn import LearningInputs, blend_reference
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.switches import ReferenceGuarded
 from bayesnet_track.observation.cue import FAULTS, Cue, Hypotheses, Reference, context_of, text_of
@@ -22,7 +22,7 @@ from bayesnet_track.observation.planes import region_of_boxes, shown
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
+class SlowReferences:
     """What the guard of one target remembers.
 
     Attributes:
@@ -36,19 +36,19 @@ class Watched:
     frames: int = 0
 
 
-def watch(references: Mapping[str, Reference], looks: Set[str], rule: Guard | None) -> Watched:
+def watch(references: Mapping[str, Reference], looks: Set[str], rule: Guard | None) -> SlowReferences:
     """The guard of a target that starts: its slow references are the first ones.
 
     Only agents that score, and that know the target by its `looks`, are guarded: what another remembers, such
     as a speed, has to change as quickly as it does.
     """
     if rule is None:
-        return Watched()
-    return Watched({agent: one for agent, one in references.items() if agent in looks})
+        return SlowReferences()
+    return SlowReferences({agent: one for agent, one in references.items() if agent in looks})
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class DriftCheck:
     """What the guard says in one frame.
 
     Attributes:
@@ -62,18 +62,18 @@ class Judged:
     faults: Mapping[str, str] = field(default_factory=dict)
 
 
-def judge_nothing(watched: Watched) -> Judged:
+def judge_nothing(watched: SlowReferences) -> DriftCheck:
     """What the guard says in a frame in which nothing is compared."""
-    return Judged(held=frozenset(watched.parted))
+    return DriftCheck(held=frozenset(watched.parted))
 
 
 def judge(
-    lesson: Lesson,
-    watched: Watched,
+    lesson: LearningInputs,
+    watched: SlowReferences,
     references: Mapping[str, Reference],
     rates: Mapping[str, float],
     rule: Guard | None,
-) -> Judged:
+) -> DriftCheck:
     """In every `rule.every`-th learning frame, compare what both references of an agent say of the estimate.
 
     They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
@@ -103,17 +103,17 @@ def judge(
             faults[agent] = f"raised {type(error).__name__} while guarded: {text_of(error)}"
     parted = {agent for agent, (own, slow) in gaps.items() if own - slow > rule.apart_nats}
     unchecked = {agent for agent in watched.parted if agent not in gaps}
-    return Judged(gaps, frozenset(parted | unchecked), faults)
+    return DriftCheck(gaps, frozenset(parted | unchecked), faults)
 
 
 def guard(
-    lesson: Lesson,
-    watched: Watched,
-    judged: Judged,
+    lesson: LearningInputs,
+    watched: SlowReferences,
+    judged: DriftCheck,
     references: Mapping[str, Reference],
     rates: Mapping[str, float],
     rule: Guard | None,
-) -> tuple[dict[str, Reference], Watched, dict[str, str]]:
+) -> tuple[dict[str, Reference], SlowReferences, dict[str, str]]:
     """Pull back what has parted; let the slow references follow the others.
 
     `references` are those after learning, in which agents that were held are as before. Rates per frame are
@@ -139,11 +139,16 @@ def guard(
             faults[agent] = mixed
         else:
             (guarded if agent in judged.held else slow)[agent] = mixed
-    return guarded, Watched(slow, parted, watched.frames + 1), faults
+    return guarded, SlowReferences(slow, parted, watched.frames + 1), faults
 
 
 def changes(
-    frame: int, target: str, before: Watched, after: Watched, judged: Judged, rule: Guard | None
+    frame: int,
+    target: str,
+    before: SlowReferences,
+    after: SlowReferences,
+    judged: DriftCheck,
+    rule: Guard | None,
 ) -> list[Event]:
     """The references that parted in this frame, and those that agree again."""
     events: list[Event] = []

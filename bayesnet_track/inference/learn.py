@@ -35,7 +35,7 @@ from bayesnet_track.observation.planes import PlaneCache, region_of_boxes, shown
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
+class LearningInputs:
     """What the agents of one target can learn from in one frame.
 
     Attributes:
@@ -124,7 +124,7 @@ def frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
     return math.lcm(1 if rule is None else rule.every, min(sampled.values(), default=1))
 
 
-def learn_first(lesson: Lesson, agents: Iterable[str]) -> tuple[dict[str, Reference], dict[str, str]]:
+def learn_first(lesson: LearningInputs, agents: Iterable[str]) -> tuple[dict[str, Reference], dict[str, str]]:
     """The first references of some agents, and what was wrong with those that failed.
 
     Agents that give no answer for a reason outside of them are in neither; the lesson's availability has
@@ -146,7 +146,9 @@ def blend_reference(cue: AnyCue, old: Reference, new: Reference, rate: float) ->
         return f"raised {type(error).__name__} while blending: {text_of(error)}"
 
 
-def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: int) -> Reference | str | None:
+def adapt_reference(
+    lesson: LearningInputs, agent: str, reference: Reference, attempt: int
+) -> Reference | str | None:
     """The reference as an agent tunes it itself, or what went wrong.
 
     None when nothing is left to try, or the agent gives no answer, which the lesson's availability has then.
@@ -165,7 +167,9 @@ def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: i
         return f"raised {type(error).__name__} while adapting: {text_of(error)}"
 
 
-def blend_ahead(lesson: Lesson, agent: str, old: Reference, rate: float) -> Wait[Reference | str | Missing]:
+def blend_ahead(
+    lesson: LearningInputs, agent: str, old: Reference, rate: float
+) -> Wait[Reference | str | Missing]:
     """Ask a cue elsewhere to learn and blend: what waits for the reference, or for what went wrong."""
     cue: Any = lesson.cues[agent]
 
@@ -177,7 +181,7 @@ def blend_ahead(lesson: Lesson, agent: str, old: Reference, rate: float) -> Wait
     return partial(_collect, defer_faults(ask, FAULTS))
 
 
-def _learnt(lesson: Lesson, agent: str) -> Reference | str | Missing:
+def _learnt(lesson: LearningInputs, agent: str) -> Reference | str | Missing:
     """What the cue sees in its box, or what went wrong."""
     try:
         method, arguments = _to_learn(lesson, agent)
@@ -186,7 +190,7 @@ def _learnt(lesson: Lesson, agent: str) -> Reference | str | Missing:
         return fault_of(error, " while learning")
 
 
-def _learn_ahead(lesson: Lesson, agent: str) -> Wait[Reference | str | Missing] | None:
+def _learn_ahead(lesson: LearningInputs, agent: str) -> Wait[Reference | str | Missing] | None:
     """Ask a cue elsewhere to learn: what waits for the outcome, as `_learnt` has it; None for one here."""
     cue: Any = lesson.cues[agent]
     if not is_elsewhere(cue):
@@ -200,7 +204,7 @@ def _learn_ahead(lesson: Lesson, agent: str) -> Wait[Reference | str | Missing] 
     return partial(_collect, defer_faults(ask, FAULTS))
 
 
-def _to_learn(lesson: Lesson, agent: str) -> tuple[str, tuple[Any, ...]]:
+def _to_learn(lesson: LearningInputs, agent: str) -> tuple[str, tuple[Any, ...]]:
     """Which method of the cue learns, and its arguments."""
     cue, box, angle = lesson.cues[agent], lesson.box_of(agent), lesson.angle
     planes = lesson.cache.planes(cue.needs, region_of_boxes(box[None, :], grow=context_of(cue)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import Forecast, forecast
 from bayesnet_track.engine.metrics import Lines
-from bayesnet_track.engine.scoring.outcome import said_status
+from bayesnet_track.engine.scoring.outcome import reported_status
 from bayesnet_track.engine.starts import Start, check_given, check_started, say_blank, start_targets
 from bayesnet_track.engine.step import Engine, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -327,7 +327,9 @@ class Tracker(Boxed, Storable):
         net = now.state.net.targets[first]
         plate = self._graph.targets[net.template]
         rule = plate.inference(plate.root).guarantee
-        return net.status if rule is None else said_status(net.status, now.state.targets[first].scored, rule)
+        return (
+            net.status if rule is None else reported_status(net.status, now.state.targets[first].scored, rule)
+        )
 
     @property
     def _started(self) -> Standing:

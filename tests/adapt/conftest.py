@@ -6,7 +6,7 @@ import pytest
 
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
-from bayesnet_track.adapt.rule_inputs import Measures, Situation
+from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -72,7 +72,7 @@ def drive(fakes):
                 area_px2=400.0 if areas is None else areas[k],
                 inside={} if insides is None else {("root", w): one for w, one in insides[k].items()},
             )
-            situation = Situation(
+            situation = RuleInputs(
                 k + 1,
                 "1",
                 plate,

@@ -3,7 +3,7 @@
 import pytest
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_inputs import Measures, Situation
+from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.adapt.status import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.net.target_net import Fault, TargetNet
@@ -23,7 +23,7 @@ def now(fakes):
 
     def make(frame, net=OUT, missed=None):
         plate, _ = fakes.plate({"root": {"fuse": "product"}, "a": "root", "b": "root", "c": "root"})
-        return Situation(frame, "7", plate, net, NOTHING, {}, frozenset(), missed=missed or {})
+        return RuleInputs(frame, "7", plate, net, NOTHING, {}, frozenset(), missed=missed or {})
 
     return make
 

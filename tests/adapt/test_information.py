@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.memory import Worth, expected_per_ms, remembered_per_ms
+from bayesnet_track.adapt.memory import InformationRate, expected_per_ms, remembered_per_ms
 from bayesnet_track.graph.spec import Information
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -22,7 +22,7 @@ SETTINGS = Information(memory_frames=200, exploration=0.1)
 def play(gains, rounds, settings_=SETTINGS, seed=0):
     """One agent a round, by the bandit: what was chosen; gains(k) -> agent -> mean nats, noise of sd 0.05."""
     rng = np.random.default_rng(seed)
-    worth, chosen = Worth(), []
+    worth, chosen = InformationRate(), []
     for k in range(rounds):
         index = expected_per_ms(worth, AGENTS, COSTS, settings_)
         best = max(AGENTS, key=lambda agent: index[agent])
@@ -69,7 +69,7 @@ def test_it_follows_a_change():
     st.lists(st.tuples(st.sampled_from(AGENTS), st.floats(0, 5)), min_size=1, max_size=40), st.integers(1, 99)
 )
 def test_the_mean_is_the_discounted_one(history, memory):
-    worth = Worth()
+    worth = InformationRate()
     for agent, nats in history:
         worth = worth.after({agent: nats}, memory)
     ages = np.arange(len(history))[::-1]
@@ -85,7 +85,7 @@ def test_the_mean_is_the_discounted_one(history, memory):
 
 
 def test_time_away_raises_hope():
-    worth = Worth().after({"a": 0.1, "b": 0.1}, 50)
+    worth = InformationRate().after({"a": 0.1, "b": 0.1}, 50)
     later = worth
     for _ in range(100):
         later = later.after({"b": 0.1}, 50)

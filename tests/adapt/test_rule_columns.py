@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.adapt.memory import BASELINE_MINIMUM, BASELINE_WINDOW, Baseline, RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
-from bayesnet_track.adapt.rule_inputs import Measures, Situation
+from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -80,7 +80,7 @@ def test_a_target_is_judged_as_if_it_were_alone(fakes, rules):
             score = float(rng.uniform()) if "score" in root else None
             missed = {"a": "late"} if rng.random() < 0.1 else {}
             several.append(
-                Situation(
+                RuleInputs(
                     frame, "1", plate, now, measures, {"a": 1.0, "b": 2.0}, frozenset("a"),
                     float(rng.choice([0.0, 0.6])), score, missed,
                 )

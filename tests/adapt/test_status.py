@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_inputs import Measures, Situation
+from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import HiddenCause, ScoreCause, TargetNet
@@ -29,7 +29,7 @@ def statuses(fakes, decide_one):
         for k, score in enumerate(scores):
             # UD and fit are those of a target that is lost: the score alone counts.
             measures = Measures({"root": 1e9}, {}, {"a": 0.0}, {"a": 0.0}, {}, 0.0, 400.0)
-            now = Situation(k, "1", plate, live.targets["1"], measures, {"a": 1.0}, frozenset(), score=score)
+            now = RuleInputs(k, "1", plate, live.targets["1"], measures, {"a": 1.0}, frozenset(), score=score)
             made, memory = decide_one(now, memory)
             for one in made:
                 live = apply(live, one)
@@ -123,7 +123,7 @@ def test_a_target_that_is_probably_hidden_is_lost_at_once_and_found_when_it_is_s
     after, causes = [], []
     for k, hidden in enumerate([0.1, 0.45, 0.7, 0.9, 0.4, 0.6, 0.3, 0.2]):
         measures = Measures({"root": 10.0}, {}, {"a": 0.0}, {"a": 0.0}, {}, 0.0, 400.0)
-        now = Situation(
+        now = RuleInputs(
             k,
             "1",
             plate,

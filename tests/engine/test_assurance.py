@@ -16,12 +16,12 @@ from bayesnet_track.engine.scoring.outcome import (
     judge_assurance,
     level_afterwards,
     means_of,
-    next_rise,
-    said_status,
+    next_cusum,
+    reported_status,
     with_evidence,
     with_recent,
 )
-from bayesnet_track.engine.scoring.score import Scored
+from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.graph.settings.scores import Alarm, Guarantee
 from bayesnet_track.graph.text.change import set_value
 from bayesnet_track.graphs import find_graph
@@ -33,17 +33,22 @@ ROOT = ("targets", "target", "nodes", "target")
 
 
 def test_tracking_is_said_while_the_mean_of_the_last_scores_is_above_the_level():
-    first = with_recent(Scored(), 0.75, TWO)
+    first = with_recent(ScoreState(), 0.75, TWO)
     second = with_recent(first, 0.25, TWO)
     third = with_recent(second, 0.5, TWO)
     assert third.recent == (0.25, 0.5)
-    assert [is_assured(one, TWO) for one in (Scored(), first, second, third)] == [True, True, False, False]
-    assert [said_status(s, second, TWO) for s in ("tracking", "uncertain", "lost")] == [
+    assert [is_assured(one, TWO) for one in (ScoreState(), first, second, third)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert [reported_status(s, second, TWO) for s in ("tracking", "uncertain", "lost")] == [
         "uncertain",
         "uncertain",
         "lost",
     ]
-    assert said_status("tracking", second, None) == "tracking"
+    assert reported_status("tracking", second, None) == "tracking"
     assert judge_assurance(first, second, TWO, 7, "1") == AssuranceChanged(7, "1", False, 0.5, 0.5, 2, 0.05)
     assert judge_assurance(second, third, TWO, 8, "1") is None
 
@@ -70,13 +75,13 @@ def test_a_run_that_is_over_has_the_lowest_level_that_its_share_allows():
 
 @pytest.mark.parametrize(("score", "rise"), [(0.0, 3.0), (0.05, 3.0), (0.5, 1.0), (1.0, 1.0)])
 def test_evidence_rises_and_falls_by_at_most_one_a_frame(score, rise):
-    assert next_rise(2.0, score) == pytest.approx(rise)
-    assert next_rise(0.2, 1.0) == 0.0
-    assert next_rise(1.0, 1.0 / (1.0 + math.exp(1.5))) == pytest.approx(1.5)
+    assert next_cusum(2.0, score) == pytest.approx(rise)
+    assert next_cusum(0.2, 1.0) == 0.0
+    assert next_cusum(1.0, 1.0 / (1.0 + math.exp(1.5))) == pytest.approx(1.5)
 
 
 def test_the_alarm_is_raised_once_and_ends_with_its_evidence():
-    rule, scored, said = Alarm(total=30.0, videos=24), Scored(), []
+    rule, scored, said = Alarm(total=30.0, videos=24), ScoreState(), []
     for frame, score in enumerate([0.9, *[0.01] * 7, *[0.99] * 7]):
         before = scored
         scored, notice = judge_alarm(before, with_evidence(scored, score, frame), rule, frame, "1")

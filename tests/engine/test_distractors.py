@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from bayesnet_track import Tracker
 from bayesnet_track.engine.scoring.rivals import follow_distractor, with_distractor, without_motion
-from bayesnet_track.engine.scoring.score import Encounter, Place, Scored, distances_since, most, motion_before
+from bayesnet_track.engine.scoring.score import (
+    Encounter,
+    Place,
+    ScoreState,
+    distances_since,
+    most,
+    motion_before,
+)
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
@@ -23,7 +30,7 @@ SEEN = DistractorSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
 
 
 def test_only_distractors_in_a_row_put_it_in_doubt_and_the_doubt_ends():
-    once = with_distractor(Scored(), SEEN, 2)
+    once = with_distractor(ScoreState(), SEEN, 2)
     assert once.doubt == 0 and with_distractor(with_distractor(once, None, 2), SEEN, 2).doubt == 0
     twice = with_distractor(once, SEEN, 2)
     assert twice.doubt == SEEN.hold and with_distractor(twice, None, 2).doubt == SEEN.hold
@@ -35,13 +42,13 @@ def meet(own, other, followed, frames=30, near=range(10, 15)):
 
     `own`, `other` and `followed` give the place of each in a frame; the box has sides of 10 px.
     """
-    scored, every, ended = Scored(), [], []
+    scored, every, ended = ScoreState(), [], []
     for frame in range(frames):
         seen = None
         if frame in near:
             x, y = other(frame)
             seen = DistractorSeen(frame, "1", x, y, 0.9, 1.5, 4.0, 0.3, 100)
-        scored = replace(scored, doubt=max(scored.doubt - 1, 0))  # as `Scored.after` counts
+        scored = replace(scored, doubt=max(scored.doubt - 1, 0))  # as `ScoreState.after` counts
         x, y = own(frame) if frame <= max(near) else followed(frame)
         scored, end = follow_distractor(scored, seen, 4, "1", Place(frame, x, y), 10.0)
         every.append(scored)

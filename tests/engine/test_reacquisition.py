@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from bayesnet_track.engine.scoring.score import Look, Scored, follow_fit
+from bayesnet_track.engine.scoring.score import Look, ScoreState, follow_fit
 from bayesnet_track.graph.settings.adapt import Lost
 
 RULE = Lost(score_below=0.25, uncertain_below=0.55, frames=3, found_fit=0.25)
@@ -15,8 +15,8 @@ HELD = Look(10, "1", "tracking", 0.9, 0.4, 2.0, 50.0, 50.0, 20.0)
 NOTHING = replace(HELD, score=0.1, fit=0.001)
 
 
-def after(*looks: Look) -> Scored:
-    scored = Scored()
+def after(*looks: Look) -> ScoreState:
+    scored = ScoreState()
     for frame, look in enumerate(looks):
         scored, _, _ = follow_fit(scored, RULE, replace(look, frame=frame))
     return scored

@@ -9,7 +9,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_rise
+from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_cusum
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.evaluate.guarantees import (
     Run,
@@ -195,6 +195,6 @@ def _largest(rng):
     walk = np.cumsum(rng.normal(0.0, 0.4, 30)) + rng.normal(3.0, 2.0)
     rise = most = 0.0
     for odds in walk:
-        rise = next_rise(rise, 1.0 / (1.0 + math.exp(-odds)))
+        rise = next_cusum(rise, 1.0 / (1.0 + math.exp(-odds)))
         most = max(most, rise)
     return math.exp(most)

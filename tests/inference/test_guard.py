@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.guard import Watched, changes, guard, judge, watch
-from bayesnet_track.inference.learn import Lesson
+from bayesnet_track.inference.guard import SlowReferences, changes, guard, judge, watch
+from bayesnet_track.inference.learn import LearningInputs
 from bayesnet_track.observation.cue import Hypotheses, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
@@ -42,7 +42,7 @@ class Follower(SimpleNamespace):
         cues, references, rates = {"a": self.cue}, {"a": {"level": self.level}}, {"a": rate}
         image = np.zeros((80, 100, 3), np.uint8)
         cache = PlaneCache(FramePair(Frame(self.frame, float(self.frame), image), None))
-        lesson = Lesson(cues, cache, AT)
+        lesson = LearningInputs(cues, cache, AT)
         judged = judge(lesson, self.watched, references, rates, self.rule)
         assert not judged.faults
         if "a" not in judged.held and rate > 0:
@@ -131,7 +131,7 @@ def test_between_comparisons_a_parted_reference_stays_held():
 def test_without_a_guard_nothing_is_watched():
     references = {"a": {"level": np.zeros(1)}}
     assert watch(references, {"a"}, None).slow == {}
-    judged = judge(Lesson({"a": Level()}, None, AT), Watched(), references, {"a": 0.1}, None)
+    judged = judge(LearningInputs({"a": Level()}, None, AT), SlowReferences(), references, {"a": 0.1}, None)
     assert judged.gaps == {} and judged.held == frozenset()
 
 
@@ -148,7 +148,7 @@ def test_a_cue_that_raises_is_named():
     cache = PlaneCache(FramePair(Frame(1, 1.0, np.zeros((80, 100, 3), np.uint8)), None))
     references, rule = {"a": {"level": np.zeros(1)}}, Guard(every=1)
     watched = watch(references, {"a"}, rule)
-    judged = judge(Lesson({"a": Broken()}, cache, AT), watched, references, {"a": 0.1}, rule)
+    judged = judge(LearningInputs({"a": Broken()}, cache, AT), watched, references, {"a": 0.1}, rule)
     assert judged.faults == {"a": "raised ArithmeticError while guarded: no"}
 
 
@@ -160,7 +160,7 @@ def test_a_blend_that_is_not_finite_is_named_and_not_taken():
     cues, references, rule = {"a": Broken(2.0)}, {"a": {"level": np.full(1, 2.0)}}, Guard(every=1)
     cache = PlaneCache(FramePair(Frame(1, 1.0, np.zeros((80, 100, 3), np.uint8)), None))
     watched = watch({"a": {"level": np.zeros(1)}}, {"a"}, rule)
-    lesson = Lesson(cues, cache, AT)
+    lesson = LearningInputs(cues, cache, AT)
     judged = judge(lesson, watched, references, {"a": 0.1}, rule)
     moved, after, faults = guard(lesson, watched, judged, references, {"a": 0.1}, rule)
     assert judged.held == {"a"} and moved == references and after.slow == watched.slow

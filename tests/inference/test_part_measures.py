@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.guard import Watched, judge
-from bayesnet_track.inference.learn import Lesson
+from bayesnet_track.inference.guard import SlowReferences, judge
+from bayesnet_track.inference.learn import LearningInputs
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated
@@ -177,8 +177,8 @@ def test_the_drift_guard_asks_about_the_part(fakes):
         return log_likelihood
 
     cues = {agent: fakes.Oracle(see(agent)) for agent in "ab"}
-    slow, rule = Watched({agent: {} for agent in cues}), Guard(every=1)
+    slow, rule = SlowReferences({agent: {} for agent in cues}), Guard(every=1)
     cache, whole = fakes.observer(cues).cache, Hypotheses(np.array([WHOLE]))
     rates = dict.fromkeys(cues, 0.1)
-    judge(Lesson(cues, cache, whole, {"b": np.array(TORSO)}), slow, slow.slow, rates, rule)
+    judge(LearningInputs(cues, cache, whole, {"b": np.array(TORSO)}), slow, slow.slow, rates, rule)
     assert asked == {"a": [list(WHOLE)] * 2, "b": [list(TORSO)] * 2}

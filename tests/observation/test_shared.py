@@ -8,7 +8,7 @@ import pytest
 from bayesnet_track import Tracker
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.guard import judge, watch
-from bayesnet_track.inference.learn import Lesson
+from bayesnet_track.inference.learn import LearningInputs
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import (
@@ -127,7 +127,9 @@ def test_agents_that_are_guarded_do_not_share_the_estimate(fakes):
     estimate = Hypotheses(np.array([[50.0, 40.0, 20.0, 20.0]]))
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
     rates = dict.fromkeys(cues, 0.1)
-    judged = judge(Lesson(cues, cache, estimate), watch(references, set(cues), rule), references, rates, rule)
+    judged = judge(
+        LearningInputs(cues, cache, estimate), watch(references, set(cues), rule), references, rates, rule
+    )
     assert not judged.faults and seen["boxes"].tolist() == estimate.boxes.tolist() == [[50, 40, 20, 20]]
 
 

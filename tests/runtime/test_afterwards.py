@@ -12,7 +12,7 @@ from bayesnet_track import open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.change import set_value
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.runtime.recording.afterwards import Judged, judge_afterwards
+from bayesnet_track.runtime.recording.afterwards import DriftCheck, judge_afterwards
 from bayesnet_track.sources.scenes import make_scene
 
 ROOT = ("targets", "target", "nodes", "target", "guarantee")
@@ -41,7 +41,7 @@ def run(tmp_path_factory):
 def test_seven_of_eleven_frames_may_be_called_at_the_level_of_three_quarters(run):
     own = run.metrics[1:]
     judged, (found,) = judge_afterwards(run)
-    assert found == Judged("1", 0.7, 0, 7, 11)
+    assert found == DriftCheck("1", 0.7, 0, 7, 11)
     assert [line.status == "tracking" for line in judged.metrics[1:]] == [line.score > 0.7 for line in own]
     assert judged.metrics[0] == run.metrics[0] and judged.events == run.events
     lost = [line.frame for line in run.metrics if line.status == "lost"]
@@ -52,7 +52,7 @@ def test_seven_of_eleven_frames_may_be_called_at_the_level_of_three_quarters(run
 def test_frames_after_the_target_has_ended_count_as_not_tracked(run):
     """Of its own 8 frames 7 are above 0.7, too many for that level; of the 11 of the run they are not."""
     ended = replace(run, metrics=run.metrics[:9])
-    assert judge_afterwards(ended)[1] == (Judged("1", 0.7, 0, 7, 8),)
+    assert judge_afterwards(ended)[1] == (DriftCheck("1", 0.7, 0, 7, 8),)
 
 
 def test_export_writes_what_was_judged(run, capsys):

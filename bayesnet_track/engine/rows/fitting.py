@@ -18,7 +18,7 @@ from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.lifecycle.prospects import CrowdRule
-from bayesnet_track.engine.scoring.score import Scored
+from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -153,7 +153,7 @@ def state_fits(rule: RowRule, state: TargetState, time: float) -> bool:
         and state.plan.active == rule.active
         and state.motion_context is None
         and not (state.watched.slow or state.watched.parted or state.watched.frames)
-        and state.scored == Scored()
+        and state.scored == ScoreState()
         and state.references.keys() <= {rule.agent}
         and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION, OBSERVED}
     )

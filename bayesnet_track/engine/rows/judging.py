@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
-from bayesnet_track.adapt.rule_inputs import Measures, Situation
+from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.advancing import FilteredGaussians
@@ -66,7 +66,7 @@ def judge_rows(work: FrameWork, filtered: FilteredGaussians) -> JudgedRows:
     return JudgedRows(rows, after, RowMeasures(numbers, memory.levels_px2(rule.root, rule.active)), decisions)
 
 
-def _see(work: FrameWork, rows: Rows, after: Columns, numbers: Floats, row: int) -> Situation:
+def _see(work: FrameWork, rows: Rows, after: Columns, numbers: Floats, row: int) -> RuleInputs:
     """What the rules of one target see."""
     rule, target = rows.rule, rows.ids[row]
     ud, fit, area = numbers[row, [UD, FIT, AREA]].tolist()
@@ -74,7 +74,7 @@ def _see(work: FrameWork, rows: Rows, after: Columns, numbers: Floats, row: int)
     existence = None if rule.crowd is None else float(after.existence[row])
     measures = Measures({rule.root: ud}, {}, {}, {}, {}, fit, area, silent)
     compiled, net = rule.compiled, work.net.targets[target]
-    return Situation(
+    return RuleInputs(
         work.frame.index,
         target,
         compiled.plate,

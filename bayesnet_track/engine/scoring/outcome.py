@@ -22,7 +22,7 @@ from bayesnet_track.engine.scoring.rivals import (
 from bayesnet_track.engine.scoring.score import (
     Look,
     Place,
-    Scored,
+    ScoreState,
     confidences,
     extent_beyond,
     follow_fit,
@@ -52,17 +52,17 @@ MOST_NATS = 1.0
 """What a single frame counts at most, so that one bad frame decides nothing."""
 
 
-def with_recent(scored: Scored, score: float, rule: Guarantee) -> Scored:
+def with_recent(scored: ScoreState, score: float, rule: Guarantee) -> ScoreState:
     """With the score of one frame more."""
     return replace(scored, recent=(*scored.recent, score)[-rule.frames :])
 
 
-def is_assured(scored: Scored, rule: Guarantee | None) -> bool:
+def is_assured(scored: ScoreState, rule: Guarantee | None) -> bool:
     """Whether `tracking` may be said; always without a guarantee, and in the first frame."""
     return rule is None or not scored.recent or fmean(scored.recent) > rule.above
 
 
-def said_status(status: str, scored: Scored, rule: Guarantee | None) -> str:
+def reported_status(status: str, scored: ScoreState, rule: Guarantee | None) -> str:
     """The status as it is reported: at most uncertain where the guarantee does not hold otherwise."""
     return "uncertain" if status == "tracking" and not is_assured(scored, rule) else status
 
@@ -93,10 +93,10 @@ def level_afterwards(levels: Sequence[float], means: Floats) -> float:
     return min(max(level, lowest) for level, lowest in zip(levels, kept, strict=True))
 
 
-def next_rise(rise: float, score: float) -> float:
+def next_cusum(rise: float, score: float) -> float:
     """The alarm's evidence C after a frame: max(0, C + clip(log((1 - score) / score) - 1, -1, 1)).
 
-    >>> next_rise(0.5, 0.0), next_rise(1.5, 0.9), next_rise(0.5, 0.9)
+    >>> next_cusum(0.5, 0.0), next_cusum(1.5, 0.9), next_cusum(0.5, 0.9)
     (1.5, 0.5, 0.0)
     """
     odds = math.inf if score <= 0.0 else math.log1p(-score) - math.log(score) if score < 1.0 else -math.inf
@@ -112,17 +112,17 @@ def e_value(rise: float, rule: Alarm) -> float:
     return (rule.videos + 1) / (1.0 + rule.total * math.exp(-rise))
 
 
-def with_evidence(scored: Scored, score: float, frame: int) -> Scored:
+def with_evidence(scored: ScoreState, score: float, frame: int) -> ScoreState:
     """With the alarm's evidence after a frame."""
-    rise = next_rise(scored.rise, score)
+    rise = next_cusum(scored.rise, score)
     if rise == 0.0:
         return replace(scored, rise=0.0, since=None, alarmed=False)
     return replace(scored, rise=rise, since=frame if scored.since is None else scored.since)
 
 
 def judge_alarm(
-    before: Scored, scored: Scored, rule: Alarm, frame: int, target: str
-) -> tuple[Scored, AlarmRaised | AlarmEnded | None]:
+    before: ScoreState, scored: ScoreState, rule: Alarm, frame: int, target: str
+) -> tuple[ScoreState, AlarmRaised | AlarmEnded | None]:
     """Whether the alarm is raised, or ends as its evidence has gone."""
     found = e_value(scored.rise, rule)
     if not scored.alarmed and found >= 1.0 / rule.share and scored.since is not None:
@@ -132,7 +132,7 @@ def judge_alarm(
 
 
 def judge_assurance(
-    before: Scored, scored: Scored, rule: Guarantee, frame: int, target: str
+    before: ScoreState, scored: ScoreState, rule: Guarantee, frame: int, target: str
 ) -> AssuranceChanged | None:
     """What is written down when `tracking` may no longer be said, or may be said again."""
     now = is_assured(scored, rule)
@@ -155,7 +155,7 @@ class ScoreOutcome:
         notices: what guarantee and alarm give to write down.
     """
 
-    scored: Scored
+    scored: ScoreState
     score: float | None = None
     bound: float = 1.0
     distractor: DistractorSeen | None = None
@@ -210,8 +210,8 @@ def _follow_distractors(
     rule: Distractors,
     box: Floats,
     measures: Measures,
-    scored: Scored,
-) -> tuple[Scored, DistractorSeen | None, DoubtEnded | None]:
+    scored: ScoreState,
+) -> tuple[ScoreState, DistractorSeen | None, DoubtEnded | None]:
     """With what looks like the target beside it, or the end of the doubt that this raised."""
     frame, target = work.frame.index, filtered.target
     able = work.plate_of(target).cues.keys() - work.net.targets[target].quarantined
@@ -234,8 +234,8 @@ def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: f
 
 
 def _follow(
-    root: InferenceNode, before: Scored, scored: Scored, score: float, frame: int, target: str
-) -> tuple[Scored, tuple[Event, ...]]:
+    root: InferenceNode, before: ScoreState, scored: ScoreState, score: float, frame: int, target: str
+) -> tuple[ScoreState, tuple[Event, ...]]:
     """What guarantee and alarm remember after a frame, and what they give to write down."""
     notices: list[Event | None] = []
     if root.guarantee is not None:

@@ -17,7 +17,7 @@ from bayesnet_track.engine.scoring.score import (
     WAIT,
     Encounter,
     Place,
-    Scored,
+    ScoreState,
     distances_since,
     motion_before,
 )
@@ -70,8 +70,13 @@ def find_distractor(
 
 
 def follow_distractor(
-    scored: Scored, distractor: DistractorSeen | None, frames: int, target: str, place: Place, side_px: float
-) -> tuple[Scored, DoubtEnded | None]:
+    scored: ScoreState,
+    distractor: DistractorSeen | None,
+    frames: int,
+    target: str,
+    place: Place,
+    side_px: float,
+) -> tuple[ScoreState, DoubtEnded | None]:
     """With the distractor of this frame, or the end of the doubt, where motion shows which is followed.
 
     `place` is the estimate's, `side_px` the root of its area.
@@ -90,7 +95,7 @@ def _is_past(meeting: Encounter | None, frame: int) -> bool:
     return meeting is None or frame - meeting.last.frame >= WAIT
 
 
-def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
+def with_distractor(scored: ScoreState, distractor: DistractorSeen | None, frames: int) -> ScoreState:
     """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
     if distractor is None:
         return changed(scored, distractors=0)
@@ -107,7 +112,7 @@ def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: i
     return changed(scored, doubt=distractor.hold, encounter=changed(meeting, own=own))
 
 
-def without_motion(scored: Scored) -> Scored:
+def without_motion(scored: ScoreState) -> ScoreState:
     """The same of a target that may be anywhere now: how it and a look-alike moved before says nothing."""
     return changed(scored, distractors=0, places=(), meeting=None, encounter=None)
 

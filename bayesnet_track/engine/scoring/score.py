@@ -147,7 +147,7 @@ MARGINAL_POINTS = 32
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoreState:
     """What a score remembers of its target.
 
     Attributes:
@@ -199,7 +199,7 @@ class Scored:
         step: Step[Posterior],
         ud_px2: float | None,
         further: Mapping[str, float] = MappingProxyType({}),
-    ) -> Scored:
+    ) -> ScoreState:
         """With one frame more; `ud_px2` is the root's UD, `further` the features that the caller computes.
 
         Those of verifiers and agents that say nothing keep their values, and so does `log_ud_box` without a
@@ -372,14 +372,14 @@ class Look:
     side_px: float
 
 
-def usual_fit(scored: Scored) -> float | None:
+def usual_fit(scored: ScoreState) -> float | None:
     """How well the target usually fits; None while nothing is usual yet, or it is missing."""
     if scored.missing is not None or len(scored.fits) < LEAST_FRAMES:
         return None
     return math.exp(median(scored.fits))
 
 
-def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, FoundAgain | None]:
+def follow_fit(scored: ScoreState, rule: Lost, look: Look) -> tuple[ScoreState, float, FoundAgain | None]:
     """What is remembered after a frame, the most that its score may be, and how a target was found again.
 
     A target is missing after `frames` frames with a score below `score_below`, those left out in which

@@ -20,7 +20,7 @@ import numpy as np
 from bayesnet_track.adapt.existence import Population, Prospects
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
-from bayesnet_track.adapt.memory import Baseline, Layout, RuleMemory, Worth
+from bayesnet_track.adapt.memory import Baseline, InformationRate, Layout, RuleMemory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
@@ -30,10 +30,10 @@ from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
 from bayesnet_track.engine.moving.predicting import MotionContext
-from bayesnet_track.engine.scoring.score import Encounter, Place, Scored
+from bayesnet_track.engine.scoring.score import Encounter, Place, ScoreState
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
-from bayesnet_track.inference.guard import Watched
+from bayesnet_track.inference.guard import SlowReferences
 from bayesnet_track.journal.events.joins import Joined
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import Fault, TargetNet, Turn
@@ -62,12 +62,12 @@ CLASSES: tuple[type, ...] = (
     RuleMemory,
     Layout,
     Baseline,
-    Worth,
-    Watched,
+    InformationRate,
+    SlowReferences,
     MotionContext,
     Influences,
     CameraShift,
-    Scored,
+    ScoreState,
     Encounter,
     Place,
     TrackHistory,

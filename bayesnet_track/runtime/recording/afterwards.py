@@ -12,7 +12,7 @@ from bayesnet_track.runtime.recording.run_reader import Run
 
 
 @dataclass(frozen=True)
-class Judged:
+class DriftCheck:
     """What became of a target's statuses.
 
     Attributes:
@@ -30,7 +30,7 @@ class Judged:
     frames: int
 
 
-def judge_afterwards(run: Run) -> tuple[Run, tuple[Judged, ...]]:
+def judge_afterwards(run: Run) -> tuple[Run, tuple[DriftCheck, ...]]:
     """The run with the statuses that the guarantees of its graph allow now that it is over.
 
     A frame is tracking where the mean of its last scores is above the level for the whole run, and the target
@@ -38,7 +38,7 @@ def judge_afterwards(run: Run) -> tuple[Run, tuple[Judged, ...]]:
     is, and so do targets whose type has no levels for it. As in the calibration, the level is for all frames
     of the run after the first of the target, with a score of 0 where it has ended.
     """
-    lines, found = {(line.target, line.frame): line for line in run.metrics}, list[Judged]()
+    lines, found = {(line.target, line.frame): line for line in run.metrics}, list[DriftCheck]()
     frames = sorted({line.frame for line in run.metrics} | run.seconds.keys())
     for target, kind in run.kinds.items():
         rule = _rule(run.spec.targets[kind])
@@ -48,7 +48,7 @@ def judge_afterwards(run: Run) -> tuple[Run, tuple[Judged, ...]]:
             continue
         level, changed = _judge(rule, own, [frame for frame in frames if frame > every[0].frame])
         lines.update(((line.target, line.frame), line) for line in changed)
-        found.append(Judged(target, level, _count(own), _count(changed), len(own)))
+        found.append(DriftCheck(target, level, _count(own), _count(changed), len(own)))
     return replace(run, metrics=tuple(lines.values())), tuple(found)
 
 

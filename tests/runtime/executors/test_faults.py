@@ -33,7 +33,7 @@ def waited_ms():
     return sum(float(delay) for _, delay, _ in waits) / 1e6
 
 
-class Watched(Deadline):
+class SlowReferences(Deadline):
     """Remembers what each frame took, less what it waited for a processor that others held."""
 
     def __init__(self, *arguments):
@@ -150,7 +150,7 @@ def test_no_frame_waits_for_an_agent_ten_times_slower_than_the_budget(placed, fi
     for attempt in range(ATTEMPTS):
         out = tmp_path / f"{attempt}"
         with placed.executing(agents, "processes", workers=workers, retries=0) as (engine, executor):
-            deadline = Watched(BUDGET_MS, executor.processes)
+            deadline = SlowReferences(BUDGET_MS, executor.processes)
             results = placed.record(engine, agents, out, 50, deadline=deadline)
         spent = np.array(deadline.own_ms[WARM_UP:])
         recorded = list(read_inputs(out / "inputs.jsonl"))
