@@ -37,7 +37,7 @@ def run(tmp_path: Path) -> Path:
 def elsewhere(monkeypatch: pytest.MonkeyPatch, change: Mapping[str, str]) -> None:
     """From now on this is another machine."""
     other = {**describe_machine(), **change}
-    for module in ("checkpoint", "unchanged"):
+    for module in ("checkpoint", "standing"):
         monkeypatch.setattr(f"bayesnet_track.runtime.checkpoints.{module}.describe_machine", lambda: other)
 
 
