@@ -100,7 +100,7 @@ def frames_of(source: FrameSource | None) -> range:
     return range(maxsize if expected is None else expected)
 
 
-Found = Mapping[int, Detections]
+DetectionsByFrame = Mapping[int, Detections]
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class GivenFrames:
     """
 
     file: Path
-    found: Found
+    found: DetectionsByFrame
     frames: range
 
     def say(self, graph: CheckedGraph, size: tuple[int, int]) -> None:
@@ -130,7 +130,9 @@ class GivenFrames:
                 notice(f"{self.file}: {reason}")
 
 
-def explain_unused(graph: CheckedGraph, found: Found, size: tuple[int, int], frames: range) -> Iterator[str]:
+def explain_unused(
+    graph: CheckedGraph, found: DetectionsByFrame, size: tuple[int, int], frames: range
+) -> Iterator[str]:
     """A sentence for each reason to think that detections, video and graph do not go together.
 
     Args:
@@ -164,7 +166,7 @@ def explain_unused(graph: CheckedGraph, found: Found, size: tuple[int, int], fra
             yield f"{sum(unused.values())} of {total} detections are not used: {reasons}"
 
 
-def _explain_frames(found: Found, frames: range) -> Iterator[str]:
+def _explain_frames(found: DetectionsByFrame, frames: range) -> Iterator[str]:
     """Describe detections outside of the frames that are read or between them, and frames that have none."""
     read = sorted(index for index in found if index in frames)
     is_endless = frames.stop == maxsize
@@ -204,7 +206,7 @@ def _explain_frames(found: Found, frames: range) -> Iterator[str]:
             )
 
 
-def _explain_places(read: Found, size: tuple[int, int]) -> Iterator[str]:
+def _explain_places(read: DetectionsByFrame, size: tuple[int, int]) -> Iterator[str]:
     """Boxes that begin inside and reach far out of the frame, as corners do that are given as sizes."""
     if not read:
         return

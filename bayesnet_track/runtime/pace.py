@@ -25,7 +25,7 @@ TOLD_EVERY = 50
 """Frames in time after which they are told of, while something is done without."""
 
 
-class Patience:
+class WaitBudget:
     """For how long agents elsewhere are waited for in one frame.
 
     Args:
@@ -40,7 +40,7 @@ class Patience:
     def until(self, agent: str, now: float) -> float:
         """The moment by which the agent has to answer what it is asked `now`.
 
-        >>> patience = Patience(10.8, 0.5)
+        >>> patience = WaitBudget(10.8, 0.5)
         >>> patience.until("hue", 10.0)
         10.5
         >>> patience.waited("hue", 0.4)
@@ -54,7 +54,7 @@ class Patience:
         self._waited[agent] = self._waited.get(agent, 0.0) + seconds
 
 
-class Punctual(Protocol):
+class TimedExecutor(Protocol):
     """An executor of agents elsewhere that can leave out an answer that comes too late.
 
     Attributes:
@@ -62,7 +62,7 @@ class Punctual(Protocol):
             for as long as they take.
     """
 
-    patience: Patience | None
+    patience: WaitBudget | None
 
 
 class Deadline:
@@ -78,7 +78,7 @@ class Deadline:
     def __init__(
         self,
         budget_ms: float,
-        asking: Punctual | None = None,
+        asking: TimedExecutor | None = None,
         clock: Callable[[], float] = time.monotonic,
         known_until: int = -1,
     ) -> None:
@@ -94,7 +94,7 @@ class Deadline:
         self._began = self._clock()
         if self._asking is not None and self._frames >= WARM_UP and not self._is_known:
             budget_s = self.budget_ms / 1000.0
-            self._asking.patience = Patience(self._began + FOR_AGENTS * budget_s, FOR_ONE * budget_s)
+            self._asking.patience = WaitBudget(self._began + FOR_AGENTS * budget_s, FOR_ONE * budget_s)
 
     def end(self) -> None:
         """The frame is done."""

@@ -11,7 +11,7 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.writer import LineFile, OutputError
-from bayesnet_track.runtime.annotation.desk import Desk
+from bayesnet_track.runtime.annotation.desk import AnnotationServer
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.tracker import Tracker
@@ -150,7 +150,7 @@ def test_answers_that_are_not_tracked_when_the_page_is_left_are_no_success(
         return update(self, frame)
 
     monkeypatch.setattr(Tracker, "update", slow)
-    monkeypatch.setattr(Desk, "wait", lambda self, give_up: None)  # as Ctrl-C at once
+    monkeypatch.setattr(AnnotationServer, "wait", lambda self, give_up: None)  # as Ctrl-C at once
     command = ["annotate", str(folder), "--out", str(tmp_path / "a"), "--graph", "gray_square"]
     assert main([*command, "--import", str(boxes)]) == 5
     assert "the last answers are not tracked yet" in capsys.readouterr().err

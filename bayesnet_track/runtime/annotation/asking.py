@@ -34,7 +34,7 @@ class Frames(Protocol):
 
 
 @dataclass(frozen=True)
-class Found:
+class TrackedBox:
     """A box that was found in a frame, and its probability.
 
     Attributes:
@@ -52,7 +52,7 @@ class Found:
 class Runs(Protocol):
     """Boxes of a target in `frame`, found by a run that starts with `box` in `start`."""
 
-    def at(self, start: int, box: Box, frame: int) -> Found:
+    def at(self, start: int, box: Box, frame: int) -> TrackedBox:
         """Forward where `frame` is later than `start`, else backward."""
 
 
@@ -71,7 +71,7 @@ class TrackerRuns:
     _runs: dict[Key, _Run] = field(default_factory=dict)
     _live: list[Key] = field(default_factory=list)
 
-    def at(self, start: int, box: Box, frame: int) -> Found:
+    def at(self, start: int, box: Box, frame: int) -> TrackedBox:
         """See `Runs`."""
         step = 1 if frame > start else -1
         key = (start, box, step)
@@ -83,34 +83,34 @@ class TrackerRuns:
             self._live = self._live[-AT_ONCE:]
         return run.at(abs(frame - start) - 1)
 
-    def _find(self, start: int, box: Box, step: int) -> Iterator[Found]:
+    def _find(self, start: int, box: Box, step: int) -> Iterator[TrackedBox]:
         tracker = Tracker(self.graph, self.seed, max_side=self.max_side)
         tracker.init(self.frames.image(start), box)
-        found = Found(box, 1.0, (0.0, 0.0), "tracking")
+        found = TrackedBox(box, 1.0, (0.0, 0.0), "tracking")
         last = len(self.frames) if step > 0 else -1
         for frame in range(start + step, last, step):
             tracker.update(self.frames.image(frame))
             yield (found := _found(tracker, found))
 
 
-def _found(tracker: Tracker, before: Found) -> Found:
+def _found(tracker: Tracker, before: TrackedBox) -> TrackedBox:
     try:
         line = tracker.metrics
     except RuntimeError:  # it has ended: a person corrects the box where it was last
         return replace(before, probability=0.0, status="lost")
     x, y, w, h = (float(value) for value in line.xywh)
-    return Found((x, y, w, h), line.score, (float(line.sd[0]), float(line.sd[1])), tracker.status)
+    return TrackedBox((x, y, w, h), line.score, (float(line.sd[0]), float(line.sd[1])), tracker.status)
 
 
 class _Run:
-    def __init__(self, begin: Callable[[], Iterator[Found]]) -> None:
-        self._begin, self._found = begin, list[Found]()
-        self._ahead: Iterator[Found] | None = None
+    def __init__(self, begin: Callable[[], Iterator[TrackedBox]]) -> None:
+        self._begin, self._found = begin, list[TrackedBox]()
+        self._ahead: Iterator[TrackedBox] | None = None
 
     def reaches(self, number: int) -> bool:
         return len(self._found) > number
 
-    def at(self, number: int) -> Found:
+    def at(self, number: int) -> TrackedBox:
         if self._ahead is None and not self.reaches(number):
             self._ahead = islice(self._begin(), len(self._found), None)
         try:
@@ -139,7 +139,7 @@ LEAST_TRACKED = 0.5
 
 
 @dataclass(frozen=True)
-class Mark:
+class BoxMark:
     """A target in a frame of the annotations.
 
     Attributes:
@@ -170,7 +170,7 @@ def between(one: Box, other: Box, share: float) -> Box:
     return x, y, w, h
 
 
-def fuse(frame: int, forward: Found, backward: Found, line: Box) -> Mark:
+def fuse(frame: int, forward: TrackedBox, backward: TrackedBox, line: Box) -> BoxMark:
     """The more probable box of the two runs, or their mean where they agree.
 
     Of two runs that disagree at most one is on target; where they agree, either both are, or both went
@@ -181,13 +181,13 @@ def fuse(frame: int, forward: Found, backward: Found, line: Box) -> Mark:
     if iou(forward.box, backward.box) > AGREE_IOU:
         right, wrong = p * q, BY_CHANCE * (1.0 - p) * (1.0 - q)
         box = between(forward.box, backward.box, q / (p + q) if p + q > 0 else 0.5)
-        return Mark(frame, box, "tracked", _share(right, wrong))
+        return BoxMark(frame, box, "tracked", _share(right, wrong))
     of_forward, of_backward, of_none = p * (1.0 - q), q * (1.0 - p), (1.0 - p) * (1.0 - q)
     best = max(of_forward, of_backward)
     probability = _share(best, of_forward + of_backward + of_none - best)
     if probability < LEAST_TRACKED:
-        return Mark(frame, line, "interpolated", probability)
-    return Mark(frame, (forward if of_forward >= of_backward else backward).box, "tracked", probability)
+        return BoxMark(frame, line, "interpolated", probability)
+    return BoxMark(frame, (forward if of_forward >= of_backward else backward).box, "tracked", probability)
 
 
 def _share(part: float, rest: float) -> float:
@@ -224,7 +224,7 @@ class Question:
 
     target: str
     frame: int
-    shown: Mark
+    shown: BoxMark
     reason: str
     is_failure: bool = False
 
@@ -238,7 +238,7 @@ class Annotations:
         questions: what is to be asked, at most one of a target; the first one first.
     """
 
-    marks: Mapping[str, Mapping[int, Mark]] = field(default_factory=dict)
+    marks: Mapping[str, Mapping[int, BoxMark]] = field(default_factory=dict)
     questions: tuple[Question, ...] = ()
 
     @property
@@ -252,7 +252,7 @@ def annotate(
 ) -> Annotations:
     """The annotations that the answers (target -> answers by frame) give."""
     asking = asking or Asking()
-    marks: dict[str, Mapping[int, Mark]] = {}
+    marks: dict[str, Mapping[int, BoxMark]] = {}
     questions = []
     for target, own in answers.items():
         found, question = annotate_target(target, own, runs, frames, asking)
@@ -263,7 +263,7 @@ def annotate(
 
 def annotate_target(
     target: str, answers: Sequence[Answer], runs: Runs, frames: int, asking: Asking
-) -> tuple[dict[int, Mark], Question | None]:
+) -> tuple[dict[int, BoxMark], Question | None]:
     """The marks of one target by frame, and what to ask about it first."""
     marks = {one.frame: _given(one) for one in answers}
     questions = []
@@ -278,7 +278,9 @@ def annotate_target(
     return dict(sorted(marks.items())), next(iter(questions), None)
 
 
-def fail(target: str, answers: Sequence[Answer], frame: int, reason: str) -> tuple[dict[int, Mark], Question]:
+def fail(
+    target: str, answers: Sequence[Answer], frame: int, reason: str
+) -> tuple[dict[int, BoxMark], Question]:
     """The marks of a target that cannot be tracked, the given ones, and the question that says why.
 
     A box with which nothing can be computed is none of them.
@@ -288,22 +290,22 @@ def fail(target: str, answers: Sequence[Answer], frame: int, reason: str) -> tup
         for one in answers
         if one.box is None or usable(np.array([one.box], dtype=np.float64))[0]
     }
-    shown = marks.get(frame, Mark(frame, None, "gone", 0.0))
+    shown = marks.get(frame, BoxMark(frame, None, "gone", 0.0))
     return marks, Question(target, frame, shown, f"not tracked: {reason}", True)
 
 
-def _given(answer: Answer) -> Mark:
-    return Mark(answer.frame, answer.box, "gone" if answer.box is None else "given")
+def _given(answer: Answer) -> BoxMark:
+    return BoxMark(answer.frame, answer.box, "gone" if answer.box is None else "given")
 
 
-def _between(one: Answer, then: Answer, runs: Runs) -> Iterator[Mark]:
+def _between(one: Answer, then: Answer, runs: Runs) -> Iterator[BoxMark]:
     for frame in range(one.frame + 1, then.frame):
         if one.box is None:
-            yield Mark(frame, None, "gone")
+            yield BoxMark(frame, None, "gone")
             continue
         forward = runs.at(one.frame, one.box, frame)
         if then.box is None:
-            yield Mark(frame, forward.box, "tracked", forward.probability)
+            yield BoxMark(frame, forward.box, "tracked", forward.probability)
             continue
         backward = runs.at(then.frame, then.box, frame)
         share = (frame - one.frame) / (then.frame - one.frame)
@@ -311,7 +313,7 @@ def _between(one: Answer, then: Answer, runs: Runs) -> Iterator[Mark]:
 
 
 def _doubt_between(
-    target: str, one: Answer, then: Answer, marks: Mapping[int, Mark], asking: Asking
+    target: str, one: Answer, then: Answer, marks: Mapping[int, BoxMark], asking: Asking
 ) -> Question | None:
     """The most doubtful frame between two answers; of equals the one in the middle of the gap."""
     middle = (one.frame + then.frame) / 2
@@ -333,7 +335,7 @@ def _doubt_between(
 
 
 def _run_ahead(
-    target: str, last: Answer, runs: Runs, ahead: range, marks: dict[int, Mark], asking: Asking
+    target: str, last: Answer, runs: Runs, ahead: range, marks: dict[int, BoxMark], asking: Asking
 ) -> Question | None:
     """Track on from the last answer until a frame is to be asked about: the last one, if none before it.
 
@@ -341,13 +343,13 @@ def _run_ahead(
     from the end of the video shows it.
     """
     doubtful = 0
-    mark: Mark | None = None
+    mark: BoxMark | None = None
     for frame in ahead:
         if last.box is None:
-            marks[frame] = Mark(frame, None, "gone")
+            marks[frame] = BoxMark(frame, None, "gone")
             continue
         found = runs.at(last.frame, last.box, frame)
-        mark = marks[frame] = Mark(frame, found.box, "tracked", found.probability)
+        mark = marks[frame] = BoxMark(frame, found.box, "tracked", found.probability)
         doubtful = doubtful + 1 if mark.probability < asking.threshold else 0
         if doubtful >= asking.patience or (doubtful and frame == ahead[-1]):
             since = "" if doubtful == 1 else f" for {doubtful} frames"

@@ -13,7 +13,7 @@ import cv2
 
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.annotation.answers import AnswerError, in_force
-from bayesnet_track.runtime.annotation.asking import Frames, Mark, Runs
+from bayesnet_track.runtime.annotation.asking import BoxMark, Frames, Runs
 from bayesnet_track.runtime.annotation.session import Session
 from bayesnet_track.runtime.live_view.controls import Refused
 from bayesnet_track.runtime.live_view.server import Server
@@ -29,7 +29,7 @@ SHORT = {"given": "g", "tracked": "t", "interpolated": "i", "gone": "x"}
 UNKNOWN = "."
 
 
-class Desk:
+class AnnotationServer:
     """Serves the page of a session, and tracks what its answers ask for.
 
     Args:
@@ -200,7 +200,7 @@ class Desk:
             self._tell()
 
 
-def _row(name: str, own: Mapping[int, Mark], frames: int) -> dict[str, Any]:
+def _row(name: str, own: Mapping[int, BoxMark], frames: int) -> dict[str, Any]:
     marks = [own.get(frame) for frame in range(frames)]
     return {
         "name": name,

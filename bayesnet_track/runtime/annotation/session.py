@@ -33,10 +33,10 @@ from bayesnet_track.runtime.annotation.answers import (
 from bayesnet_track.runtime.annotation.asking import (
     Annotations,
     Asking,
-    Found,
-    Mark,
+    BoxMark,
     Question,
     Runs,
+    TrackedBox,
     annotate_target,
     fail,
 )
@@ -122,7 +122,7 @@ class Session:
         def is_stale() -> bool:
             return self.version != version or self._is_closed
 
-        marks: dict[str, Mapping[int, Mark]] = {}
+        marks: dict[str, Mapping[int, BoxMark]] = {}
         questions = []
         try:
             for target, own in answers.items():
@@ -139,7 +139,7 @@ class Session:
 
     def _track(
         self, target: str, own: Sequence[Answer], watched: _Watched
-    ) -> tuple[Mapping[int, Mark], Question | None]:
+    ) -> tuple[Mapping[int, BoxMark], Question | None]:
         """The marks of a target and what is asked about it: where it fails, the given ones, and why."""
         video, max_side = self.header.video, self.header.max_side
         for one in own:
@@ -173,7 +173,7 @@ class Session:
 
     def _shown(self, given: Mapping[str, Any]) -> Box:
         target, frame = given.get("target"), given.get("frame")
-        mark: Mark | None = None
+        mark: BoxMark | None = None
         if isinstance(target, str) and isinstance(frame, int):
             mark = self.annotations.marks.get(target, {}).get(frame)
         if mark is None or mark.box is None:
@@ -251,7 +251,7 @@ class _Watched:
     hear: Callable[[int], None]
     frame: int
 
-    def at(self, start: int, box: Box, frame: int) -> Found:
+    def at(self, start: int, box: Box, frame: int) -> TrackedBox:
         if self.is_stale():
             raise _StaleError
         self.frame = frame

@@ -25,7 +25,7 @@ from bayesnet_track.runtime.executors.workers import (
     WorkerGone,
     WorkerLost,
 )
-from bayesnet_track.runtime.pace import Patience
+from bayesnet_track.runtime.pace import WaitBudget
 
 
 class Pending:
@@ -42,7 +42,7 @@ class Pending:
 
     __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
 
-    def __init__(self, asked: Call, patience: Patience | None) -> None:
+    def __init__(self, asked: Call, patience: WaitBudget | None) -> None:
         self.agent = asked.agent
         self.asked, self.patience = asked, patience
         self.is_sent, self.sent_at = False, 0.0
@@ -91,7 +91,7 @@ class Processes:
         self._frames = 0
         self._asking = RLock()
 
-    patience: Patience | None
+    patience: WaitBudget | None
 
     def send_frame(self, frame: Frame) -> SharedFrame:
         """Place the frame in the shared memory; with a new one, agents are placed anew if need be."""

@@ -324,7 +324,7 @@ class Storable:
         return copy.copy(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Store like `save`, with the attributes of subclasses; raises TypeError for what cannot be stored."""
+        """Store like `save`, with attributes of subclasses; raises TypeError for what cannot be stored."""
         try:
             with self._turns.take("pickling"):
                 data = self._bytes()

@@ -18,7 +18,7 @@ from bayesnet_track.runtime.annotation.answers import (
     first_difference,
     read_answers,
 )
-from bayesnet_track.runtime.annotation.asking import Found, TrackerRuns
+from bayesnet_track.runtime.annotation.asking import TrackedBox, TrackerRuns
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS
 from bayesnet_track.runtime.annotation.frame_store import FrameStore, Video
 from bayesnet_track.runtime.annotation.session import open_session
@@ -34,7 +34,7 @@ class MadeUp:
 
     def at(self, start, box, frame):
         probability = 0.9 if abs(frame - start) < 10 else 0.3
-        return Found((box[0] + 2 * (frame - start), *box[1:]), probability, (1.0, 1.0), "tracking")
+        return TrackedBox((box[0] + 2 * (frame - start), *box[1:]), probability, (1.0, 1.0), "tracking")
 
 
 def box(frame, target="ball 1"):

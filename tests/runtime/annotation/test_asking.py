@@ -11,7 +11,7 @@ from bayesnet_track.runtime.annotation.answers import (
     in_force,
     read_answer,
 )
-from bayesnet_track.runtime.annotation.asking import Asking, Found, Mark, annotate, fuse, iou
+from bayesnet_track.runtime.annotation.asking import Asking, BoxMark, TrackedBox, annotate, fuse, iou
 from bayesnet_track.runtime.annotation.session import by_target
 
 START = (10.0, 10.0, 20.0, 20.0)
@@ -34,7 +34,7 @@ class MadeUp:
         self.asked += 1
         is_good = abs(frame - start) <= self.good
         found = true_box(frame) if is_good else (500.0, 400.0, 20.0, 20.0)
-        return Found(found, self.sure if is_good else self.unsure, (1.0, 2.0), "tracking")
+        return TrackedBox(found, self.sure if is_good else self.unsure, (1.0, 2.0), "tracking")
 
 
 def answered(*answers):
@@ -101,7 +101,7 @@ def test_several_targets_are_asked_about_one_by_one():
 
 def test_two_runs_that_agree_are_surer_than_each_and_two_that_differ_less():
     def found(p, at=START):
-        return Found(at, p, (1.0, 1.0), "tracking")
+        return TrackedBox(at, p, (1.0, 1.0), "tracking")
 
     far = (300.0, 10.0, 20.0, 20.0)
     line = (50.0, 50.0, 20.0, 20.0)
@@ -109,7 +109,7 @@ def test_two_runs_that_agree_are_surer_than_each_and_two_that_differ_less():
     apart = fuse(3, found(0.9), found(0.4, far), line)
     assert apart.box == START and apart.probability == pytest.approx(0.54 / (0.54 + 0.04 + 0.06))
     unclear = fuse(3, found(0.9), found(0.9, far), line)
-    assert unclear == Mark(3, line, "interpolated", pytest.approx(0.09 / 0.19))
+    assert unclear == BoxMark(3, line, "interpolated", pytest.approx(0.09 / 0.19))
     moved = (14.0, 10.0, 20.0, 20.0)
     assert fuse(3, found(0.6), found(0.2, moved), line).box[0] == pytest.approx(11.0)
     assert fuse(3, found(0.0), found(0.0), line).how == "tracked"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.runtime.annotation.answers import Header
-from bayesnet_track.runtime.annotation.asking import Found
-from bayesnet_track.runtime.annotation.desk import Desk
+from bayesnet_track.runtime.annotation.asking import TrackedBox
+from bayesnet_track.runtime.annotation.desk import AnnotationServer
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.session import open_session
 
@@ -27,13 +27,13 @@ class MadeUp:
     def at(self, start, box, frame):
         if box[0] == 99:
             raise RuntimeError("no cue")
-        return Found(box, 0.9 if frame < 20 else 0.4, (1.0, 2.0), "uncertain")
+        return TrackedBox(box, 0.9 if frame < 20 else 0.4, (1.0, 2.0), "uncertain")
 
 
 @pytest.fixture
 def desk(tmp_path):
     session, _ = open_session(tmp_path, HEADER)
-    with Desk(session, MadeUp(), MadeUp(), "labels") as made:
+    with AnnotationServer(session, MadeUp(), MadeUp(), "labels") as made:
         yield made
 
 

@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from bayesnet_track.runtime.annotation.asking import Mark
+from bayesnet_track.runtime.annotation.asking import BoxMark
 from bayesnet_track.runtime.annotation.formats.cvat import read_cvat
 from bayesnet_track.runtime.annotation.formats.formats import (
     WRITERS,
@@ -29,7 +29,7 @@ FILES = {
 
 
 def at(frame, how="given", probability=1.0):
-    return Mark(frame, (10.125 + frame, 20.5, 30.25, 40.0), how, probability)
+    return BoxMark(frame, (10.125 + frame, 20.5, 30.25, 40.0), how, probability)
 
 
 def document(*targets, how="given"):
@@ -51,7 +51,7 @@ def test_every_format_is_read_as_it_was_written(name, tmp_path):
 @pytest.mark.parametrize("name", ["coco", "cvat", "label-studio"])
 def test_only_given_boxes_come_back_and_what_is_gone_does(name, tmp_path):
     own = {0: at(0), 1: at(1, "tracked", 0.8), 2: at(2, "interpolated", 0.4), 3: at(3)}
-    own |= {4: Mark(4, None, "gone"), 5: Mark(5, None, "gone")}
+    own |= {4: BoxMark(4, None, "gone"), 5: BoxMark(5, None, "gone")}
     write_formats(tmp_path, (name,), Document(VIDEO, {"ball 1": own}))
     found = read_annotations(tmp_path / FILES[name], VIDEO)
     assert sorted((one.frame, one.kind) for one in found) == [(0, "box"), (3, "box"), (4, "gone")]
@@ -209,7 +209,7 @@ def test_generated_annotations_come_back(name, seed, images, tmp_path):
             for frame in sorted(generator.sample(range(6), generator.randint(1, 6))):
                 x, y = generator.uniform(-20, 300), generator.uniform(-20, 220)
                 size = generator.uniform(21, 90), generator.uniform(21, 90)
-                marks[frame] = Mark(frame, (x, y, *size), "given", 1.0)
+                marks[frame] = BoxMark(frame, (x, y, *size), "given", 1.0)
             targets[f"{label} {number}"] = marks
     write_formats(tmp_path, (name,), Document(VIDEO, targets, images))
     found = read_annotations(tmp_path / FILES[name], VIDEO, images)

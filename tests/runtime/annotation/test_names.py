@@ -19,7 +19,7 @@ from bayesnet_track.runtime.annotation.answers import (
     read_answer,
     read_answers,
 )
-from bayesnet_track.runtime.annotation.asking import Found
+from bayesnet_track.runtime.annotation.asking import TrackedBox
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.session import open_session
@@ -50,7 +50,7 @@ class Still:
     """Every target stays where it is."""
 
     def at(self, start, box, frame):
-        return Found(box, 0.9, (1.0, 1.0), "tracking")
+        return TrackedBox(box, 0.9, (1.0, 1.0), "tracking")
 
 
 def line(target, frame=0, x=10.0):

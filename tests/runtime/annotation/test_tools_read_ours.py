@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.runtime.annotation.asking import Mark
+from bayesnet_track.runtime.annotation.asking import BoxMark
 from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations, write_formats
 from bayesnet_track.runtime.annotation.formats.reading import Document
 from bayesnet_track.runtime.annotation.frame_store import Video
@@ -24,10 +24,10 @@ TARGETS = ("car 1", "car 2", "Fußgänger 1")
 def ours(tmp_path):
     """All formats of three targets; the last one is gone from frame 4 on."""
     marks = {
-        name: {n: Mark(n, (10.0 + 60 * k + n, 20.5, 30.25, 40.0), "given", 1.0) for n in range(6)}
+        name: {n: BoxMark(n, (10.0 + 60 * k + n, 20.5, 30.25, 40.0), "given", 1.0) for n in range(6)}
         for k, name in enumerate(TARGETS)
     }
-    marks[TARGETS[2]] |= {n: Mark(n, None, "gone") for n in (4, 5)}
+    marks[TARGETS[2]] |= {n: BoxMark(n, None, "gone") for n in (4, 5)}
     write_formats(tmp_path, tuple(WRITERS), Document(VIDEO, marks))
     return tmp_path, {(k, n): mark.box for k, own in enumerate(marks.values()) for n, mark in own.items()}
 

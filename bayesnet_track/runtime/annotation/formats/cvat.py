@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayesnet_track.runtime.annotation.answers import Answer, Box
-from bayesnet_track.runtime.annotation.asking import Mark
+from bayesnet_track.runtime.annotation.asking import BoxMark
 from bayesnet_track.runtime.annotation.formats.reading import (
     Document,
     MismatchError,
@@ -65,13 +65,13 @@ def as_cvat(document: Document) -> bytes:
     return data + b"\n"
 
 
-def _with_ends(own: Mapping[int, Mark]) -> Iterator[tuple[Mark, Box]]:
+def _with_ends(own: Mapping[int, BoxMark]) -> Iterator[tuple[BoxMark, Box]]:
     """The boxes, and one that is outside where the target goes or nothing is known of the next frame."""
     last = None
     for frame in sorted(own):
         mark = own[frame]
         if last is not None and last[0].frame + 1 < frame:
-            yield Mark(last[0].frame + 1, None, "gone"), last[1]
+            yield BoxMark(last[0].frame + 1, None, "gone"), last[1]
             last = None
         if mark.box is not None:
             last = mark, mark.box

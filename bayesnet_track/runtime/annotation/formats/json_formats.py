@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.runtime.annotation.answers import Answer, Box
-from bayesnet_track.runtime.annotation.asking import Mark
+from bayesnet_track.runtime.annotation.asking import BoxMark
 from bayesnet_track.runtime.annotation.formats.reading import (
     Document,
     MismatchError,
@@ -292,7 +292,7 @@ def as_label_studio(document: Document) -> bytes:
     return (json.dumps([task], allow_nan=False) + "\n").encode()
 
 
-def _key_frames(own: Mapping[int, Mark], video: Video) -> Iterator[dict[str, Any]]:
+def _key_frames(own: Mapping[int, BoxMark], video: Video) -> Iterator[dict[str, Any]]:
     """The marks of a target that have a box, as key frames; one that is not enabled ends the region."""
     for frame in sorted(own):
         box = own[frame].box

@@ -15,13 +15,13 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from bayesnet_track.runtime.annotation.answers import Box
-from bayesnet_track.runtime.annotation.asking import Mark
+from bayesnet_track.runtime.annotation.asking import BoxMark
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.notices import heard, notice
 from bayesnet_track.sources.mot_lines import NotTextError, read_text
 from bayesnet_track.sources.paths import is_junk, natural_key
 
-Marks = Mapping[str, Mapping[int, Mark]]
+Marks = Mapping[str, Mapping[int, BoxMark]]
 
 
 class MismatchError(ValueError):
@@ -46,7 +46,7 @@ class Document:
         names = dict.fromkeys(map(label_of, self.marks))
         return {name: number for number, name in enumerate(names, 1)}
 
-    def boxes(self) -> Iterator[tuple[int, str, Mark, Box]]:
+    def boxes(self) -> Iterator[tuple[int, str, BoxMark, Box]]:
         """Number of the target from 1, its name, mark and box, by target and frame."""
         for number, (target, own) in enumerate(self.marks.items(), 1):
             for frame in sorted(own):
