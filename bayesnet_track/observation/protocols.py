@@ -58,11 +58,13 @@ class AssociationRule:
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
-        shares = np.array([self.sd_place, self.sd_place, self.sd_size, self.sd_size])
-        variances = (shares * boxes[..., [2, 3, 2, 3]]) ** 2
+        variances, sides = np.empty(boxes.shape), boxes[..., 2:4]
+        np.multiply(sides, self.sd_place, out=variances[..., :2])
+        np.multiply(sides, self.sd_size, out=variances[..., 2:])
+        variances *= variances
         if self.sd_place_px or self.sd_size_px:
             variances += np.square([self.sd_place_px, self.sd_place_px, self.sd_size_px, self.sd_size_px])
-        return np.ascontiguousarray(variances)  # kernels have one compiled version only
+        return variances
 
     @property
     def remembers(self) -> bool:
