@@ -146,7 +146,7 @@ def extent_of_boxes(boxes: Floats, half: float) -> tuple[float, float, float, fl
 
 @compiled
 def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, normals: Floats) -> Floats:
-    """Move `states[parents]` as `drifted` does, with noise root z for each chain: `root` (n, n) is triangular.
+    """Move `states[parents]` as `drifted` does, noise root z on each chain: `root` (n, n) is triangular.
 
     A row of `normals` (M, 2 n) has the first z of x, the first of y, the second of x and so on.
     """
