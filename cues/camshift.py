@@ -83,7 +83,7 @@ class CamShiftParameters(CueParameters):
 
 @dataclass(frozen=True)
 class Found:
-    """Window at rest.
+    """Where the window came to rest.
 
     Attributes:
         box: (4,) centre box, px.

@@ -63,7 +63,7 @@ def present_trackers() -> tuple[str, ...]:
 
 
 def missing_tracker(name: str, models: Mapping[str, str]) -> str | None:
-    """Obstacle to making a tracker here, in words; None if there is none."""
+    """What keeps a tracker from being made here, in words; None when nothing does."""
     present = present_trackers()
     if name not in present:
         return (
@@ -297,7 +297,7 @@ class OpencvTracker:
         return (WholeFrame(),)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
-        """Reference at which a tracker can start; it does when it is first asked."""
+        """Where a tracker can start; it does when it is first asked."""
         image = planes[WholeFrame()]
         arrays = {
             "image": image,

@@ -29,12 +29,14 @@ def auroc(scores: ArrayLike, positive: ArrayLike) -> float | None:
     0.875
     """
     values, flags = np.asarray(scores, dtype=np.float64), np.asarray(positive, dtype=bool)
-    on, off = np.sort(values[flags]), values[~flags]
-    if not len(on) or not len(off):
+    positives, negatives = np.sort(values[flags]), values[~flags]
+    if not len(positives) or not len(negatives):
         return None
-    above = len(on) - np.searchsorted(on, off, side="right")
-    equal = np.searchsorted(on, off, side="right") - np.searchsorted(on, off, side="left")
-    return float((above + 0.5 * equal).mean() / len(on))
+    higher_count = len(positives) - np.searchsorted(positives, negatives, side="right")
+    equal = np.searchsorted(positives, negatives, side="right") - np.searchsorted(
+        positives, negatives, side="left"
+    )
+    return float((higher_count + 0.5 * equal).mean() / len(positives))
 
 
 def brier(scores: ArrayLike, hits: ArrayLike) -> float:
@@ -57,17 +59,17 @@ def reliability(scores: ArrayLike, hits: ArrayLike, bins: int = 5) -> tuple[Bin,
     """What was said against what was, in `bins` equal bins of the score; empty ones are left out."""
     values, flags = np.asarray(scores, dtype=np.float64), np.asarray(hits, dtype=bool)
     edges = np.linspace(0.0, 1.0, bins + 1)
-    at = np.clip(np.digitize(values, edges) - 1, 0, bins - 1)
+    indices = np.clip(np.digitize(values, edges) - 1, 0, bins - 1)
     return tuple(
         Bin(
             float(edges[k]),
             float(edges[k + 1]),
-            int(inside.sum()),
-            float(values[inside].mean()),
-            float(flags[inside].mean()),
+            int(in_bin.sum()),
+            float(values[in_bin].mean()),
+            float(flags[in_bin].mean()),
         )
         for k in range(bins)
-        if (inside := at == k).any()
+        if (in_bin := indices == k).any()
     )
 
 
@@ -103,21 +105,23 @@ def fit_logistic(
         ridge: precision of the coefficients' Gaussian prior, in the unit of the weights.
     """
     w, y = np.asarray(weights, dtype=np.float64), np.asarray(hits, dtype=np.float64)
-    left = list(features)
+    remaining = list(features)
     while True:
         table = (
-            np.array([np.asarray(features[name], dtype=np.float64) for name in left]).reshape(-1, len(y)).T
+            np.array([np.asarray(features[name], dtype=np.float64) for name in remaining])
+            .reshape(-1, len(y))
+            .T
         )
         means = w @ table / w.sum()
         sds = np.sqrt(w @ (table - means) ** 2 / w.sum()) + 1e-9
         solved = _newton(np.column_stack([np.ones(len(y)), (table - means) / sds]), y, w, ridge)
-        wrong = {name: signs[name] * solved[1 + k] for k, name in enumerate(left)}
+        wrong = {name: signs[name] * solved[1 + k] for k, name in enumerate(remaining)}
         if not wrong or min(wrong.values()) >= 0:
             slopes = solved[1:] / sds
-            found = {name: float(slope) for name, slope in zip(left, slopes, strict=True)}
+            found = {name: float(slope) for name, slope in zip(remaining, slopes, strict=True)}
             bias = float(solved[0] - slopes @ means)
             return {"bias": bias, **{name: found.get(name, 0.0) for name in features}}
-        left.remove(min(wrong, key=lambda name: wrong[name]))
+        remaining.remove(min(wrong, key=lambda name: wrong[name]))
 
 
 def _newton(table: Floats, y: Floats, w: Floats, ridge: float) -> Floats:
@@ -149,24 +153,24 @@ def fit_localization_error(
         scores: of each video (n,) probabilities of being on target.
         shares: of the two regions.
     """
-    near = [below_on_target(np.asarray(video, dtype=np.float64), SLACKS) for video in offsets]
-    far = [blurred_below(np.asarray(video, dtype=np.float64), LOST_SLACKS) for video in offsets]
-    held = [np.asarray(p, dtype=np.float64)[:, None] for p in scores]
-    best, chosen = np.inf, (float(SLACKS[0]), float(LOST_SLACKS[-1]))
+    near_mass = [below_on_target(np.asarray(video, dtype=np.float64), SLACKS) for video in offsets]
+    far_mass = [blurred_below(np.asarray(video, dtype=np.float64), LOST_SLACKS) for video in offsets]
+    probabilities = [np.asarray(p, dtype=np.float64)[:, None] for p in scores]
+    lowest, slacks = np.inf, (float(SLACKS[0]), float(LOST_SLACKS[-1]))
     for a, sd in enumerate(SLACKS):
         for b, lost_sd in enumerate(LOST_SLACKS):
             if lost_sd <= sd:
                 continue
-            inside = np.array(
+            inside_shares = np.array(
                 [
                     [np.mean(np.abs(p * n[a] + (1.0 - p) * f[b] - 0.5) <= share / 2.0) for share in shares]
-                    for n, f, p in zip(near, far, held, strict=True)
+                    for n, f, p in zip(near_mass, far_mass, probabilities, strict=True)
                 ]
             )
-            miss = float(((inside.mean(axis=0) - shares) ** 2).sum())
-            if miss < best:
-                best, chosen = miss, (float(sd), float(lost_sd))
-    return chosen
+            miss = float(((inside_shares.mean(axis=0) - shares) ** 2).sum())
+            if miss < lowest:
+                lowest, slacks = miss, (float(sd), float(lost_sd))
+    return slacks
 
 
 def below_on_target(offsets: Floats, sds: Floats) -> Floats:
@@ -198,13 +202,15 @@ def fit_levels(scores: ArrayLike, iou: ArrayLike, spared: float = 0.02) -> Level
     frames on target below it, and lies below the other.
     """
     values, overlaps = np.asarray(scores, dtype=np.float64), np.asarray(iou, dtype=np.float64)
-    on, off = np.sort(values[overlaps > ON_TARGET]), np.sort(values[overlaps < OFF_TARGET])
-    if not len(on) or not len(off):
+    on_scores, off_scores = np.sort(values[overlaps > ON_TARGET]), np.sort(values[overlaps < OFF_TARGET])
+    if not len(on_scores) or not len(off_scores):
         return Levels(0.2, 0.5)
     grid = np.linspace(0.05, 0.95, 91)
-    gain = np.searchsorted(off, grid) / len(off) - np.searchsorted(on, grid) / len(on)
+    gain = np.searchsorted(off_scores, grid) / len(off_scores) - np.searchsorted(on_scores, grid) / len(
+        on_scores
+    )
     high = float(grid[int(np.argmax(gain))])
-    low = min(float(np.quantile(on, spared)), 0.8 * high)
+    low = min(float(np.quantile(on_scores, spared)), 0.8 * high)
     return Levels(max(low, 0.01), high)
 
 
@@ -261,21 +267,21 @@ def fit(
         ValueError: no frame is on target, or every frame is.
     """
     videos = by_video(data)
-    hits = np.concatenate([one.iou > ON_TARGET for one in data])
+    hits = np.concatenate([datum.iou > ON_TARGET for datum in data])
     if not hits.any():
         raise ValueError("no frame is on target (IoU above 0.5); fitting needs some that are")
     if hits.all():
         raise ValueError("every frame is on target (IoU above 0.5); fitting also needs some that are not")
     weights = _weights(data, videos)
-    table = {name: np.concatenate([one.features[name] for one in data]) for name in features}
+    table = {name: np.concatenate([datum.features[name] for datum in data]) for name in features}
     logistic = fit_logistic(table, hits, weights, {name: SIGNS.get(name, 1) for name in features})
-    scores = [one.scores if keep_score else score_of(logistic, one) for one in data]
+    scores = [datum.scores if keep_score else score_of(logistic, datum) for datum in data]
     localization_error = fit_localization_error(
-        [one.offsets[one.seen] for one in data],
-        [said[one.seen] for one, said in zip(data, scores, strict=True)],
+        [datum.offsets[datum.seen] for datum in data],
+        [probabilities[datum.seen] for datum, probabilities in zip(data, scores, strict=True)],
     )
-    iou = np.concatenate([one.iou for one in data])
-    ud = np.concatenate([one.ud_box for one in data])
+    iou = np.concatenate([datum.iou for datum in data])
+    ud = np.concatenate([datum.ud_box for datum in data])
     levels = fit_levels(np.concatenate(scores), iou)
     return Fitted(
         logistic,
@@ -288,14 +294,14 @@ def fit(
     )
 
 
-def score_of(logistic: Mapping[str, float], one: CalibrationData) -> Floats:
+def score_of(logistic: Mapping[str, float], data: CalibrationData) -> Floats:
     """(n,) scores by other coefficients than the graph's."""
-    odds = np.full(one.frames, logistic["bias"])
+    odds = np.full(data.frames, logistic["bias"])
     for name, slope in logistic.items():
         if name != "bias":
-            odds = odds + slope * one.features[name]
+            odds = odds + slope * data.features[name]
     scores = np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0))))
-    return scores if one.most is None else np.minimum(scores, one.most)
+    return scores if data.most is None else np.minimum(scores, data.most)
 
 
 @dataclass(frozen=True)
@@ -336,50 +342,52 @@ def leave_one_out(
     videos = by_video(data)
     if len(videos) < 2:
         raise ValueError("leaving one out needs two videos or more")
-    rows, scores, below = [], [], []
-    for video, own in videos.items():
+    rows, scores, masses = [], [], []
+    for video, video_data in videos.items():
         try:
-            fitted = fit([one for one in data if one.video != video], features)
+            fitted = fit([datum for datum in data if datum.video != video], features)
         except ValueError as error:
             raise ValueError(f"without {video}: {error}") from None
-        said = np.concatenate([score_of(fitted.logistic, one) for one in own])
-        under = np.concatenate([mass_below(fitted, one)[one.seen] for one in own])
-        rows.append(_check(video, own, said, under))
-        scores.append(said)
-        below.append(under)
-    everyone = [one for own in videos.values() for one in own]
-    return tuple(rows), _check("all", everyone, np.concatenate(scores), np.concatenate(below))
+        probabilities = np.concatenate([score_of(fitted.logistic, datum) for datum in video_data])
+        under = np.concatenate([mass_below(fitted, datum)[datum.seen] for datum in video_data])
+        rows.append(_check(video, video_data, probabilities, under))
+        scores.append(probabilities)
+        masses.append(under)
+    everyone = [datum for video_data in videos.values() for datum in video_data]
+    return tuple(rows), _check("all", everyone, np.concatenate(scores), np.concatenate(masses))
 
 
-def mass_below(fitted: Fitted, one: CalibrationData) -> Floats:
+def mass_below(fitted: Fitted, data: CalibrationData) -> Floats:
     """(n, 2) mass of the widened belief below the true centre, in x and y."""
-    p = score_of(fitted.logistic, one)[:, None]
+    p = score_of(fitted.logistic, data)[:, None]
     sd, lost_sd = (np.array([value]) for value in fitted.localization_error)
-    near, far = below_on_target(one.offsets, sd)[0], blurred_below(one.offsets, lost_sd)[0]
-    return np.asarray(p * near + (1.0 - p) * far)
+    near_mass, far_mass = below_on_target(data.offsets, sd)[0], blurred_below(data.offsets, lost_sd)[0]
+    return np.asarray(p * near_mass + (1.0 - p) * far_mass)
 
 
-def _check(name: str, own: Sequence[CalibrationData], said: Floats, below: Floats) -> Checked:
-    iou = np.concatenate([one.iou for one in own])
+def _check(
+    name: str, video_data: Sequence[CalibrationData], probabilities: Floats, masses: Floats
+) -> Checked:
+    iou = np.concatenate([datum.iou for datum in video_data])
     hits, sure = iou > ON_TARGET, (iou > ON_TARGET) | (iou < OFF_TARGET)
-    off = np.abs(below - 0.5)
+    deviations = np.abs(masses - 0.5)
     return Checked(
         name,
         len(iou),
         float(hits.mean()),
-        float(said.mean()),
-        float((off <= 0.25).mean()),
-        float((off <= 0.45).mean()),
-        auroc(said[sure], hits[sure]),
-        brier(said, hits),
-        reliability(said, hits),
+        float(probabilities.mean()),
+        float((deviations <= 0.25).mean()),
+        float((deviations <= 0.45).mean()),
+        auroc(probabilities[sure], hits[sure]),
+        brier(probabilities, hits),
+        reliability(probabilities, hits),
     )
 
 
 def _weights(data: Sequence[CalibrationData], videos: Mapping[str, Sequence[CalibrationData]]) -> Floats:
     """(frames,) weights: one for all frames of a video together, in all runs."""
-    totals = {video: sum(one.frames for one in own) for video, own in videos.items()}
-    return np.concatenate([np.full(one.frames, 1.0 / totals[one.video]) for one in data])
+    totals = {video: sum(datum.frames for datum in video_data) for video, video_data in videos.items()}
+    return np.concatenate([np.full(datum.frames, 1.0 / totals[datum.video]) for datum in data])
 
 
 def _ud_levels(ud_box: Floats, iou: Floats) -> dict[str, float]:
@@ -387,21 +395,23 @@ def _ud_levels(ud_box: Floats, iou: Floats) -> dict[str, float]:
 
     References learn below two thirds of them, and where at least half of the frames off target are not.
     """
-    on, off = ud_box[iou > ON_TARGET], ud_box[iou < OFF_TARGET]
-    activate, deactivate, learn = (float(q) for q in np.quantile(on, [0.9, 0.5, 2.0 / 3.0]))
-    if len(off):
-        learn = min(learn, max(float(np.quantile(off, 0.5)), 1e-4))
+    on_ud, off_ud = ud_box[iou > ON_TARGET], ud_box[iou < OFF_TARGET]
+    activate, deactivate, learn = (float(q) for q in np.quantile(on_ud, [0.9, 0.5, 2.0 / 3.0]))
+    if len(off_ud):
+        learn = min(learn, max(float(np.quantile(off_ud, 0.5)), 1e-4))
     return {"activate": activate, "deactivate": deactivate, "learn": learn}
 
 
 def _temperatures(data: Sequence[CalibrationData]) -> dict[str, float]:
     """Agent -> the factor that surprises it least, averaged over the runs in which it was heard."""
-    agents = dict.fromkeys(agent for one in data for agent in one.surprise)
+    agents = dict.fromkeys(agent for datum in data for agent in datum.surprise)
     return {
         agent: float(
             TEMPERATURES[
                 int(
-                    np.argmin(np.mean([one.surprise[agent] for one in data if agent in one.surprise], axis=0))
+                    np.argmin(
+                        np.mean([datum.surprise[agent] for datum in data if agent in datum.surprise], axis=0)
+                    )
                 )
             ]
         )

@@ -79,10 +79,10 @@ class CalibrationData:
 
 def by_video(data: Iterable[CalibrationData]) -> Mapping[str, list[CalibrationData]]:
     """Video -> its runs."""
-    found: dict[str, list[CalibrationData]] = {}
-    for one in data:
-        found.setdefault(one.video, []).append(one)
-    return found
+    videos: dict[str, list[CalibrationData]] = {}
+    for datum in data:
+        videos.setdefault(datum.video, []).append(datum)
+    return videos
 
 
 def with_features(graph: CheckedGraph) -> CheckedGraph:
@@ -111,7 +111,7 @@ def calibration_data(
     state: State | None = None
     lines: list[FrameMetrics] = []
     overlaps, offsets, curves = [], [], _Curves()
-    every: list[tuple[float, float]] = []
+    points: list[tuple[float, float]] = []
     for frame in frames:
         number = frame.index
         if number >= len(truth):
@@ -126,39 +126,39 @@ def calibration_data(
             check_started(graph, begun)
             state = begun.state
             continue
-        before, state = state, (outcome := step(engine, state, frame)).state
-        line = next((one for one in outcome.metrics if one.target == "1"), None)
-        every.append((0.0 if line is None else line.score, 0.0))
+        previous, state = state, (outcome := step(engine, state, frame)).state
+        line = next((line for line in outcome.metrics if line.target == "1"), None)
+        points.append((0.0 if line is None else line.score, 0.0))
         if line is None or "1" not in state.targets:
             continue
         true = centre_from_corner(truth[number])
         is_there = bool(np.isfinite(true).all())
         side = float(np.sqrt(line.centre_box[2] * line.centre_box[3]))
-        found = float(overlap(np.array(line.centre_box)[None], true[None])[0]) if is_there else 0.0
-        every[-1] = (line.score, found)
+        iou = float(overlap(np.array(line.centre_box)[None], true[None])[0]) if is_there else 0.0
+        points[-1] = (line.score, iou)
         lines.append(line)
-        overlaps.append(found)
-        away = true[:2] - marginal_points(state.targets["1"].belief).T
-        offsets.append(away / side if is_there else np.full_like(away, np.nan))
-        if temperatures and found > 0.5:
-            curves.add(engine, before, frame, true, side)
-    if not any(np.isfinite(one).all() for one in offsets):
+        overlaps.append(iou)
+        deviations = true[:2] - marginal_points(state.targets["1"].belief).T
+        offsets.append(deviations / side if is_there else np.full_like(deviations, np.nan))
+        if temperatures and iou > 0.5:
+            curves.add(engine, previous, frame, true, side)
+    if not any(np.isfinite(offset).all() for offset in offsets):
         raise ValueError(f"{video}: no frame after the first has a true box")
-    at = np.array([line.centre_box for line in lines])
+    centre_boxes = np.array([line.centre_box for line in lines])
     costs = next(iter(engine.plates.values())).costs_ms
     return CalibrationData(
         video,
         np.array(overlaps),
         {name: np.array([line.features[name] for line in lines]) for name in lines[0].features},
-        np.array([line.ud_px2 for line in lines]) / (at[:, 2] * at[:, 3]),
+        np.array([line.ud_px2 for line in lines]) / (centre_boxes[:, 2] * centre_boxes[:, 3]),
         np.array(offsets),
         np.array([line.score for line in lines]),
         tuple(line.status for line in lines),
         curves.means(),
         np.array([line.features["most"] for line in lines]),
         float(np.mean([sum(costs[agent] for agent in line.active) for line in lines])),
-        np.array([score for score, _ in every]),
-        np.array([found for _, found in every]),
+        np.array([score for score, _ in points]),
+        np.array([pair for _, pair in points]),
     )
 
 
@@ -175,15 +175,15 @@ class _Curves:
         work = FrameWork(engine, state.net, cache, state.history.births)
         filtered = filter_target(work, "1", state.targets["1"])
         evidence, prior = filtered.step.evidence, filtered.step.prior.log
-        away = (filtered.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)
-        near = np.exp(-0.5 * (away**2).sum(axis=1)) / (2.0 * np.pi * TEMPERATURE_SLACK**2)
+        deviations = (filtered.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)
+        kernel = np.exp(-0.5 * (deviations**2).sum(axis=1)) / (2.0 * np.pi * TEMPERATURE_SLACK**2)
         for observation in state.targets["1"].plan.observations:
             agent = observation.agent
             if agent not in evidence.messages or evidence.measured.get(agent, evidence) is None:
                 continue
             log = prior + evidence.messages[agent] / TEMPERATURES[:, None]
             weights = np.exp(log - log.max(axis=1, keepdims=True))
-            density = (weights @ near) / weights.sum(axis=1)
+            density = (weights @ kernel) / weights.sum(axis=1)
             self.sums[agent] = self.sums.get(agent, np.zeros(len(TEMPERATURES))) - np.log(density + ELSEWHERE)
             self.counts[agent] = self.counts.get(agent, 0) + 1
 

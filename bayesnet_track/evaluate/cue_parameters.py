@@ -75,12 +75,12 @@ def cue_residuals(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats) -
         if agent not in compiled.part_of and isinstance(cue, Residual) and isinstance(cue, Cue)
     }
     references: dict[str, Mapping[str, NDArray[np.generic]]] = {}
-    found: dict[tuple[str, str], list[Floats]] = {}
-    before: Frame | None = None
+    residuals: dict[tuple[str, str], list[Floats]] = {}
+    previous: Frame | None = None
     for frame in frames:
         if frame.index >= len(truth):
             raise ValueError(f"the truth has {len(truth)} boxes, and the video has more frames")
-        cache, before = PlaneCache(FramePair(frame, before)), frame
+        cache, previous = PlaneCache(FramePair(frame, previous)), frame
         box = centre_from_corner(truth[frame.index])
         if not np.isfinite(box).all():
             continue
@@ -89,18 +89,20 @@ def cue_residuals(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats) -
             if region.is_empty:
                 continue
             planes = cache.planes(cue.needs, region)
-            new = cue.learn(planes, box)
-            old = references.get(agent)
-            if old is not None:
+            learned = cue.learn(planes, box)
+            reference = references.get(agent)
+            if reference is not None:
                 assert isinstance(cue, Residual)
-                for name, values in cue.residuals(planes, box, old).items():
-                    found.setdefault((agent, name), []).append(np.asarray(values, dtype=np.float64))
+                for name, values in cue.residuals(planes, box, reference).items():
+                    residuals.setdefault((agent, name), []).append(np.asarray(values, dtype=np.float64))
             rate = compiled.rate_max[agent]
-            references[agent] = new if old is None else cue.blend(old, new, rate) if rate else old
-    return {key: [one for one in values if len(one)] for key, values in found.items()}
+            references[agent] = (
+                learned if reference is None else cue.blend(reference, learned, rate) if rate else reference
+            )
+    return {key: [errors for errors in values if len(errors)] for key, values in residuals.items()}
 
 
-def followed(found: Sequence[Floats], sd: float) -> Floats:
+def followed(residuals: Sequence[Floats], sd: float) -> Floats:
     """The residuals of one video, each over the factor by which the sd had followed the frames before.
 
     >>> still = followed([np.array([0.1])] * 40, 1.0)
@@ -109,7 +111,7 @@ def followed(found: Sequence[Floats], sd: float) -> Floats:
     """
     reference: Mapping[str, NDArray[np.generic]] = {}
     scaled = [np.empty(0)]
-    for errors in found:
+    for errors in residuals:
         scaled.append(errors / spread_of(reference, 1)[0])
         reference = follow(reference, [errors], [sd], MEMORY_FRAMES)
     return np.concatenate(scaled)
@@ -125,7 +127,7 @@ def fit_sd(videos: Sequence[Floats]) -> FittedSd | None:
     >>> fit_sd([np.linspace(-3, 3, 601)]).value > 2
     True
     """
-    sorted_out = [np.sort(np.abs(one)) for one in videos if len(one)]
+    sorted_out = [np.sort(np.abs(errors)) for errors in videos if len(errors)]
     count = sum(map(len, sorted_out))
     if count < MIN_RESIDUALS:
         return None
@@ -133,21 +135,23 @@ def fit_sd(videos: Sequence[Floats]) -> FittedSd | None:
     middle, high = (float(np.quantile(everything, q)) for q in (0.5, 0.98))
     if middle <= 0.0:
         return None
-    first, last = (int(np.log(value) / np.log(STEP)) for value in (middle / 10.0, high * 2.0))
-    grid = STEP ** np.arange(first, last + 1)  # the same candidates, however long each video is
-    held = [
-        [np.searchsorted(one, q * grid, side="right") / len(one) for q in NORMAL_QUANTILES]
-        for one in sorted_out
+    first, end = (int(np.log(value) / np.log(STEP)) for value in (middle / 10.0, high * 2.0))
+    grid = STEP ** np.arange(first, end + 1)  # the same candidates, however long each video is
+    shares = [
+        [np.searchsorted(magnitudes, q * grid, side="right") / len(magnitudes) for q in NORMAL_QUANTILES]
+        for magnitudes in sorted_out
     ]
-    inside = np.mean(held, axis=0).T
-    best = int(((inside - SHARES) ** 2).sum(axis=1).argmin())
-    return FittedSd(float(grid[best]), count, (float(inside[best, 0]), float(inside[best, 1])))
+    mean_shares = np.mean(shares, axis=0).T
+    index = int(((mean_shares - SHARES) ** 2).sum(axis=1).argmin())
+    return FittedSd(float(grid[index]), count, (float(mean_shares[index, 0]), float(mean_shares[index, 1])))
 
 
 def shares_inside(videos: Sequence[Floats], sd: float) -> tuple[float, float]:
     """Shares of the residuals in the central 50 % and 90 % of a Gaussian with `sd`, mean over videos."""
-    held = [[np.mean(np.abs(one) <= q * sd) for q in NORMAL_QUANTILES] for one in videos if len(one)]
-    fifty, ninety = np.mean(held, axis=0)
+    shares = [
+        [np.mean(np.abs(errors) <= q * sd) for q in NORMAL_QUANTILES] for errors in videos if len(errors)
+    ]
+    fifty, ninety = np.mean(shares, axis=0)
     return float(fifty), float(ninety)
 
 
@@ -159,32 +163,34 @@ def fit_sds(videos: Sequence[CueResiduals]) -> dict[tuple[str, str], FittedSd]:
     """
     if len(videos) < 2:
         raise ValueError("sds: one video; two or more are needed, since sds that fit one seldom fit another")
-    keys = list(dict.fromkeys(key for one in videos for key in one))
+    keys = list(dict.fromkeys(key for video in videos for key in video))
     if not keys:
         raise ValueError("sds: no agent of the target has any to estimate; color_blobs and motion have")
-    fitted = {key: _judged([one[key] for one in videos if key in one]) for key in keys}
-    missing = [key for key, one in fitted.items() if one is None]
+    fitted = {key: _judged([video[key] for video in videos if key in video]) for key in keys}
+    missing = [key for key, sd in fitted.items() if sd is None]
     if missing:
         agent, parameter = missing[0]
-        count = sum(len(errors) for one in videos for errors in one.get(missing[0], ()))
+        count = sum(len(errors) for video in videos for errors in video.get(missing[0], ()))
         why = "half of them are 0" if count >= MIN_RESIDUALS else f"{MIN_RESIDUALS} are needed"
         raise ValueError(
             f"sds: {parameter} of {agent} cannot be estimated from {count} residuals: {why}; give more "
             "videos, or leave out sds"
         )
-    return {key: one for key, one in fitted.items() if one is not None}
+    return {key: sd for key, sd in fitted.items() if sd is not None}
 
 
 def _judged(videos: Sequence[Sequence[Floats]]) -> FittedSd | None:
     """An sd with the shares that sds fitted to all other videos hold of each."""
-    joined = [np.concatenate([np.empty(0), *found]) for found in videos]
-    whole = fit_sd(joined)
-    if whole is None:
+    joined = [np.concatenate([np.empty(0), *residuals]) for residuals in videos]
+    fitted = fit_sd(joined)
+    if fitted is None:
         return None
-    others = [fit_sd([*joined[:k], *joined[k + 1 :]]) or whole for k in range(len(joined))]
-    scaled = [one / sd.value for one, sd in zip(joined, others, strict=True)]
-    following = [followed(found, sd.value) / sd.value for found, sd in zip(videos, others, strict=True)]
-    return replace(whole, left_out=shares_inside(scaled, 1.0), followed=shares_inside(following, 1.0))
+    rest_fits = [fit_sd([*joined[:k], *joined[k + 1 :]]) or fitted for k in range(len(joined))]
+    scaled = [errors / sd.value for errors, sd in zip(joined, rest_fits, strict=True)]
+    following = [
+        followed(residuals, sd.value) / sd.value for residuals, sd in zip(videos, rest_fits, strict=True)
+    ]
+    return replace(fitted, left_out=shares_inside(scaled, 1.0), followed=shares_inside(following, 1.0))
 
 
 PoolErrors = Mapping[str, Floats]
@@ -217,20 +223,20 @@ def learned_pools(plate: CheckedTarget) -> dict[str, tuple[str, ...]]:
     Raises:
         ValueError: there is none, or the true state at one of them is not known: a latent node lies above.
     """
-    found = {name: plate.children[name] for name in plate.children if plate.correlation(name) is not None}
-    if not found:
+    pools = {name: plate.children[name] for name in plate.children if plate.correlation(name) is not None}
+    if not pools:
         raise ValueError("fusion: no node with fuse: {pool: learned}, whose correlation is to be estimated")
-    for name in found:
-        above: str | None = name
-        while above is not None:
-            fuse = plate.inference(above).fuse
+    for name in pools:
+        ancestor: str | None = name
+        while ancestor is not None:
+            fuse = plate.inference(ancestor).fuse
             if fuse is not None and fuse.latent is not None:
                 raise ValueError(
-                    f"fusion: {name} is about the state of {above}, whose true value no video gives; set its "
-                    "correlation by hand"
+                    f"fusion: {name} is about the state of {ancestor}, whose true value no video gives; "
+                    "set its correlation by hand"
                 )
-            above = plate.parent[above]
-    return found
+            ancestor = plate.parent[ancestor]
+    return pools
 
 
 def pool_errors(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats, seed: int = 0) -> PoolErrors:
@@ -246,7 +252,7 @@ def pool_errors(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats, see
     """
     engine = make_engine(graph, seed)
     pools = learned_pools(next(iter(graph.targets.values())))
-    found: dict[str, list[Floats]] = {name: [] for name in pools}
+    errors: dict[str, list[Floats]] = {name: [] for name in pools}
     state: State | None = None
     for frame in frames:
         if frame.index >= len(truth):
@@ -256,24 +262,24 @@ def pool_errors(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats, see
             x, y, w, h = (float(value) for value in box)
             state = start_targets(graph, engine, frame, [Start((x, y, w, h))]).state
             continue
-        before, state = state, (outcome := step(engine, state, frame)).state
-        line = next((one for one in outcome.metrics if one.target == "1"), None)
-        if line is None or "1" not in before.targets or not np.isfinite(box).all():
+        previous, state = state, (outcome := step(engine, state, frame)).state
+        line = next((metrics for metrics in outcome.metrics if metrics.target == "1"), None)
+        if line is None or "1" not in previous.targets or not np.isfinite(box).all():
             continue
         true = centre_from_corner(box)
         if overlap(np.array(line.centre_box)[None], true[None])[0] <= 0.5:
             continue
-        cache = PlaneCache(FramePair(frame, before.previous))
-        work = FrameWork(engine, before.net, cache, before.history.births)
+        cache = PlaneCache(FramePair(frame, previous.previous))
+        work = FrameWork(engine, previous.net, cache, previous.history.births)
         offsets = lattice()
         boxes = np.tile(true, (len(offsets), 1))
         boxes[:, :2] += offsets * true[2:]
-        messages = evaluate_at(work, "1", before.targets["1"], boxes).messages
+        messages = evaluate_at(work, "1", previous.targets["1"], boxes).messages
         scale = true[2:] / np.sqrt(true[2] * true[3])
         for pool, children in pools.items():
-            own = [own_estimate(messages.get(child), offsets) * scale for child in children]
-            found[pool].append(np.stack(own, axis=1))
-    return {pool: np.array(rows).reshape(-1, 2, len(pools[pool])) for pool, rows in found.items()}
+            estimates = [own_estimate(messages.get(child), offsets) * scale for child in children]
+            errors[pool].append(np.stack(estimates, axis=1))
+    return {pool: np.array(rows).reshape(-1, 2, len(pools[pool])) for pool, rows in errors.items()}
 
 
 def lattice() -> Floats:
@@ -287,10 +293,10 @@ def own_estimate(log_likelihood: Floats | None, offsets: Floats) -> Floats:
     if log_likelihood is None:
         return np.full(2, np.nan)
     likelihood = np.exp(log_likelihood - log_likelihood.max())
-    near = likelihood >= 0.5
-    if not near.any() or near.mean() > 0.5:
+    likely = likelihood >= 0.5
+    if not likely.any() or likely.mean() > 0.5:
         return np.full(2, np.nan)
-    weights = np.where(near, likelihood, 0.0)
+    weights = np.where(likely, likelihood, 0.0)
     return np.asarray(weights @ offsets / weights.sum())
 
 
@@ -303,14 +309,14 @@ def fit_correlation(videos: Sequence[Floats]) -> Correlation:
     Raises:
         ValueError: no video has `MIN_RESIDUALS` frames in which two children say something.
     """
-    usable = [one for one in videos if _said_together(one) >= MIN_RESIDUALS]
+    usable = [video for video in videos if _said_together(video) >= MIN_RESIDUALS]
     if not usable:
-        most = max((_said_together(one) for one in videos), default=0)
+        longest = max((_said_together(video) for video in videos), default=0)
         raise ValueError(
-            f"fusion: at most {most} frames of a video in which the children say something while tracking is "
-            f"on target; {MIN_RESIDUALS} are needed"
+            f"fusion: at most {longest} frames of a video in which the children say something while tracking "
+            f"is on target; {MIN_RESIDUALS} are needed"
         )
-    moments = [_moments(one) for one in usable]
+    moments = [_moments(video) for video in usable]
     value = _mean_correlation(moments)
     without = [
         _mean_correlation(moments[:k] + moments[k + 1 :]) for k in range(len(moments)) if len(moments) > 1
@@ -325,8 +331,8 @@ def _said_together(residuals: Floats) -> int:
 
 def _moments(residuals: Floats) -> Floats:
     """(K, K) mean product of errors over x, y and the frames in which every child says something."""
-    kept = residuals[np.isfinite(residuals).all(axis=(1, 2))]
-    return np.asarray(np.einsum("nck,ncl->kl", kept, kept) / (2 * len(kept)))
+    complete = residuals[np.isfinite(residuals).all(axis=(1, 2))]
+    return np.asarray(np.einsum("nck,ncl->kl", complete, complete) / (2 * len(complete)))
 
 
 def _mean_correlation(moments: Sequence[Floats]) -> float:

@@ -103,8 +103,8 @@ def _match(frame: FramePairs, cutoff_px: float, order: float) -> tuple[float, in
     """Sum of d^p over the matched pairs, and their number."""
     costs = np.minimum(frame.distance, cutoff_px) ** order
     rows, columns = assign(cutoff_px**order - costs)  # a pair at c costs as much as both boxes alone
-    near = frame.distance[rows, columns] < cutoff_px
-    return float(costs[rows, columns][near].sum()), int(near.sum())
+    within_cutoff = frame.distance[rows, columns] < cutoff_px
+    return float(costs[rows, columns][within_cutoff].sum()), int(within_cutoff.sum())
 
 
 def ospa2(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> float:
@@ -118,25 +118,25 @@ def ospa2(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> f
     """
     check_metric(cutoff_px, order)
     costs = track_distances(pairs, cutoff_px) ** order
-    fewer, more = sorted(costs.shape)
-    if not more:
+    fewer, larger = sorted(costs.shape)
+    if not larger:
         return 0.0
-    total = costs[assign(-costs)].sum() + cutoff_px**order * (more - fewer)
-    return float((total / more) ** (1 / order))
+    total = costs[assign(-costs)].sum() + cutoff_px**order * (larger - fewer)
+    return float((total / larger) ** (1 / order))
 
 
 def track_distances(pairs: Pairs, cutoff_px: float) -> Floats:
     """(targets, tracks) time-averaged distances in px: over the frames in which at least one of the two has a
     box, the mean of min(d, c), and of c where only one has.
     """
-    below = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
-    both = np.zeros(below.shape, dtype=np.int64)
+    sums = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
+    common = np.zeros(sums.shape, dtype=np.int64)
     for frame in pairs.frames:
-        at = np.ix_(frame.true, frame.tracked)
-        below[at] += cutoff_px - np.minimum(frame.distance, cutoff_px)
-        both[at] += 1
-    either = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :] - both
-    return np.asarray(cutoff_px - below / either, dtype=np.float64)
+        index = np.ix_(frame.true, frame.tracked)
+        sums[index] += cutoff_px - np.minimum(frame.distance, cutoff_px)
+        common[index] += 1
+    either = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :] - common
+    return np.asarray(cutoff_px - sums / either, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -236,17 +236,17 @@ def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:
         gains.append(cutoff_px**order - frame.distance[i, j] ** order)
     if not frames:
         return
-    row, i, j, gain = (np.concatenate(one) for one in (frames, true, tracked, gains))
+    row, i, j, gain = (np.concatenate(array) for array in (frames, true, tracked, gains))
     targets = len(pairs.true_boxes)
     size = targets + len(pairs.tracked_boxes)
     _, labels = connected_components(coo_array((np.ones(len(i)), (i, targets + j)), (size, size)), False)
     for label in np.unique(labels[i]):
-        own = labels[i] == label
-        _, at = np.unique(row[own], return_inverse=True)  # frames without gain change nothing
-        both, pair = np.unique(np.stack([i[own], j[own]]), axis=1, return_inverse=True)
-        table = np.zeros((at.max() + 1, both.shape[1]))
-        table[at, pair.ravel()] = gain[own]
-        yield _Part(table, both[0], both[1])
+        members = labels[i] == label
+        _, time_index = np.unique(row[members], return_inverse=True)  # frames without gain change nothing
+        pairs_present, pair = np.unique(np.stack([i[members], j[members]]), axis=1, return_inverse=True)
+        table = np.zeros((time_index.max() + 1, pairs_present.shape[1]))
+        table[time_index, pair.ravel()] = gain[members]
+        yield _Part(table, pairs_present[0], pairs_present[1])
 
 
 def _solve(part: _Part, half_switch: float) -> Floats:
@@ -265,8 +265,8 @@ def _solve(part: _Part, half_switch: float) -> Floats:
     starts = np.vstack([np.ones((1, count), dtype=bool), gains[1:] | gains[:-1]])
     weight = np.cumsum(starts.T).reshape(count, frames).T - 1  # number of each one that is free
     size = int(weight.max()) + 1
-    groups = [side == one for side in (part.true, part.tracked) for one in np.unique(side)]
-    shared = [np.unique(weight[:, own], axis=0) for own in groups if own.sum() > 1]
+    groups = [side == label for side in (part.true, part.tracked) for label in np.unique(side)]
+    shared = [np.unique(weight[:, members], axis=0) for members in groups if members.sum() > 1]
     limited = sum(len(sums) for sums in shared)
     rows = np.repeat(np.arange(limited), np.concatenate([[sums.shape[1]] * len(sums) for sums in shared]))
     columns = np.concatenate([sums.ravel() for sums in shared])

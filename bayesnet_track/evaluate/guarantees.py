@@ -89,9 +89,9 @@ def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
         ValueError: there are too few videos for `share`.
     """
     _check_count(len(videos), fewest_videos(share), f"a guarantee of {share:g}")
-    allowed = allowed_risk(len(videos), share)
-    above = _lowest_level(videos, allowed)
-    return Controlled(above, share_wrong(videos, above), allowed, share_called(videos, above), len(videos))
+    risk_limit = allowed_risk(len(videos), share)
+    level = _lowest_level(videos, risk_limit)
+    return Controlled(level, share_wrong(videos, level), risk_limit, share_called(videos, level), len(videos))
 
 
 def control_afterwards(videos: Sequence[Sequence[Run]], share: float) -> tuple[float, ...]:
@@ -105,13 +105,15 @@ def control_afterwards(videos: Sequence[Sequence[Run]], share: float) -> tuple[f
         ValueError: there are too few videos for `share`.
     """
     _check_count(len(videos), fewest_videos(share), f"a guarantee of {share:g}")
-    passes = [[[run] for run in one] for one in zip(*videos, strict=False)]
-    allowed = [allowed_risk(len(videos), share, (k + 1) / PARTS) for k in range(PARTS)]
-    return tuple(max(_lowest_level(one, least) for one in passes) for least in allowed)
+    passes = [[[run] for run in level_pair] for level_pair in zip(*videos, strict=False)]
+    risk_limits = [allowed_risk(len(videos), share, (k + 1) / PARTS) for k in range(PARTS)]
+    return tuple(
+        max(_lowest_level(wrong_shares, risk_limit) for wrong_shares in passes) for risk_limit in risk_limits
+    )
 
 
-def _lowest_level(videos: Sequence[Sequence[Run]], allowed: float) -> float:
-    """The lowest level at which the mean loss is at most `allowed`."""
+def _lowest_level(videos: Sequence[Sequence[Run]], risk_limit: float) -> float:
+    """The lowest level at which the mean loss is at most `risk_limit`."""
     levels, weights = [np.zeros(1)], [np.zeros(1)]
     for runs in videos:
         for run in runs:
@@ -121,26 +123,26 @@ def _lowest_level(videos: Sequence[Sequence[Run]], allowed: float) -> float:
     level, weight = np.concatenate(levels), np.concatenate(weights)
     order = np.argsort(level, kind="stable")
     level, weight = level[order], weight[order]
-    last = np.searchsorted(level, level, side="right")
-    risks = np.append(np.cumsum(weight[::-1])[::-1], 0.0)[last]  # weight of the frames above each level
-    first = int(np.argmax(risks <= allowed + SLACK))
+    ends = np.searchsorted(level, level, side="right")
+    risks = np.append(np.cumsum(weight[::-1])[::-1], 0.0)[ends]  # weight of the frames above each level
+    first = int(np.argmax(risks <= risk_limit + SLACK))
     return _rounded_up(float(level[first]))
 
 
-def share_wrong(videos: Sequence[Sequence[Run]], above: float) -> float:
+def share_wrong(videos: Sequence[Sequence[Run]], level: float) -> float:
     """Mean over videos of the share of frames that are called tracking while IoU is at most 0.5."""
     return fmean(
-        fmean(float(((run.means > above) & (run.iou <= ON_TARGET)).mean()) for run in runs) for runs in videos
+        fmean(float(((run.means > level) & (run.iou <= ON_TARGET)).mean()) for run in runs) for runs in videos
     )
 
 
-def share_called(videos: Sequence[Sequence[Run]], above: float) -> float:
+def share_called(videos: Sequence[Sequence[Run]], level: float) -> float:
     """Mean over videos of the share of the frames on target that are called tracking; NaN without any."""
     shares = []
     for runs in videos:
         good = np.concatenate([run.means[run.iou > ON_TARGET] for run in runs])
         if len(good):
-            shares.append(float((good > above).mean()))
+            shares.append(float((good > level).mean()))
     return fmean(shares) if shares else math.nan
 
 
@@ -156,13 +158,13 @@ def _judged(run: Run, levels: Sequence[float]) -> Run:
 
 def largest_evidence(scores: Iterable[float], iou: Iterable[float]) -> float:
     """The largest X of the alarm while the target is held: before the first frame with an IoU below 0.1."""
-    rise = most = 0.0
+    rise = largest = 0.0
     for score, overlap in zip(scores, iou, strict=True):
         if overlap < OFF_TARGET:
             break
         rise = next_cusum(rise, score)
-        most = max(most, rise)
-    return math.exp(most)
+        largest = max(largest, rise)
+    return math.exp(largest)
 
 
 def total_evidence(videos: Sequence[Sequence[CalibrationData]], share: float) -> float:
@@ -172,24 +174,24 @@ def total_evidence(videos: Sequence[Sequence[CalibrationData]], share: float) ->
         ValueError: there are too few videos for `share`.
     """
     _check_count(len(videos), fewest_videos(share, alarm=True), f"an alarm of {share:g}")
-    return sum(fmean(largest_evidence(one.all_scores, one.all_iou) for one in runs) for runs in videos)
+    return sum(fmean(largest_evidence(run.all_scores, run.all_iou) for run in runs) for runs in videos)
 
 
 def runs_of(data: Iterable[CalibrationData], frames: int) -> dict[str, list[Run]]:
     """Video -> its runs, with means over `frames` scores as the engine takes them."""
-    found: dict[str, list[Run]] = {}
-    for one in data:
-        means = means_of(one.all_scores.tolist(), frames)
-        found.setdefault(one.video, []).append(Run(means, one.all_iou))
-    return found
+    runs: dict[str, list[Run]] = {}
+    for datum in data:
+        means = means_of(datum.all_scores.tolist(), frames)
+        runs.setdefault(datum.video, []).append(Run(means, datum.all_iou))
+    return runs
 
 
-def _check_count(videos: int, least: int, what: str) -> None:
-    if videos < least:
-        there = "there is 1" if videos == 1 else f"there are {videos}"
+def _check_count(videos: int, minimum: int, purpose: str) -> None:
+    if videos < minimum:
+        count_text = "there is 1" if videos == 1 else f"there are {videos}"
         raise ValueError(
-            f"{what} needs {least} calibration videos or more, and {there}: the new video counts as one more "
-            "in which everything is wrong"
+            f"{purpose} needs {minimum} calibration videos or more, and {count_text}: the new video counts "
+            "as one more in which everything is wrong"
         )
 
 

@@ -50,28 +50,28 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     In each frame boxes are matched one to one where they overlap by at least `min_iou`: a pair that was
     matched in the frame before stays matched, the rest so that the sum of overlaps is largest.
     """
-    last = np.full(len(pairs.true_boxes), NOBODY, dtype=np.int64)
-    before = last.copy()
+    previous_match = np.full(len(pairs.true_boxes), NOBODY, dtype=np.int64)
+    earlier = previous_match.copy()
     tp, idsw, iou_sum = 0, 0, 0.0
     for frame in pairs.frames:
         if not frame.iou.size:
             continue  # such a frame parts nobody: a correspondence holds until there is evidence against it
-        rows, columns = _match(frame, before, min_iou)
+        rows, columns = _match(frame, earlier, min_iou)
         true, tracked = frame.true[rows], frame.tracked[columns]
-        idsw += int(((last[true] != NOBODY) & (last[true] != tracked)).sum())
-        last[true] = tracked
-        before = np.full_like(before, NOBODY)
-        before[true] = tracked
+        idsw += int(((previous_match[true] != NOBODY) & (previous_match[true] != tracked)).sum())
+        previous_match[true] = tracked
+        earlier = np.full_like(earlier, NOBODY)
+        earlier[true] = tracked
         tp += len(rows)
         iou_sum += float(frame.iou[rows, columns].sum())
     return ClearMot(tp, int(pairs.true_boxes.sum()) - tp, int(pairs.tracked_boxes.sum()) - tp, idsw, iou_sum)
 
 
-def _match(frame: FramePairs, before: Ints, min_iou: float) -> tuple[Ints, Ints]:
-    kept = before[frame.true][:, None] == frame.tracked[None, :]
-    near = frame.iou >= min_iou - EPSILON
-    rows, columns = assign(np.where(near, KEPT * kept + frame.iou, 0.0))
-    matched = near[rows, columns]
+def _match(frame: FramePairs, earlier: Ints, min_iou: float) -> tuple[Ints, Ints]:
+    continued = earlier[frame.true][:, None] == frame.tracked[None, :]
+    overlapping = frame.iou >= min_iou - EPSILON
+    rows, columns = assign(np.where(overlapping, KEPT * continued + frame.iou, 0.0))
+    matched = overlapping[rows, columns]
     return rows[matched], columns[matched]
 
 

@@ -125,9 +125,9 @@ def score_mot(
     if not len(truth):
         raise ValueError("the truth has no box")
     pairs = pair(truth, tracks)
-    clear, own, higher = clear_mot(pairs), identity(pairs), hota(pairs)
+    clear, identities, higher = clear_mot(pairs), identity(pairs), hota(pairs)
     sets = gospa(pairs, cutoff_px, ORDER)
-    whole = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
+    trajectory = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
     return MotScore(
         frames=pairs.length,
         true_ids=len(pairs.true_boxes),
@@ -139,9 +139,9 @@ def score_mot(
         fp=clear.fp,
         fn=clear.fn,
         idsw=clear.idsw,
-        idf1=own.idf1,
-        idp=own.idp,
-        idr=own.idr,
+        idf1=identities.idf1,
+        idp=identities.idp,
+        idr=identities.idr,
         hota=float(higher.hota.mean()),
         deta=float(higher.deta.mean()),
         assa=float(higher.assa.mean()),
@@ -152,8 +152,8 @@ def score_mot(
         gospa_missed=sets.missed_px,
         gospa_false=sets.false_px,
         ospa2=ospa2(pairs, cutoff_px, ORDER),
-        tgospa=None if whole is None else whole.total_px,
-        tgospa_switch=None if whole is None else whole.switches_px,
+        tgospa=None if trajectory is None else trajectory.total_px,
+        tgospa_switch=None if trajectory is None else trajectory.switches_px,
         alphas=tuple(np.round(ALPHAS, 2).tolist()),
         hota_at=tuple(higher.hota.tolist()),
         deta_at=tuple(higher.deta.tolist()),
@@ -234,7 +234,7 @@ def class_names(tracks: Tracks) -> list[str]:
     """The classes of boxes, numbers in their order, then names; none where boxes have none."""
     if tracks.classes is None:
         return []
-    names = [str(one) for one in np.unique(tracks.classes) if one]
+    names = [str(name) for name in np.unique(tracks.classes) if name]
     return sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name))
 
 
@@ -250,8 +250,8 @@ def of_classes(truth: Tracks, tracks: Tracks, classes: Collection[str]) -> tuple
     present = class_names(truth)
     missing = [name for name in classes if name not in present]
     if missing or truth.classes is None:
-        allowed = f"it has {', '.join(present)}" if present else "its boxes have no class"
-        raise ValueError(f"class {missing[0] if missing else ''!r} is not in the ground truth; {allowed}")
+        class_text = f"it has {', '.join(present)}" if present else "its boxes have no class"
+        raise ValueError(f"class {missing[0] if missing else ''!r} is not in the ground truth; {class_text}")
     mine = np.isin(truth.classes, list(classes))
     if tracks.classes is not None and set(class_names(tracks)) & set(present):
         return truth.only(mine), tracks.only(np.isin(tracks.classes, list(classes)))
@@ -260,15 +260,15 @@ def of_classes(truth: Tracks, tracks: Tracks, classes: Collection[str]) -> tuple
 
 def _on_others(truth: Tracks, mine: np.ndarray, tracks: Tracks) -> np.ndarray:
     """(N,) whether tracked boxes match true ones without `mine`."""
-    found = np.zeros(len(tracks), dtype=np.bool_)
+    on_other = np.zeros(len(tracks), dtype=np.bool_)
     centres, tracked = centre_from_corner(truth.boxes), centre_from_corner(tracks.boxes)
     for frame in np.intersect1d(truth.frames[~mine], tracks.frames):
         rows, columns = np.flatnonzero(truth.frames == frame), np.flatnonzero(tracks.frames == frame)
         iou = overlap(centres[rows][:, None], tracked[columns][None])
         reached = np.where(iou >= MATCHED_IOU - EPSILON, iou, 0.0)
         for i, j in zip(*assign(reached), strict=True):
-            found[columns[j]] = reached[i, j] > 0 and not mine[rows[i]]
-    return found
+            on_other[columns[j]] = reached[i, j] > 0 and not mine[rows[i]]
+    return on_other
 
 
 def score_classes(
@@ -293,8 +293,8 @@ def class_table(scores: Mapping[str, MotScore]) -> str:
     """A line for each class, under a line of names."""
     width = max(len(name) for name in (*scores, "class"))
     lines = [f"{'class':<{width}} " + " ".join(f"{name:>10}" for name in COLUMNS)]
-    for name, one in scores.items():
-        values = [getattr(one, column) for column in COLUMNS]
-        shown = [f"{value:>10}" if isinstance(value, int) else f"{value:>10.4f}" for value in values]
-        lines.append(f"{name:<{width}} " + " ".join(shown))
+    for name, class_score in scores.items():
+        values = [getattr(class_score, column) for column in COLUMNS]
+        cells = [f"{value:>10}" if isinstance(value, int) else f"{value:>10.4f}" for value in values]
+        lines.append(f"{name:<{width}} " + " ".join(cells))
     return "\n".join(lines)

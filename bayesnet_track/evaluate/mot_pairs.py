@@ -188,8 +188,8 @@ def read_pair(
 def _renumbered(tracks: Tracks, frames: Collection[int]) -> Tracks:
     """What is in these frames, numbered from 0 without gaps."""
     places = np.array(sorted(frames), dtype=np.int64)
-    kept = tracks.only(np.isin(tracks.frames, places))
-    return Tracks(np.searchsorted(places, kept.frames), kept.ids, kept.boxes, kept.classes)
+    scored = tracks.only(np.isin(tracks.frames, places))
+    return Tracks(np.searchsorted(places, scored.frames), scored.ids, scored.boxes, scored.classes)
 
 
 def _tracks(lines: MotLines, by_class: bool) -> Tracks:

@@ -57,12 +57,12 @@ def log_evidence(boxes: Floats, hypotheses: Sequence[Hypothesis]) -> Floats:
     first = hypotheses[0].motions[0]
     columns = noisy_columns(first)
     points = np.full((len(boxes), len(columns)), np.nan)
-    seen: NDArray[np.bool_] = np.asarray(np.isfinite(boxes).all(axis=1))
-    points[seen] = box_coordinates(first.noise, boxes[seen])[0][:, columns]
-    tables = [_tables(one, _carried(boxes, seen), columns) for one in hypotheses]
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(boxes).all(axis=1))
+    points[measured] = box_coordinates(first.noise, boxes[measured])[0][:, columns]
+    tables = [_tables(hypothesis, _carried(boxes, measured), columns) for hypothesis in hypotheses]
     moves, driven, added, chains, begin = (np.array(part) for part in zip(*tables, strict=True))
-    errors = np.array([_error_variances(one, columns) for one in hypotheses])
-    return _filter(points, seen, _Regimes(moves, driven, added, chains, begin), errors, _start_sds(first))
+    errors = np.array([_error_variances(hypothesis, columns) for hypothesis in hypotheses])
+    return _filter(points, measured, _Regimes(moves, driven, added, chains, begin), errors, _start_sds(first))
 
 
 def noisy_columns(motion: KinematicMotion) -> list[int]:
@@ -84,10 +84,10 @@ class _Regimes:
 
 
 def _tables(
-    one: Hypothesis, boxes: Floats, columns: list[int]
+    hypothesis: Hypothesis, boxes: Floats, columns: list[int]
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     moves, driven, added, shares, of_mode = [], [], [], [], []
-    for mode, motion in enumerate(one.motions):
+    for mode, motion in enumerate(hypothesis.motions):
         move, noise = _kinematics(motion, columns)
         parts = component_variances(motion.noise, boxes, 1.0)[:, :, columns]
         for share, variances in zip(np.exp(component_log_shares(motion.noise)), parts, strict=True):
@@ -96,15 +96,15 @@ def _tables(
             added.append(variances)
             shares.append(share)
             of_mode.append(mode)
-    chain = np.ones((1, 1)) if one.modes is None else one.modes.chain.over(1.0)
-    begin = np.ones(1) if one.modes is None else one.modes.start()
-    drawn = np.array(shares)
+    chain = np.ones((1, 1)) if hypothesis.modes is None else hypothesis.modes.chain.over(1.0)
+    begin = np.ones(1) if hypothesis.modes is None else hypothesis.modes.start()
+    tail_shares = np.array(shares)
     return (
         np.array(moves),
         np.array(driven),
         np.array(added),
-        chain[np.ix_(of_mode, of_mode)] * drawn,
-        begin[of_mode] * drawn,
+        chain[np.ix_(of_mode, of_mode)] * tail_shares,
+        begin[of_mode] * tail_shares,
     )
 
 
@@ -112,19 +112,19 @@ def _kinematics(motion: KinematicMotion, columns: list[int]) -> tuple[Floats, Fl
     """F and its noise, (D, D), of the chosen coordinates, then the derivatives of x and y."""
     move, covariance = steps(motion.dynamics, motion.diffusion, 1.0)
     size = len(columns) + 2 * (motion.order - 1)
-    whole, noise = np.eye(size), np.zeros((size, size))
+    identity, noise = np.eye(size), np.zeros((size, size))
     for axis in (0, 1):
         if axis in columns:
             chain = [columns.index(axis), *range(len(columns) + axis, size, 2)]
-            whole[np.ix_(chain, chain)] = move
+            identity[np.ix_(chain, chain)] = move
             noise[np.ix_(chain, chain)] = covariance
-    return whole, noise
+    return identity, noise
 
 
-def _error_variances(one: Hypothesis, columns: list[int]) -> Floats:
+def _error_variances(hypothesis: Hypothesis, columns: list[int]) -> Floats:
     """(C,) variances of the measured coordinates."""
-    place, side = one.error_sd
-    size = (side**2 / 2, 2 * side**2) if is_log(one.motions[0].noise) else (side**2, side**2)
+    place, side = hypothesis.error_sd
+    size = (side**2 / 2, 2 * side**2) if is_log(hypothesis.motions[0].noise) else (side**2, side**2)
     return np.array([place**2, place**2, *size])[columns]
 
 
@@ -132,10 +132,10 @@ def _start_sds(motion: KinematicMotion) -> Floats:
     return np.repeat(motion.start_sd, 2)
 
 
-def _carried(boxes: Floats, seen: NDArray[np.bool_]) -> Floats:
+def _carried(boxes: Floats, measured: NDArray[np.bool_]) -> Floats:
     """(T, 4) the last box measured in each frame."""
-    last = np.maximum.accumulate(np.where(seen, np.arange(len(boxes)), 0))
-    return np.asarray(boxes[last])
+    latest = np.maximum.accumulate(np.where(measured, np.arange(len(boxes)), 0))
+    return np.asarray(boxes[latest])
 
 
 def _filter(
@@ -159,8 +159,8 @@ def _filter(
         spreads[..., measured, measured] += regimes.added[:, None, :, t - 1]
         log = _log(regimes.chains * weights[:, :, None])
         if seen[t]:
-            means, spreads, said = _update(means, spreads, points[t], errors)
-            log = log + said
+            means, spreads, log_densities = _update(means, spreads, points[t], errors)
+            log = log + log_densities
         top = log.max(axis=(1, 2))
         total = total + top + np.log(np.exp(log - top[:, None, None]).sum(axis=(1, 2)))
         weights, mean, covariance = _merge(means, spreads, log - top[:, None, None])
@@ -174,15 +174,15 @@ def _update(means: Floats, spreads: Floats, point: Floats, errors: Floats) -> tu
     expected = spreads[..., :width, :width].copy()
     expected[..., measured, measured] += errors
     innovation = point - means[..., :width]
-    across = spreads[..., :width]
-    gain = across @ np.linalg.inv(expected)
+    projected = spreads[..., :width]
+    gain = projected @ np.linalg.inv(expected)
     change = (gain @ innovation[..., None])[..., 0]
     # R S^-1 e = e - H K e, so that d2 = e' S^-1 e needs no second solution.
     d2 = (innovation * (innovation - change[..., :width]) / errors).sum(axis=-1)
     log = -0.5 * (d2 + np.linalg.slogdet(expected)[1] + width * np.log(2 * np.pi))
-    after = spreads - gain @ across.swapaxes(-1, -2)
+    updated = spreads - gain @ projected.swapaxes(-1, -2)
     # Without this, a rounding error in one half of the matrix alone would double in every frame.
-    return means + change, symmetric(after), log
+    return means + change, symmetric(updated), log
 
 
 def _merge(means: Floats, spreads: Floats, log: Floats) -> tuple[Floats, Floats, Floats]:
@@ -196,8 +196,10 @@ def _merge(means: Floats, spreads: Floats, log: Floats) -> tuple[Floats, Floats,
         return weights, means[:, 0], spreads[:, 0]
     own = np.where(summed[:, None] > 0, own / np.where(summed > 0, summed, 1.0)[:, None], 1.0 / log.shape[1])
     mean = (own[..., None] * means).sum(axis=1)
-    away = means - mean[:, None]
-    covariance = (own[..., None, None] * (spreads + away[..., :, None] * away[..., None, :])).sum(axis=1)
+    deviations = means - mean[:, None]
+    covariance = (own[..., None, None] * (spreads + deviations[..., :, None] * deviations[..., None, :])).sum(
+        axis=1
+    )
     return weights, mean, covariance
 
 

@@ -38,12 +38,12 @@ def check_motion(root: spec.InferenceNode) -> None:
     motions = [("motion", root.motion)]
     motions += [(f"modes.{name}.motion", mode.motion) for name, mode in (root.modes or {}).items()]
     allowed = "random_walk, constant_velocity, damped_velocity, constant_acceleration"
-    for where, chosen in motions:
-        if chosen is None:
+    for place, motion in motions:
+        if motion is None:
             continue
-        settings = chosen.settings
+        settings = motion.settings
         if not isinstance(settings, spec.RandomWalk | spec.ConstantVelocity | spec.ConstantAcceleration):
-            raise MotionFitError(f"{where}: {chosen.kind} cannot be fitted; allowed: {allowed}")
+            raise MotionFitError(f"{place}: {motion.kind} cannot be fitted; allowed: {allowed}")
         without = to_caller("fit without it, with --set", "fit a graph without it")
         for key, why in (
             ("camera", "boxes do not tell how the camera moves"),
@@ -51,13 +51,13 @@ def check_motion(root: spec.InferenceNode) -> None:
             ("borders", "reflection has no closed form"),
         ):
             if getattr(settings, key) is not None:
-                raise MotionFitError(f"{where}.{chosen.kind}.{key}: {why}; {without}")
+                raise MotionFitError(f"{place}.{motion.kind}.{key}: {why}; {without}")
     for name, mode in (root.modes or {}).items():
         if mode.hidden is not None:
             raise MotionFitError(
                 f"modes.{name}.hidden: boxes do not tell when a target is hidden; fit a graph without it"
             )
-    kinds = {_shape(chosen) for _, chosen in motions if chosen is not None}
+    kinds = {_shape(motion) for _, motion in motions if motion is not None}
     if len(kinds) > 1:
         raise MotionFitError(
             "modes: they differ in the fields of their state or in what has noise; make them alike"
@@ -70,34 +70,34 @@ def parameters_of(root: spec.InferenceNode) -> Iterator[tuple[Path, float]]:
     """Path and value of each parameter that is fitted: sds above 0, heavy tails, durations of modes."""
     assert root.motion is not None
     uses = root.modes is None or any(mode.motion is None for mode in root.modes.values())
-    chosen: list[tuple[Path, Any]] = [(("motion", root.motion.kind), root.motion.settings)] if uses else []
+    motions: list[tuple[Path, Any]] = [(("motion", root.motion.kind), root.motion.settings)] if uses else []
     for name, mode in (root.modes or {}).items():
         if mode.motion is not None:
-            chosen.append((("modes", name, "motion", mode.motion.kind), mode.motion.settings))
+            motions.append((("modes", name, "motion", mode.motion.kind), mode.motion.settings))
         if mode.mean_frames is not None:
             yield ("modes", name, "mean_frames"), mode.mean_frames
-    for where, settings in chosen:
+    for prefix, settings in motions:
         for key in DRIVING:
             if getattr(settings, key, 0.0) > 0:
-                yield (*where, key), getattr(settings, key)
+                yield (*prefix, key), getattr(settings, key)
         for key, parts in PARTS.items():
             for part in parts:
                 if getattr(getattr(settings, key), part) > 0:
-                    yield (*where, key, part), getattr(getattr(settings, key), part)
+                    yield (*prefix, key, part), getattr(getattr(settings, key), part)
         if settings.heavy_tail is not None:
-            yield (*where, "heavy_tail", "weight"), settings.heavy_tail.weight
-            yield (*where, "heavy_tail", "factor"), settings.heavy_tail.factor
+            yield (*prefix, "heavy_tail", "weight"), settings.heavy_tail.weight
+            yield (*prefix, "heavy_tail", "factor"), settings.heavy_tail.factor
 
 
 def with_value(model: Any, path: Path, value: float) -> Any:
     """A copy of settings with the value at `path`."""
     name = path[0]
     inner = model[name] if isinstance(model, Mapping) else getattr(model, name)
-    new = value if len(path) == 1 else with_value(inner, path[1:], value)
+    replaced = value if len(path) == 1 else with_value(inner, path[1:], value)
     if isinstance(model, Mapping):
-        return {**model, name: new}
-    kept = {key: getattr(model, key) for key in type(model).model_fields}
-    return type(model).model_construct(**kept | {name: new})
+        return {**model, name: replaced}
+    fields = {key: getattr(model, key) for key in type(model).model_fields}
+    return type(model).model_construct(**fields | {name: replaced})
 
 
 def _shape(chosen: spec.Motion) -> tuple[int, tuple[bool, ...], bool]:
@@ -151,18 +151,18 @@ def starts_of(begin: Mapping[Path, float]) -> Floats:
     counts = [len(each) for each in tried]
     rng = np.random.default_rng(0)
     if prod(counts) <= MOST_TRIED:
-        chosen = list(product(*map(range, counts)))
+        picks = list(product(*map(range, counts)))
     else:
-        chosen = [(0,) * len(counts), *rng.integers(0, counts, (MOST_TRIED, len(counts))).tolist()]
+        picks = [(0,) * len(counts), *rng.integers(0, counts, (MOST_TRIED, len(counts))).tolist()]
     rows = []
-    for numbers in chosen:
+    for numbers in picks:
         row = dict(begin)
         for each, number in zip(tried, numbers, strict=True):
             row |= each[number]
         if _order(row) == _order(begin):
             rows.append(list(row.values()))
-    further = np.sort(1 + rng.permutation(len(rows) - 1)[: MOST_STARTS - 1])
-    return np.array(rows)[[0, *further]]
+    permuted = np.sort(1 + rng.permutation(len(rows) - 1)[: MOST_STARTS - 1])
+    return np.array(rows)[[0, *permuted]]
 
 
 def _group(path: Path) -> tuple[str, str]:
@@ -180,19 +180,21 @@ def _tried(group: tuple[str, str], begin: Mapping[Path, float]) -> list[dict[Pat
     own = {path: value for path, value in begin.items() if _group(path) == group}
     if kind in VALUES:
         return [own, *(dict.fromkeys(own, value) for value in VALUES[kind])]
-    least = 1.0 if kind == "mean_frames" else 0.0
-    return [{path: max(factor * value, least) for path, value in own.items()} for factor in FACTORS[kind]]
+    lower_limit = 1.0 if kind == "mean_frames" else 0.0
+    return [
+        {path: max(factor * value, lower_limit) for path, value in own.items()} for factor in FACTORS[kind]
+    ]
 
 
 def _order(values: Mapping[Path, float]) -> dict[Path, list[str]]:
     """Key of an sd -> the modes that have it, from the smallest value on."""
-    found: dict[Path, list[tuple[float, str]]] = {}
+    choices: dict[Path, list[tuple[float, str]]] = {}
     for path, value in values.items():
         kind, mode = _group(path)
         if kind == "sd":
             key = path[4:] if path[0] == "modes" else path[2:]  # without the names of mode and motion
-            found.setdefault(key, []).append((value, mode))
-    return {key: [mode for _, mode in sorted(each)] for key, each in found.items()}
+            choices.setdefault(key, []).append((value, mode))
+    return {key: [mode for _, mode in sorted(each)] for key, each in choices.items()}
 
 
 def _are_shares(paths: Sequence[Path]) -> NDArray[np.bool_]:
@@ -275,8 +277,8 @@ def fit_motion(
         raise MotionFitError(
             f"{frames} frames with a box after the first; at least {FEWEST_FRAMES} are needed"
         )
-    own = dict(parameters_of(root))
-    begin = own if error_sd is not None else own | _first_errors(root, trimmed)
+    parameters = dict(parameters_of(root))
+    begin = parameters if error_sd is not None else parameters | _first_errors(root, trimmed)
     paths = list(begin)
     fixed = None if error_sd is None else _given_errors(root, trimmed, error_sd)
 
@@ -302,15 +304,15 @@ def fit_motion(
         )
         for number in likeliest
     ]
-    found = min(ends, key=lambda end: float(end.fun)).x
-    at_bound = (found - low < 1e-3) | (high - found < 1e-3)
-    sds = _sds(_curvature(evidence, found), at_bound)
+    optimum = min(ends, key=lambda end: float(end.fun)).x
+    at_bound = (optimum - low < 1e-3) | (high - optimum < 1e-3)
+    sds = _sds(_curvature(evidence, optimum), at_bound)
     errors = np.array([path in ERRORS for path in paths])
-    before = evidence(np.where(errors, found, first)[None])[0]
+    evidence_before = evidence(np.where(errors, optimum, first)[None])[0]
     return FittedMotion(
-        _estimates(paths, found, sds, own),
-        float(evidence(found[None])[0]),
-        float(before),
+        _estimates(paths, optimum, sds, parameters),
+        float(evidence(optimum[None])[0]),
+        float(evidence_before),
         frames,
     )
 
@@ -322,38 +324,44 @@ def _hypothesis(
         if path not in ERRORS:
             root = with_value(root, path, value)
     assert root.motion is not None
-    usual = make_motion(root.motion)
+    default_motion = make_motion(root.motion)
     error = fixed or (values.get(ERRORS[0], 1.0), values.get(ERRORS[1], 1.0))
     if root.modes is None:
-        return Hypothesis((usual,), None, error)
-    own = (None if mode.motion is None else make_motion(mode.motion) for mode in root.modes.values())
-    return Hypothesis(tuple(usual if one is None else one for one in own), make_modes(root.modes), error)
+        return Hypothesis((default_motion,), None, error)
+    mode_motions = (None if mode.motion is None else make_motion(mode.motion) for mode in root.modes.values())
+    return Hypothesis(
+        tuple(default_motion if motion is None else motion for motion in mode_motions),
+        make_modes(root.modes),
+        error,
+    )
 
 
 def _trimmed(track: Floats) -> Floats:
     """The track from its first box on."""
-    seen = np.flatnonzero(np.isfinite(track).all(axis=1))
-    return track[seen[0] :] if len(seen) else track[:0]
+    measured = np.flatnonzero(np.isfinite(track).all(axis=1))
+    return track[measured[0] :] if len(measured) else track[:0]
 
 
 def _first_errors(root: spec.InferenceNode, tracks: Sequence[Floats]) -> dict[Path, float]:
     """Where the search for the boxes' errors begins: what their second differences allow."""
     motion = make_motion(_any_motion(root))
     columns = noisy_columns(motion)
-    found: dict[Path, float] = {}
+    first_errors: dict[Path, float] = {}
     for path, is_size in zip(ERRORS, (False, True), strict=True):
-        chosen = [k for k in columns if (k > 1) is is_size]
-        if not chosen:
+        group_columns = [k for k in columns if (k > 1) is is_size]
+        if not group_columns:
             continue
         rows = [
-            np.log(track[:, chosen]) if chosen[0] > 1 and is_log(motion.noise) else track[:, chosen]
+            np.log(track[:, group_columns])
+            if group_columns[0] > 1 and is_log(motion.noise)
+            else track[:, group_columns]
             for track in tracks
         ]
         jerks = np.concatenate([np.diff(row, 2, axis=0).ravel() for row in rows])
         jerks = jerks[np.isfinite(jerks)]
         spread = float(np.median(np.abs(jerks))) / 3 if len(jerks) else 0.0
-        found[path] = max(spread, 0.05 if chosen[0] < 2 or not is_log(motion.noise) else 0.002)
-    return found
+        first_errors[path] = max(spread, 0.05 if group_columns[0] < 2 or not is_log(motion.noise) else 0.002)
+    return first_errors
 
 
 def _given_errors(root: spec.InferenceNode, tracks: Sequence[Floats], error_sd: float) -> tuple[float, float]:
@@ -365,33 +373,35 @@ def _given_errors(root: spec.InferenceNode, tracks: Sequence[Floats], error_sd: 
 
 def _any_motion(root: spec.InferenceNode) -> spec.Motion:
     assert root.motion is not None
-    own = [mode.motion for mode in (root.modes or {}).values() if mode.motion is not None]
-    return own[0] if root.modes is not None and len(own) == len(root.modes) else root.motion
+    mode_motions = [mode.motion for mode in (root.modes or {}).values() if mode.motion is not None]
+    return mode_motions[0] if root.modes is not None and len(mode_motions) == len(root.modes) else root.motion
 
 
 def _with_gradient(evidence: Callable[[Floats], Floats], place: Floats) -> tuple[float, Floats]:
     """Minus the log-evidence and its gradient, by central differences in one pass."""
-    away = GRADIENT_STEP * np.eye(len(place))
-    values = evidence(np.concatenate([place[None], place + away, place - away]))
-    ahead, behind = values[1 : len(place) + 1], values[len(place) + 1 :]
-    return -float(values[0]), -(ahead - behind) / (2 * GRADIENT_STEP)
+    shifts = GRADIENT_STEP * np.eye(len(place))
+    values = evidence(np.concatenate([place[None], place + shifts, place - shifts]))
+    forward, backward = values[1 : len(place) + 1], values[len(place) + 1 :]
+    return -float(values[0]), -(forward - backward) / (2 * GRADIENT_STEP)
 
 
 def _curvature(evidence: Callable[[Floats], Floats], place: Floats) -> Floats:
     """(P, P) second derivatives of the log-evidence, by central differences in one pass."""
-    size, away = len(place), CURVATURE_STEP * np.eye(len(place))
+    size, shifts = len(place), CURVATURE_STEP * np.eye(len(place))
     pairs = [(i, j) for i in range(size) for j in range(i + 1)]
     rows = [
-        place + first * away[i] + second * away[j]
+        place + first * shifts[i] + second * shifts[j]
         for i, j in pairs
         for first in (1, -1)
         for second in (1, -1)
     ]
     values = evidence(np.array(rows)).reshape(-1, 4)
-    found = np.zeros((size, size))
-    for (i, j), (both, one, other, neither) in zip(pairs, values, strict=True):
-        found[i, j] = found[j, i] = (both - one - other + neither) / (4 * CURVATURE_STEP**2)
-    return found
+    curvature = np.zeros((size, size))
+    for (i, j), (upper_both, upper_first, upper_second, neither) in zip(pairs, values, strict=True):
+        curvature[i, j] = curvature[j, i] = (upper_both - upper_first - upper_second + neither) / (
+            4 * CURVATURE_STEP**2
+        )
+    return curvature
 
 
 def _sds(curvature: Floats, at_bound: NDArray[np.bool_]) -> Floats:
@@ -404,11 +414,13 @@ def _sds(curvature: Floats, at_bound: NDArray[np.bool_]) -> Floats:
 
 
 def _estimates(
-    paths: Sequence[Path], found: Floats, sds: Floats, own: Mapping[Path, float]
+    paths: Sequence[Path], optimum: Floats, sds: Floats, parameters: Mapping[Path, float]
 ) -> tuple[Estimate, ...]:
     reach = QUANTILE * sds
-    values, low, high = (values_at(paths, place).tolist() for place in (found, found - reach, found + reach))
+    values, low, high = (
+        values_at(paths, place).tolist() for place in (optimum, optimum - reach, optimum + reach)
+    )
     return tuple(
-        Estimate(path, values[k], low[k], high[k], own.get(path, np.nan), bool(sds[k] <= LARGEST_SD))
+        Estimate(path, values[k], low[k], high[k], parameters.get(path, np.nan), bool(sds[k] <= LARGEST_SD))
         for k, path in enumerate(paths)
     )

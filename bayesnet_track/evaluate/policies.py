@@ -69,29 +69,36 @@ def policy_of(adapt: Adapt | None) -> Policy:
         ValueError: the rule that switches on, or the one that switches off, is missing or goes by no level of
             UD, or their levels differ in unit.
     """
-    on = None if adapt is None or adapt.activate is None else adapt.activate.above
-    off = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
-    if adapt is None or on is None or off is None or on.kind != off.kind:
+    activate_above = None if adapt is None or adapt.activate is None else adapt.activate.above
+    deactivate_below = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
+    if (
+        adapt is None
+        or activate_above is None
+        or deactivate_below is None
+        or activate_above.kind != deactivate_below.kind
+    ):
         raise ValueError(
             "policy: the root needs `adapt` with `activate: {above: ...}` and `deactivate: {below: ...}`, "
             "levels of UD in the same unit"
         )
     assert adapt.deactivate is not None
-    return Policy(float(on.settings), float(off.settings), adapt.deactivate.sample_every)
+    return Policy(
+        float(activate_above.settings), float(deactivate_below.settings), adapt.deactivate.sample_every
+    )
 
 
-def candidates(own: Policy) -> tuple[Policy, ...]:
+def candidates(current: Policy) -> tuple[Policy, ...]:
     """The graph's own policy, and those around it that ask for less."""
     sampled = (
         (None, 3)
-        if own.sample_every is None
-        else (own.sample_every, own.sample_every + 1, 2 * own.sample_every)
+        if current.sample_every is None
+        else (current.sample_every, current.sample_every + 1, 2 * current.sample_every)
     )
-    found = [
-        Policy(_short(scale * own.activate), _short(scale * own.deactivate), sample_every)
+    policies = [
+        Policy(_short(scale * current.activate), _short(scale * current.deactivate), sample_every)
         for scale, sample_every in product(SCALES, sampled)
     ]
-    return tuple(dict.fromkeys([own, *found]))
+    return tuple(dict.fromkeys([current, *policies]))
 
 
 def _short(value: float) -> float:
@@ -124,40 +131,43 @@ def search(
             "policy: one video; two or more are needed, since what one can do without, another needs"
         )
     order = [int(k) for k in np.random.default_rng(seed).permutation(videos)]
-    known: dict[tuple[Policy, int], Trial] = {}
-    own, left, count = tried[0], list(tried), min(FIRST_VIDEOS, videos)
+    trial_of: dict[tuple[Policy, int], Trial] = {}
+    current, remaining, count = tried[0], list(tried), min(FIRST_VIDEOS, videos)
 
     def trials(policy: Policy) -> list[Trial]:
         for video in order[:count]:
-            if (policy, video) not in known:
-                known[policy, video] = run(policy, video)
-        return [known[policy, video] for video in order[:count]]
+            if (policy, video) not in trial_of:
+                trial_of[policy, video] = run(policy, video)
+        return [trial_of[policy, video] for video in order[:count]]
 
     def loss(policy: Policy) -> float:
-        less = [before.auc - now.auc for before, now in zip(trials(own), trials(policy), strict=True)]
+        less = [base.auc - trial.auc for base, trial in zip(trials(current), trials(policy), strict=True)]
         return float(np.mean(less) + CONFIDENCE * np.std(less, ddof=1) / np.sqrt(count))
 
     while True:
-        losses, means = {one: loss(one) for one in left}, {one: mean(trials(one)) for one in left}
+        losses, means = (
+            {policy: loss(policy) for policy in remaining},
+            {policy: mean(trials(policy)) for policy in remaining},
+        )
 
-        def worth(policy: Policy) -> tuple[float, float]:
+        def rank(policy: Policy) -> tuple[float, float]:
             return max(losses[policy] - SPARED, 0.0), means[policy].cost_ms  # noqa: B023  called in this round
 
-        cheap = sorted(left, key=worth)
+        cheap = sorted(remaining, key=rank)
         if count == videos:
-            best = cheap[0]
-            if losses[best] > SPARED or means[best].cost_ms >= means[own].cost_ms:
-                best = own
-            return Chosen(best, means[own], means[best], len(tried), len(known))
-        places = (len(left) + 1) // 2
-        kept = cheap[: (places + 1) // 2]
-        accurate = sorted(left, key=lambda policy: (losses[policy], means[policy].cost_ms))
-        kept += [one for one in accurate if one not in kept][: places - len(kept)]
-        left = kept if own in kept else [*kept, own]
+            cheapest = cheap[0]
+            if losses[cheapest] > SPARED or means[cheapest].cost_ms >= means[current].cost_ms:
+                cheapest = current
+            return Chosen(cheapest, means[current], means[cheapest], len(tried), len(trial_of))
+        places = (len(remaining) + 1) // 2
+        survivors = cheap[: (places + 1) // 2]
+        accurate = sorted(remaining, key=lambda policy: (losses[policy], means[policy].cost_ms))
+        survivors += [policy for policy in accurate if policy not in survivors][: places - len(survivors)]
+        remaining = survivors if current in survivors else [*survivors, current]
         count = min(2 * count, videos)
 
 
 def mean(trials: Sequence[Trial]) -> Trial:
     """The mean of each figure."""
-    auc, cost = np.mean([(one.auc, one.cost_ms) for one in trials], axis=0)
+    auc, cost = np.mean([(trial.auc, trial.cost_ms) for trial in trials], axis=0)
     return Trial(float(auc), float(cost))

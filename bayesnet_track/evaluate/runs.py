@@ -52,15 +52,15 @@ def score_run(
     truth = read_truth(truth_path, form)
     say_misplaced(folder, truth_path, truth[np.isfinite(truth).all(axis=1)])
     say_lengths(folder, truth_path, len(truth))
-    every = list(read_metrics(folder / "frames.npy.gz"))
+    all_metrics = list(read_metrics(folder / "frames.npy.gz"))
     seconds = dict(read_seconds(folder / "timings.jsonl"))
-    lines = {line.frame: line for line in _of_target(every, target, folder)}
-    ran = {line.frame for line in every} | _timed(folder, seconds)
+    lines = {line.frame: line for line in _of_target(all_metrics, target, folder)}
+    ran = {line.frame for line in all_metrics} | _timed(folder, seconds)
     frames = sorted(frame for frame in ran if min(lines) <= frame < len(truth))
     if not any(frame in lines for frame in frames):
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
     metrics = [lines.get(frame) for frame in frames]
-    found = score(
+    run_score = score(
         np.array([_NOTHING if line is None else corner_from_centre(line.centre_box) for line in metrics]),
         [line is None or line.status == "lost" for line in metrics],
         truth[frames],
@@ -70,14 +70,18 @@ def score_run(
         region90=[_NOTHING if line is None else line.region90 for line in metrics],
         confidence=[0.0 if line is None else line.score for line in metrics],
     )
-    return found if found.first_lost is None else replace(found, first_lost=frames[found.first_lost])
+    return (
+        run_score
+        if run_score.first_lost is None
+        else replace(run_score, first_lost=frames[run_score.first_lost])
+    )
 
 
 def say_misplaced(run_directory: Path, truth_path: str | Path, boxes: Floats) -> None:
     """A notice for each sign that true boxes (N, 4) are not of the images of a run."""
-    started = next(iter(_events(run_directory, RunStarted)), None)
-    if started is not None:
-        for reason in explain_places(boxes, (started.width, started.height), "true boxes"):
+    start = next(iter(_events(run_directory, RunStarted)), None)
+    if start is not None:
+        for reason in explain_places(boxes, (start.width, start.height), "true boxes"):
             notice(f"{truth_path}: {reason}")
 
 
@@ -88,8 +92,8 @@ def frames_of_run(run_directory: Path) -> tuple[set[int] | None, range | None]:
     if not frames or not ended:
         return None, None
     step = gcd(*(frame - min(frames) for frame in frames)) or 1
-    whole = range(min(frames), max(frames) + 1, step) if ended[-1].complete else None
-    return (frames if step > 1 else None), whole
+    frame_range = range(min(frames), max(frames) + 1, step) if ended[-1].complete else None
+    return (frames if step > 1 else None), frame_range
 
 
 def say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
@@ -97,12 +101,12 @@ def say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
     _, ran = frames_of_run(folder)
     if ran is None or ran.stop <= rows < ran.stop + ran.step:
         return
-    left = f"frames {rows} to {ran.stop - 1}" if rows < ran.stop else f"rows {ran.stop} to {rows - 1}"
-    asked = rows > ran.stop and _has_end(folder)
-    question = f"as {setting('--end')} says." if asked else "is it of this video?"
+    unmatched = f"frames {rows} to {ran.stop - 1}" if rows < ran.stop else f"rows {ran.stop} to {rows - 1}"
+    is_longer = rows > ran.stop and _has_end(folder)
+    question = f"as {setting('--end')} says." if is_longer else "is it of this video?"
     notice(
-        f"{truth_path} has {rows} rows, the run {len(ran)} frames: {question} Not scored: {left}, counted "
-        "from 0"
+        f"{truth_path} has {rows} rows, the run {len(ran)} frames: {question} Not scored: {unmatched}, "
+        "counted from 0"
     )
 
 
@@ -117,7 +121,7 @@ def _has_end(folder: Path) -> bool:
 
 def _events(folder: Path, kind: type[E]) -> list[E]:
     journal = folder / "journal.jsonl"
-    return [one for one in read_events(journal) if isinstance(one, kind)] if journal.is_file() else []
+    return [event for event in read_events(journal) if isinstance(event, kind)] if journal.is_file() else []
 
 
 def _timed(folder: Path, seconds: Mapping[int, float]) -> set[int]:
@@ -130,16 +134,16 @@ def _of_target(lines: list[FrameMetrics], target: str | None, folder: Path) -> l
     present = list(dict.fromkeys(line.target for line in lines))
     if target is None and len(present) > 1:
         raise ValueError(f"{folder}: several targets ({', '.join(present)}); name one")
-    wanted = target if target is not None else next(iter(present), "")
-    if wanted not in present:
-        raise ValueError(f"{folder}: no target {wanted!r}; there are {', '.join(present) or 'none'}")
-    return [line for line in lines if line.target == wanted]
+    target_name = target if target is not None else next(iter(present), "")
+    if target_name not in present:
+        raise ValueError(f"{folder}: no target {target_name!r}; there are {', '.join(present) or 'none'}")
+    return [line for line in lines if line.target == target_name]
 
 
-def _seconds(path: Path, frames: list[int], taken: Mapping[int, float]) -> list[float] | None:
+def _seconds(path: Path, frames: list[int], seconds_of: Mapping[int, float]) -> list[float] | None:
     if not path.exists():
         return None
-    missing = [frame for frame in frames if frame not in taken]
+    missing = [frame for frame in frames if frame not in seconds_of]
     if missing:
         raise ValueError(f"{path}: no time for frame {missing[0]}")
-    return [taken[frame] for frame in frames]
+    return [seconds_of[frame] for frame in frames]

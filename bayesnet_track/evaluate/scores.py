@@ -128,16 +128,16 @@ def score(
         ValueError: lengths differ, a box or a confidence is not finite, or no frame has a true box.
     """
     reported, given_up, true, present = _checked(boxes, lost, truth)
-    taken, agents, trust = (
+    frame_seconds, agents, trust = (
         _rows(name, values, true.shape[:1])
         for name, values in (("seconds", seconds), ("active", active), ("confidence", confidence))
     )
     narrow, wide = (
         _rows(name, values, true.shape) for name, values in (("region50", region50), ("region90", region90))
     )
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(reported).all(axis=1))
+    reported_mask: NDArray[np.bool_] = np.asarray(np.isfinite(reported).all(axis=1))
     centre, true_centre = centre_from_corner(reported[present]), centre_from_corner(true[present])
-    iou, gone = np.where(known[present], overlap(centre, true_centre), 0.0), given_up[present]
+    iou, gone = np.where(reported_mask[present], overlap(centre, true_centre), 0.0), given_up[present]
     episodes = lost_episodes(iou)
     long = None if trust is None else _long_term(iou, trust, present)
     return Score(
@@ -152,10 +152,10 @@ def score(
         reported_lost=int(given_up.sum()),
         lost_when_off=_share(gone[iou == 0]),
         lost_when_on=_share(gone[iou > 0]),
-        fps=None if taken is None else frames_per_second(taken[known]),
-        mean_active=None if agents is None else _mean(agents[known]),
-        coverage50=_coverage(narrow, present & known, centre_from_corner(true)),
-        coverage90=_coverage(wide, present & known, centre_from_corner(true)),
+        fps=None if frame_seconds is None else frames_per_second(frame_seconds[reported_mask]),
+        mean_active=None if agents is None else _mean(agents[reported_mask]),
+        coverage50=_coverage(narrow, present & reported_mask, centre_from_corner(true)),
+        coverage90=_coverage(wide, present & reported_mask, centre_from_corner(true)),
         long_precision=None if long is None else long.precision,
         long_recall=None if long is None else long.recall,
         long_f=None if long is None else long.f,
@@ -212,9 +212,9 @@ def _long_term(iou: Floats, confidence: Floats, present: NDArray[np.bool_]) -> L
     """Figures of long-term tracking, where the target is absent in some; the first is given."""
     if present.all():
         return None
-    every = np.zeros(len(present))
-    every[present] = iou
-    return long_term([Confident(every[1:], confidence[1:], present[1:])])
+    ones = np.zeros(len(present))
+    ones[present] = iou
+    return long_term([Confident(ones[1:], confidence[1:], present[1:])])
 
 
 def success_auc(iou: Floats) -> float:
@@ -235,8 +235,8 @@ def lost_episodes(iou: Floats, length: int = EPISODE_FRAMES) -> list[int]:
 
 def frames_per_second(seconds: ArrayLike) -> float | None:
     """(n - 1) over the time of all frames but the first, which pays for the start; None for one frame."""
-    rest = np.asarray(seconds, dtype=np.float64)[1:]
-    return len(rest) / float(rest.sum()) if rest.sum() > 0 else None
+    later_seconds = np.asarray(seconds, dtype=np.float64)[1:]
+    return len(later_seconds) / float(later_seconds.sum()) if later_seconds.sum() > 0 else None
 
 
 def _show(value: object) -> str:
@@ -265,8 +265,8 @@ def _coverage(
     if region is None or not counted[1:].any():  # the start is given, not estimated
         return None
     bounds, centre = region[1:][counted[1:]], centre[1:][counted[1:]]
-    inside = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
-    return float(inside[0].mean()), float(inside[1].mean())
+    within = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
+    return float(within[0].mean()), float(within[1].mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,26 +308,32 @@ def long_term(sequences: Sequence[Confident]) -> LongTerm | None:
     Methodology for Long-Term Single-Object Tracking, 2020). A sequence in which nothing is reported at a
     threshold does not count for its precision; one without a frame that has the target, not for its recall.
     """
-    shown = [one for one in sequences if len(one.iou)]
-    if not any(one.present.any() for one in shown):
+    sequences_shown = [sequence for sequence in sequences if len(sequence.iou)]
+    if not any(sequence.present.any() for sequence in sequences_shown):
         return None
-    levels = np.unique(np.concatenate([one.confidence for one in shown]))
-    curves = [_curve(one, levels) for one in shown]
+    levels = np.unique(np.concatenate([sequence.confidence for sequence in sequences_shown]))
+    curves = [_curve(sequence, levels) for sequence in sequences_shown]
     precision = np.nanmean([curve[0] for curve in curves], axis=0)
     recall = np.nanmean(
-        [curve[1] for curve, one in zip(curves, shown, strict=True) if one.present.any()], axis=0
+        [curve[1] for curve, sequence in zip(curves, sequences_shown, strict=True) if sequence.present.any()],
+        axis=0,
     )
     total = precision + recall
     f = np.divide(2.0 * precision * recall, total, out=np.zeros_like(total), where=total > 0.0)
-    best = len(f) - 1 - int(np.argmax(f[::-1]))
-    return LongTerm(float(precision[best]), float(recall[best]), float(f[best]), float(levels[best]))
+    best_index = len(f) - 1 - int(np.argmax(f[::-1]))
+    return LongTerm(
+        float(precision[best_index]),
+        float(recall[best_index]),
+        float(f[best_index]),
+        float(levels[best_index]),
+    )
 
 
-def _curve(one: Confident, levels: Floats) -> tuple[Floats, Floats]:
+def _curve(sequence: Confident, levels: Floats) -> tuple[Floats, Floats]:
     """Precision and recall at each of the ascending levels; NaN precision where nothing is reported."""
-    order = np.argsort(one.confidence, kind="stable")
-    first = np.searchsorted(one.confidence[order], levels, side="left")
-    above = np.append(np.cumsum(one.iou[order][::-1])[::-1], 0.0)[first]
+    order = np.argsort(sequence.confidence, kind="stable")
+    first = np.searchsorted(sequence.confidence[order], levels, side="left")
+    iou_sums = np.append(np.cumsum(sequence.iou[order][::-1])[::-1], 0.0)[first]
     reported = (len(order) - first).astype(np.float64)
-    precision = np.divide(above, reported, out=np.full(len(levels), np.nan), where=reported > 0)
-    return precision, above / max(int(one.present.sum()), 1)
+    precision = np.divide(iou_sums, reported, out=np.full(len(levels), np.nan), where=reported > 0)
+    return precision, iou_sums / max(int(sequence.present.sum()), 1)

@@ -132,7 +132,7 @@ def _form_of_header(lines: Lines) -> TruthForm | None:
     if columns.keys() & {"frame", "index"}:
         return None
     sides = ("right", "bottom") if layout.has_corners else ("width", "height")
-    if [columns.get(what) for what in ("left", "top", *sides)] != [0, 1, 2, 3] or len(words) != 4:
+    if [columns.get(name) for name in ("left", "top", *sides)] != [0, 1, 2, 3] or len(words) != 4:
         raise ValueError(
             f"{lines.name}:{number}: a header line of boxes without frames; expected x,y,w,h, x1,y1,x2,y2, "
             f"{','.join(CORNERS)}, or the names of MOT columns"
@@ -174,10 +174,10 @@ def _box(row: list[float], form: TruthForm | None) -> list[float]:
 def _framed(rows: list[list[float]], lines: Lines) -> Floats:
     """Boxes at the places that the first of their 5 numbers gives, from 1."""
     frames = np.array([row[0] for row in rows])
-    for number, frame, before in zip(
+    for number, frame, previous in zip(
         range(lines.first, lines.first + len(rows)), frames, [0.0, *frames[:-1]], strict=True
     ):
-        if not (frame % 1 == 0 and before < frame <= LARGEST_FRAME):
+        if not (frame % 1 == 0 and previous < frame <= LARGEST_FRAME):
             raise ValueError(
                 f"{lines.name}:{number}: 5 numbers, the first {frame:g}; expected frame,x,y,w,h with frames "
                 "from 1 that grow, or 4 numbers (x,y,w,h); another order needs a header line of names"
@@ -220,13 +220,13 @@ def _of_one_target(lines: MotLines) -> Floats:
         raise ValueError(
             f"{lines.name}: boxes of {len(targets)} targets ({few(names)}); expected those of one"
         )
-    last = int(scored.frames.max())
-    if last > LARGEST_FRAME:
-        raise ValueError(f"{lines.name}: frame {last + 1}; expected one up to {LARGEST_FRAME}")
-    found, counts = np.unique(scored.frames, return_counts=True)
+    last_frame = int(scored.frames.max())
+    if last_frame > LARGEST_FRAME:
+        raise ValueError(f"{lines.name}: frame {last_frame + 1}; expected one up to {LARGEST_FRAME}")
+    frames_present, counts = np.unique(scored.frames, return_counts=True)
     if (counts > 1).any():
-        row = int(np.flatnonzero(scored.frames == found[counts > 1][0])[1])
+        row = int(np.flatnonzero(scored.frames == frames_present[counts > 1][0])[1])
         raise ValueError(f"{scored.place(row)}: a second box in frame {int(scored.frames[row]) + 1}")
-    boxes = np.full((last + 1, 4), np.nan)
+    boxes = np.full((last_frame + 1, 4), np.nan)
     boxes[scored.frames] = scored.boxes
     return boxes

@@ -52,7 +52,7 @@ def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: t
     body = [
         *_grid(x, bottom),
         *_ud(lines, x),
-        *_apart(compared.distances.get(pair, ()), x, apart_top),
+        *_distances(compared.distances.get(pair, ()), x, apart_top),
         *_bars(lines, agents, x, bars_top),
         *_marks(compared.moments, pair, x, bottom),
     ]
@@ -73,32 +73,32 @@ class _Scale:
         self.low, self.high, self.start, self.end = low, high, start, end
 
     def __call__(self, value: float) -> float:
-        inside = min(max(value, self.low), self.high)
-        return self.start + (inside - self.low) / (self.high - self.low) * (self.end - self.start)
+        clamped = min(max(value, self.low), self.high)
+        return self.start + (clamped - self.low) / (self.high - self.low) * (self.end - self.start)
 
 
 def _agents(
     runs: Iterable[RunRecord], pair: tuple[str, str], lines: Sequence[Sequence[FrameMetrics]]
 ) -> list[str]:
-    found: dict[str, None] = {}
+    agents: dict[str, None] = {}
     for run, target in zip(runs, pair, strict=True):
         for event in run.events:
             if isinstance(event, TargetStarted) and event.target == target:
-                found |= dict.fromkeys(event.active)
+                agents |= dict.fromkeys(event.active)
             if isinstance(event, Switch):
-                found |= {event.node: None} if event.target == target else {}
-    return list(found | dict.fromkeys(name for side in lines for line in side for name in line.active))
+                agents |= {event.node: None} if event.target == target else {}
+    return list(agents | dict.fromkeys(name for side in lines for line in side for name in line.active))
 
 
 # ------------------------------------------------------------------------------------ what is drawn
 
 
 def _grid(x: _Scale, bottom: float) -> list[str]:
-    drawn = []
+    elements = []
     for frame in ticks(int(x.low), int(x.high)):
-        drawn.append(_line(x(frame), UD_TOP, x(frame), bottom, "grid"))
-        drawn.append(_text(str(frame), x(frame), bottom + 15.0, "soft", "middle"))
-    return [*drawn, _text("frame", LEFT - 8.0, bottom + 15.0, "soft", "end")]
+        elements.append(_line(x(frame), UD_TOP, x(frame), bottom, "grid"))
+        elements.append(_text(str(frame), x(frame), bottom + 15.0, "soft", "middle"))
+    return [*elements, _text("frame", LEFT - 8.0, bottom + 15.0, "soft", "end")]
 
 
 def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
@@ -107,10 +107,10 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
     low = values[min(len(values) // 50 + 1, len(values) - 1)] / 1.6
     high = max(values[-1] * 1.2, low * 10)
     y = _Scale(math.log10(low), math.log10(high), UD_TOP + UD_HEIGHT, UD_TOP)
-    drawn = [_text("UD, px²", LEFT - 8.0, UD_TOP - 10.0, "soft", "end")]
+    elements = [_text("UD, px²", LEFT - 8.0, UD_TOP - 10.0, "soft", "end")]
     for value in decades(low, high):
         row = y(math.log10(value))
-        drawn += [
+        elements += [
             _line(LEFT, row, WIDTH - RIGHT, row, "grid"),
             _text(f"{value:g}", LEFT - 8.0, row + 4.0, "soft", "end"),
         ]
@@ -120,7 +120,7 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
         for start, end in stretches(side, lost):
             tip = element("title", text_of(f"{name.upper()} lost in frames {start} to {end}"))
             left, right = x(start - 0.5), x(end + 0.5)
-            drawn.append(
+            elements.append(
                 element("rect", tip, x=left, y=top, width=right - left, height=8.0, class_=f"lost {name}")
             )
     for side, name in zip(lines, "ab", strict=True):
@@ -130,66 +130,68 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
             points = [
                 (x(f), y(math.log10(uds[f]))) for f in range(start, end + 1) if f in uds and f in usable
             ]
-            drawn.append(_curve(points, f"curve {name}"))
-    return drawn
+            elements.append(_curve(points, f"curve {name}"))
+    return elements
 
 
-def _apart(distances: Sequence[Distance], x: _Scale, top: float) -> list[str]:
+def _distances(distances: Sequence[Distance], x: _Scale, top: float) -> list[str]:
     head = _text("estimates apart, px", LEFT, top - 10.0, "soft")
-    high = max((one.px for one in distances), default=0.0)
+    high = max((distance.px for distance in distances), default=0.0)
     y = _Scale(0.0, high if high > 0 else 1.0, top + APART_HEIGHT, top)
-    drawn = [head, _line(LEFT, y(0.0), WIDTH - RIGHT, y(0.0), "grid")]
-    drawn.append(_text("0", LEFT - 8.0, y(0.0) + 4.0, "soft", "end"))
+    elements = [head, _line(LEFT, y(0.0), WIDTH - RIGHT, y(0.0), "grid")]
+    elements.append(_text("0", LEFT - 8.0, y(0.0) + 4.0, "soft", "end"))
     if high == 0.0:
-        return [*drawn, _text("never", LEFT + 8.0, top + APART_HEIGHT / 2, "soft")]
-    drawn.append(_text(f"{high:.3g}", LEFT - 8.0, y(high) + 4.0, "soft", "end"))
-    points = _thin([(x(one.frame), y(one.px)) for one in distances])
+        return [*elements, _text("never", LEFT + 8.0, top + APART_HEIGHT / 2, "soft")]
+    elements.append(_text(f"{high:.3g}", LEFT - 8.0, y(high) + 4.0, "soft", "end"))
+    points = _thin([(x(distance.frame), y(distance.px)) for distance in distances])
     outline = [(points[0][0], y(0.0)), *points, (points[-1][0], y(0.0))]
-    return [*drawn, element("polygon", points=_path(outline), class_="apart")]
+    return [*elements, element("polygon", points=_path(outline), class_="apart")]
 
 
 def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Scale, top: float) -> list[str]:
-    drawn = [_text("active agents, A above B", LEFT, top - 10.0, "soft")]
+    elements = [_text("active agents, A above B", LEFT, top - 10.0, "soft")]
     for number, agent in enumerate(agents):
         row = top + number * (2 * ROW + 10.0)
         name = text_of(agent if len(agent) <= 15 else f"{agent[:14]}…") + element("title", text_of(agent))
-        drawn.append(element("text", name, x=LEFT - 8.0, y=row + ROW + 4.0, class_="ink", text_anchor="end"))
-        for side, which in zip(lines, "ab", strict=True):
-            y = row + (ROW if which == "b" else 0.0)
-            drawn.append(
+        elements.append(
+            element("text", name, x=LEFT - 8.0, y=row + ROW + 4.0, class_="ink", text_anchor="end")
+        )
+        for side, letter in zip(lines, "ab", strict=True):
+            y = row + (ROW if letter == "b" else 0.0)
+            elements.append(
                 element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=ROW - 1.0, class_="ground")
             )
             for start, end in stretches(side, {line.frame for line in side if agent in line.active}):
                 left, right = x(start - 0.5), x(end + 0.5)
-                tip = element("title", text_of(f"{which.upper()}: {agent} in frames {start} to {end}"))
-                drawn.append(
+                tip = element("title", text_of(f"{letter.upper()}: {agent} in frames {start} to {end}"))
+                elements.append(
                     element(
-                        "rect", tip, x=left, y=y, width=right - left, height=ROW - 1.0, class_=f"bar {which}"
+                        "rect", tip, x=left, y=y, width=right - left, height=ROW - 1.0, class_=f"bar {letter}"
                     )
                 )
-    return drawn
+    return elements
 
 
 def _marks(moments: Sequence[Moment], pair: tuple[str, str], x: _Scale, bottom: float) -> list[str]:
     """A line at each parting, dashed but for the first of all; it leads to the moment's row in the page."""
-    drawn, free = [], -math.inf
+    elements, free = [], -math.inf
     for number, moment in enumerate(moments[:MOST_MOMENTS]):
         if moment.pair != pair:
             continue
-        at = x(moment.frame)
+        x_px = x(moment.frame)
         caption = [
             f"{name} {explain(event)}"
             for name, side in (("A", moment.first), ("B", moment.second))
             for event in side
         ]
         parts = [element("title", text_of("\n".join(caption)))]
-        parts.append(_line(at, UD_TOP - 28.0, at, bottom, "hit"))
-        parts.append(_line(at, UD_TOP - 12.0, at, bottom, "parting first" if number == 0 else "parting"))
-        if at >= free:
-            parts.append(_text(str(moment.frame), at, UD_TOP - 18.0, "mark", "middle"))
-            free = at + 34.0
-        drawn.append(element("a", "".join(parts), href=f"#moment-{number}"))
-    return drawn
+        parts.append(_line(x_px, UD_TOP - 28.0, x_px, bottom, "hit"))
+        parts.append(_line(x_px, UD_TOP - 12.0, x_px, bottom, "parting first" if number == 0 else "parting"))
+        if x_px >= free:
+            parts.append(_text(str(moment.frame), x_px, UD_TOP - 18.0, "mark", "middle"))
+            free = x_px + 34.0
+        elements.append(element("a", "".join(parts), href=f"#moment-{number}"))
+    return elements
 
 
 # ------------------------------------------------------------------------------------ small things
@@ -199,12 +201,12 @@ def _thin(points: Points) -> Points:
     """At most two points per column: the lowest and the highest, in their order."""
     if len(points) <= 2 * COLUMNS:
         return points
-    kept: Points = []
+    thinned: Points = []
     for start in range(COLUMNS):
         some = points[start * len(points) // COLUMNS : (start + 1) * len(points) // COLUMNS]
         ends = {some.index(min(some, key=lambda p: p[1])), some.index(max(some, key=lambda p: p[1]))}
-        kept += [some[k] for k in sorted(ends)]
-    return kept
+        thinned += [some[k] for k in sorted(ends)]
+    return thinned
 
 
 def _curve(points: Points, look: str) -> str:
@@ -249,20 +251,22 @@ class TellingFrame:
 
 def telling_frames(compared: Comparison) -> tuple[TellingFrame, ...]:
     """At most four frames of the pair that is farthest apart, in order; none where no estimate differs."""
-    lines = {pair: line for pair, line in compared.distances.items() if any(one.px > 0 for one in line)}
+    lines = {
+        pair: line for pair, line in compared.distances.items() if any(distance.px > 0 for distance in line)
+    }
     if not lines:
         return ()
-    pair, line = max(lines.items(), key=lambda item: max(one.px for one in item[1]))
-    far = max(line, key=lambda one: one.px)
-    found = {far.frame: f"they are farthest apart, {far.px:.3g} px"}
-    for level, what in LEVELS.items():
-        first = next((one.frame for one in line if one.iou < level), far.frame)
-        found.setdefault(first, what)
+    pair, line = max(lines.items(), key=lambda item: max(distance.px for distance in item[1]))
+    farthest = max(line, key=lambda distance: distance.px)
+    reasons = {farthest.frame: f"they are farthest apart, {farthest.px:.3g} px"}
+    for level, reason in LEVELS.items():
+        first = next((distance.frame for distance in line if distance.iou < level), farthest.frame)
+        reasons.setdefault(first, reason)
     decided = next((moment.frame for moment in compared.moments if moment.pair == pair), None)
-    if decided is not None and any(one.frame == decided for one in line):
-        also = f"; {found[decided]}" if decided in found else ""
-        found[decided] = f"their decisions first diverge{also}"
-    return tuple(TellingFrame(frame, pair, found[frame]) for frame in sorted(found))
+    if decided is not None and any(distance.frame == decided for distance in line):
+        also = f"; {reasons[decided]}" if decided in reasons else ""
+        reasons[decided] = f"their decisions first diverge{also}"
+    return tuple(TellingFrame(frame, pair, reasons[frame]) for frame in sorted(reasons))
 
 
 def draw_pictures(
@@ -272,36 +276,39 @@ def draw_pictures(
     second: RunRecord,
 ) -> Iterator[str]:
     """HTML figures: the image of each frame, the first run's box solid and the second one's dashed."""
-    wanted = {one.frame: one for one in telling}
+    pending = {frame_reason.frame: frame_reason for frame_reason in telling}
     boxes = [_lines_of(run, telling, side) for side, run in enumerate((first, second))]
     for frame, image in images:
-        one = wanted.pop(frame, None)
-        if one is not None:
-            yield _figure(image, one, boxes[0].get(frame), boxes[1].get(frame))
-        if not wanted:
+        telling_frame = pending.pop(frame, None)
+        if telling_frame is not None:
+            yield _figure(image, telling_frame, boxes[0].get(frame), boxes[1].get(frame))
+        if not pending:
             return
 
 
 def _lines_of(run: RunRecord, telling: Sequence[TellingFrame], side: int) -> Mapping[int, FrameMetrics]:
-    ids = {one.frame: one.pair[side] for one in telling}
+    ids = {frame_reason.frame: frame_reason.pair[side] for frame_reason in telling}
     return {line.frame: line for line in run.metrics if ids.get(line.frame) == line.target}
 
 
 def _figure(
-    image: NDArray[np.uint8], one: TellingFrame, first: FrameMetrics | None, second: FrameMetrics | None
+    image: NDArray[np.uint8],
+    telling_frame: TellingFrame,
+    first: FrameMetrics | None,
+    second: FrameMetrics | None,
 ) -> str:
     sides = [(letter, line) for letter, line in (("a", first), ("b", second)) if line is not None]
     left, top, columns, rows = _window(image, [line for _, line in sides])
     part = image[top : top + rows, left : left + columns]
-    drawn = [
+    elements = [
         element("image", href=_data(part), x=left, y=top, width=columns, height=rows),
         *(_box(line, letter, columns) for letter, line in sides),
     ]
     closer = "" if columns == image.shape[1] else f" (a part of the frame, {columns} × {rows} px)"
-    said = f"Frame {one.frame}, {whose_text(one.pair)}: {one.what}{closer}"
+    caption = f"Frame {telling_frame.frame}, {whose_text(telling_frame.pair)}: {telling_frame.what}{closer}"
     view = f"{left} {top} {columns} {rows}"
-    svg = element("svg", "".join(drawn), viewBox=view, role="img", aria_label=said, class_="picture")
-    return f"<figure>{svg}<figcaption>{text_of(said)}</figcaption></figure>"
+    svg = element("svg", "".join(elements), viewBox=view, role="img", aria_label=caption, class_="picture")
+    return f"<figure>{svg}<figcaption>{text_of(caption)}</figcaption></figure>"
 
 
 def _window(image: NDArray[np.uint8], lines: Sequence[FrameMetrics]) -> tuple[int, int, int, int]:
@@ -323,11 +330,11 @@ def _box(line: FrameMetrics, letter: str, columns: int) -> str:
     place = {"x": x + 0.5 - w / 2, "y": y + 0.5 - h / 2, "width": w, "height": h}
     stroke, size = max(1.0, columns / 240), columns / 24
     # The names of two boxes in one place do not cover each other.
-    above = place["y"] - 2 * stroke if letter == "a" else place["y"] + h + 2 * stroke + 0.8 * size
+    label_y = place["y"] - 2 * stroke if letter == "a" else place["y"] + h + 2 * stroke + 0.8 * size
     return (
         element("rect", **place, class_="halo", stroke_width=2.2 * stroke)
         + element("rect", **place, class_=f"box {letter}", stroke_width=stroke)
-        + element("text", letter.upper(), x=place["x"], y=above, font_size=size)
+        + element("text", letter.upper(), x=place["x"], y=label_y, font_size=size)
     )
 
 

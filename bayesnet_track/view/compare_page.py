@@ -145,15 +145,20 @@ def _runs(first: RunRecord, second: RunRecord) -> list[str]:
     """What was run on what, and which run was smoothed or is only a part."""
     rows = []
     for letter, run in (("A", first), ("B", second)):
-        started = next((one for one in run.events if isinstance(one, RunStarted)), None)
-        said = "" if started is None else f" · {started.graph} · seed {started.seed}"
+        start = next((event for event in run.events if isinstance(event, RunStarted)), None)
+        run_text = "" if start is None else f" · {start.graph} · seed {start.seed}"
         badges = "".join(f'<span class="badge">{text_of(mark)}</span>' for mark in marks_of(run))
         rows.append(
             f'<dt class="{letter.lower()}">{letter}</dt>'
-            f'<dd>{text_of(run.name)}<span class="soft">{text_of(said)}</span>{badges}</dd>'
+            f'<dd>{text_of(run.name)}<span class="soft">{text_of(run_text)}</span>{badges}</dd>'
         )
-    on = next((one for one in first.events if isinstance(one, RunStarted)), None)
-    size = "" if on is None else f'<p class="soft">on {text_of(on.source)} · {on.width} × {on.height} px</p>'
+    first_start = next((event for event in first.events if isinstance(event, RunStarted)), None)
+    size = (
+        ""
+        if first_start is None
+        else f'<p class="soft">on {text_of(first_start.source)} · '
+        f"{first_start.width} × {first_start.height} px</p>"
+    )
     return [size, "<dl>", *rows, "</dl>"]
 
 
@@ -161,13 +166,13 @@ def _settings(settings: Sequence[str]) -> list[str]:
     """What differs in graph and versions; long ones folded."""
     if not settings:
         return ["<section><h2>They differ in</h2><p>The same graph and settings.</p></section>"]
-    said = [
-        f"<li>{text_of(one)}</li>"
-        if shortened(one) == one
-        else f"<li><details><summary>{text_of(shortened(one))}</summary>{text_of(one)}</details></li>"
-        for one in settings
+    items = [
+        f"<li>{text_of(setting)}</li>"
+        if shortened(setting) == setting
+        else f"<li><details><summary>{text_of(shortened(setting))}</summary>{text_of(setting)}</details></li>"
+        for setting in settings
     ]
-    return ["<section><h2>They differ in</h2><ul>", *said, "</ul></section>"]
+    return ["<section><h2>They differ in</h2><ul>", *items, "</ul></section>"]
 
 
 def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
@@ -184,9 +189,9 @@ def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) ->
 
 def _mark_sides(line: str) -> str:
     """A line that begins with A or B in that run's colour."""
-    letter, _, rest = line.partition("  ")
-    if letter in ("A", "B") and rest:
-        return f'<p><b class="side {letter.lower()}">{letter}</b>{text_of(rest)}</p>'
+    letter, _, text = line.partition("  ")
+    if letter in ("A", "B") and text:
+        return f'<p><b class="side {letter.lower()}">{letter}</b>{text_of(text)}</p>'
     return f'<p class="soft">{text_of(_capital(line))}</p>'
 
 
@@ -196,17 +201,17 @@ def _capital(text: str) -> str:
 
 def _table(totals: Sequence[Total]) -> str:
     rows = []
-    for one in totals:
-        better = _better(one)
+    for total in totals:
+        better = _better(total)
         cells = [
             element("td", text_of(figure(value)), class_="better" if better == letter else None)
-            for letter, value in (("a", one.first), ("b", one.second))
+            for letter, value in (("a", total.first), ("b", total.second))
         ]
         rows.append(
             "<tr>"
-            + element("th", text_of(one.name), scope="row")
+            + element("th", text_of(total.name), scope="row")
             + "".join(cells)
-            + f"<td>{text_of(change(one))}</td></tr>"
+            + f"<td>{text_of(change(total))}</td></tr>"
         )
     head = (
         '<thead><tr><th></th><th scope="col" class="a">A</th><th scope="col" class="b">B</th>'
@@ -215,20 +220,25 @@ def _table(totals: Sequence[Total]) -> str:
     return f'<div class="wide"><table>{head}<tbody>{"".join(rows)}</tbody></table></div>'
 
 
-def _better(one: Total) -> str:
-    if one.less_is_better is None or one.first is None or one.second is None or one.first == one.second:
+def _better(total: Total) -> str:
+    if (
+        total.less_is_better is None
+        or total.first is None
+        or total.second is None
+        or total.first == total.second
+    ):
         return ""
-    return "a" if (one.first < one.second) == one.less_is_better else "b"
+    return "a" if (total.first < total.second) == total.less_is_better else "b"
 
 
 def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
     """The targets that differ the most first; some of them open."""
-    apart = {
-        pair: sum(one.px for one in line) + 1e6 * sum(m.pair == pair for m in compared.moments)
+    divergence = {
+        pair: sum(distance.px for distance in line) + 1e6 * sum(m.pair == pair for m in compared.moments)
         for pair, line in compared.distances.items()
     }
-    ordered = sorted(compared.pairs, key=lambda pair: -apart[pair])
-    drawn = [
+    ordered = sorted(compared.pairs, key=lambda pair: -divergence[pair])
+    parts = [
         "<h2>Over each other</h2>",
         '<p class="soft"><b class="side a">A</b>solid, <b class="side b">B</b>dashed. Red lines: decisions '
         "that only one took, or that came later in one; they lead to the reasons below. Blocks along the "
@@ -238,11 +248,11 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
         name = _capital(whose_text(pair))
         chart = f'<div class="wide">{draw_pair(first, second, compared, pair)}</div>'
         if len(ordered) == 1:
-            drawn.append(chart)
+            parts.append(chart)
         else:
             is_open = " open" if number < OPEN_CHARTS else ""
-            drawn.append(f"<details{is_open}><summary>{text_of(name)}</summary>{chart}</details>")
-    return drawn
+            parts.append(f"<details{is_open}><summary>{text_of(name)}</summary>{chart}</details>")
+    return parts
 
 
 def _moments(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:

@@ -106,10 +106,10 @@ def lay_out(target: CheckedTarget, active: Set[str]) -> GraphLayout:
     for name in target.order:
         children = target.children.get(name, ())
         below = sum(spans[child] for child in children) + GAP * max(len(children) - 1, 0)
-        at = left[name] + (spans[name] - below) / 2
+        x = left[name] + (spans[name] - below) / 2
         for child in children:
-            left[child], depth[child] = at, depth[name] + 1
-            at += spans[child] + GAP
+            left[child], depth[child] = x, depth[name] + 1
+            x += spans[child] + GAP
     centre: dict[str, float] = {}
     for name in reversed(target.order):
         children = target.children.get(name, ())
@@ -146,14 +146,15 @@ def lay_out(target: CheckedTarget, active: Set[str]) -> GraphLayout:
 
 def with_factors(target: CheckedTarget) -> CheckedTarget:
     """The plate as it is drawn: its factors are leaves, behind the other children of the node above."""
-    below = {
-        name: [own for own, one in target.factors.items() if one.parent == name] for name in target.order
+    factors_of = {
+        name: [own for own, factor in target.factors.items() if factor.parent == name]
+        for name in target.order
     }
     return replace(
         target,
         order=(*target.order, *target.factors),
         parent={**target.parent, **{name: factor.parent for name, factor in target.factors.items()}},
-        children={name: (*children, *below[name]) for name, children in target.children.items()},
+        children={name: (*children, *factors_of[name]) for name, children in target.children.items()},
     )
 
 
@@ -168,13 +169,13 @@ def pool_weights(target: CheckedTarget, node: str, alive: Set[str]) -> dict[str,
 
 def _alive(target: CheckedTarget, active: Set[str]) -> frozenset[str]:
     """The active agents and every node above one, and the factors."""
-    found: set[str] = set(target.factors)
+    alive: set[str] = set(target.factors)
     for agent in set(target.agents) & set(active):
         node: str | None = agent
-        while node is not None and node not in found:
-            found.add(node)
+        while node is not None and node not in alive:
+            alive.add(node)
             node = target.parent[node]
-    return frozenset(found)
+    return frozenset(alive)
 
 
 def _note(target: CheckedTarget, name: str) -> str:
@@ -184,9 +185,9 @@ def _note(target: CheckedTarget, name: str) -> str:
     if isinstance(node, FactorNode):
         return "factor"
     if name != target.root:
-        held = "" if node.belief is None else f", {node.belief.kind}"
+        belief_text = "" if node.belief is None else f", {node.belief.kind}"
         latent = None if node.fuse is None else node.fuse.latent
-        return "" if latent is None else f"{'part' if latent.given.is_part else 'own state'}{held}"
+        return "" if latent is None else f"{'part' if latent.given.is_part else 'own state'}{belief_text}"
     belief = "particles" if node.belief is None else node.belief.kind
     return belief if node.motion is None else f"{belief}, {node.motion.kind.replace('_', ' ')}"
 

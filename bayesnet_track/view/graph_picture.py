@@ -35,8 +35,10 @@ def graph_svg(target: CheckedTarget, active: Set[str]) -> str:
     layout = lay_out(with_factors(target), active)
     body = [*map(_svg_edge, layout.edges), *map(_svg_fork, layout.forks), *map(_svg_node, layout.nodes)]
     body += [_svg_node(node) for node in _legend(layout)]
-    on = [agent for agent in target.agents if agent in active]
-    description = f"{target.root} above {', '.join(target.agents)}; active: {', '.join(on) or 'none'}"
+    active_agents = [agent for agent in target.agents if agent in active]
+    description = (
+        f"{target.root} above {', '.join(target.agents)}; active: {', '.join(active_agents) or 'none'}"
+    )
     return document(layout.width, layout.height, f"Bayes net of {target.name}", description, body)
 
 
@@ -123,10 +125,10 @@ def _svg_text(text: str, x: float, y: float, size: float, fill: str, weight: int
 
 
 def _svg_edge(edge: EdgeShape) -> str:
-    (ax, ay), (bx, by) = edge.bend()
+    (ax, ay), (bx, bend_y) = edge.bend()
     path = (
         f"M {edge.start[0]:.2f} {edge.start[1]:.2f} "
-        f"C {ax:.2f} {ay:.2f}, {bx:.2f} {by:.2f}, {edge.end[0]:.2f} {edge.end[1]:.2f}"
+        f"C {ax:.2f} {ay:.2f}, {bx:.2f} {bend_y:.2f}, {edge.end[0]:.2f} {edge.end[1]:.2f}"
     )
     line = element(
         "path",
@@ -229,8 +231,8 @@ class _Pixels:
         width = cv2.getTextSize(text, font, factor, weight)[0][0]
         factor *= min(1.0, room / max(width, 1))
         (width, height), _ = cv2.getTextSize(text, font, factor, weight)
-        at = (round(x * self.scale - width / 2), round(y * self.scale + height / 2))
-        cv2.putText(self.image, text, at, font, factor, _bgr(colour), weight, cv2.LINE_AA)
+        origin = (round(x * self.scale - width / 2), round(y * self.scale + height / 2))
+        cv2.putText(self.image, text, origin, font, factor, _bgr(colour), weight, cv2.LINE_AA)
 
 
 def _ellipse(node: NodeShape) -> NDArray[np.float64]:
@@ -248,13 +250,13 @@ def _rounded(x: float, y: float, w: float, h: float, radius: float) -> NDArray[n
     return np.vstack(corners)
 
 
-def _dashes(points: NDArray[np.float64], on: float = 5.0, off: float = 4.0) -> list[NDArray[np.float64]]:
+def _dashes(points: NDArray[np.float64], dash: float = 5.0, gap: float = 4.0) -> list[NDArray[np.float64]]:
     """The pieces of a polyline that a dash pattern leaves."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     pieces = []
-    for start in np.arange(0.0, along[-1], on + off):
-        at = np.linspace(start, min(start + on, along[-1]), 4)
-        pieces.append(np.column_stack([np.interp(at, along, points[:, k]) for k in (0, 1)]))
+    for start in np.arange(0.0, along[-1], dash + gap):
+        distances = np.linspace(start, min(start + dash, along[-1]), 4)
+        pieces.append(np.column_stack([np.interp(distances, along, points[:, k]) for k in (0, 1)]))
     return pieces
 
 

@@ -63,8 +63,8 @@ def spec_html(spec: GraphSpec) -> str:
     try:
         return graph_html(check_graph(spec))
     except GraphError as error:
-        said = "".join(f"<li>{text_of(one)}</li>" for one in error.errors)
-        return f"<p><b>{text_of(spec.name)}</b> cannot be run:</p><ul>{said}</ul>"
+        items = "".join(f"<li>{text_of(message)}</li>" for message in error.errors)
+        return f"<p><b>{text_of(spec.name)}</b> cannot be run:</p><ul>{items}</ul>"
 
 
 def graph_picture(graph: CheckedGraph) -> str:
@@ -74,38 +74,38 @@ def graph_picture(graph: CheckedGraph) -> str:
 
 def run_html(run: RunRecord) -> str:
     """What a run was, its figures, timelines of its first targets, and its decisions as sentences."""
-    started = [event for event in run.events if isinstance(event, RunStarted)]
+    starts = [event for event in run.events if isinstance(event, RunStarted)]
     ended = [event for event in run.events if isinstance(event, RunEnded)]
     frames = len({line.frame for line in run.metrics} | run.seconds.keys())
     targets = list(dict.fromkeys(line.target for line in run.metrics))
     seconds = sum(run.seconds.values())
     rows = [
         ("run", run.name),
-        *(("graph", f"{one.graph}, seed {one.seed}") for one in started),
-        *(("source", f"{one.source}, {one.width}x{one.height}") for one in started),
-        ("frames", f"{frames}" + "".join(f", {one.reason.replace('_', ' ')}" for one in ended)),
+        *(("graph", f"{start.graph}, seed {start.seed}") for start in starts),
+        *(("source", f"{start.source}, {start.width}x{start.height}") for start in starts),
+        ("frames", f"{frames}" + "".join(f", {end.reason.replace('_', ' ')}" for end in ended)),
         ("targets", str(len(targets))),
         ("reconfigurations", str(sum(isinstance(event, Switch) for event in run.events))),
         ("frames lost", str(sum(line.status == "lost" for line in run.metrics))),
         *([("seconds", f"{seconds:.3g} ({frames / seconds:.0f} frames per second)")] if seconds else []),
     ]
-    drawn = [
+    timelines = [
         _frame(_inline(draw_timeline(run.events, run.metrics, target))) for target in targets[:SHOWN_TARGETS]
     ]
     if len(targets) > SHOWN_TARGETS:
-        drawn.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
+        timelines.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
     named, kinds = has_several_targets(run.events), kinds_of(run.events)
-    told = list(narrate_all(run.events, kinds, named))
-    items = [f"<li>{text_of(line)}</li>" for line in told[:SHOWN_EVENTS]]
-    more = len(told) - SHOWN_EVENTS
-    items += [f"<li>and {more} more</li>"] if more > 0 else []
-    summary = f"<summary>{plural(len(told), 'line')} of the journal</summary>"
-    return table(rows) + "".join(drawn) + f"<details>{summary}<ul>{''.join(items)}</ul></details>"
+    sentences = list(narrate_all(run.events, kinds, named))
+    items = [f"<li>{text_of(line)}</li>" for line in sentences[:SHOWN_EVENTS]]
+    hidden_count = len(sentences) - SHOWN_EVENTS
+    items += [f"<li>and {hidden_count} more</li>"] if hidden_count > 0 else []
+    summary = f"<summary>{plural(len(sentences), 'line')} of the journal</summary>"
+    return table(rows) + "".join(timelines) + f"<details>{summary}<ul>{''.join(items)}</ul></details>"
 
 
 def table(rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
     """Plain rows as an HTML table; the first cell of a row is its heading where there is no `head`."""
-    top = "".join(element("th", text_of(one), scope="col") for one in head)
+    top = "".join(element("th", text_of(cell), scope="col") for cell in head)
     body = [
         "".join(
             element("th", text_of(cell), scope="row") if k == 0 and not head else element("td", text_of(cell))
@@ -113,7 +113,7 @@ def table(rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
         )
         for row in rows
     ]
-    lines = "".join(f"<tr>{one}</tr>" for one in body)
+    lines = "".join(f"<tr>{row}</tr>" for row in body)
     return f"<table>{f'<thead><tr>{top}</tr></thead>' if head else ''}<tbody>{lines}</tbody></table>"
 
 

@@ -57,8 +57,8 @@ def run_data(
     Raises:
         ValueError: the journal does not begin with a `run_started`.
     """
-    started = events[0] if events else None
-    if not isinstance(started, RunStarted):
+    start = events[0] if events else None
+    if not isinstance(start, RunStarted):
         raise ValueError("the journal does not begin with run_started")
     by_target: dict[str, list[FrameMetrics]] = {}
     for line in metrics:
@@ -77,8 +77,8 @@ def run_data(
         columns["run/truth"] = short_floats(np.asarray(truth, dtype=np.float64).reshape(-1, 4))
     header = {
         "version": VERSION,
-        "run": {**_about(started, events), "name": name},
-        "plates": {} if graph is None else plates(graph, started.costs_ms),
+        "run": {**_description(start, events), "name": name},
+        "plates": {} if graph is None else plates(graph, start.costs_ms),
         "targets": targets,
         "events": event_rows(events),
         "truth_target": about_truth,
@@ -89,9 +89,9 @@ def run_data(
 
 def read_timings(path: Path) -> list[dict[str, Any]]:
     """The lines of ``timings.jsonl``; a torn or damaged line and all behind it are left out."""
-    found: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     if not path.is_file():
-        return found
+        return rows
     with path.open(encoding="utf-8", errors="replace") as file:
         for text in file:
             try:
@@ -103,23 +103,23 @@ def read_timings(path: Path) -> list[dict[str, Any]]:
                 }
             except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError):
                 break
-            found.append(line)
-    return found
+            rows.append(line)
+    return rows
 
 
-def _about(started: RunStarted, events: Sequence[Event]) -> dict[str, Any]:
+def _description(start: RunStarted, events: Sequence[Event]) -> dict[str, Any]:
     ended = events[-1] if isinstance(events[-1], RunEnded) else None
     return {
-        "graph": started.graph,
-        "graph_sha256": started.graph_sha256,
-        "source": started.source,
-        "seed": started.seed,
-        "width": started.width,
-        "height": started.height,
-        "declared_frames": started.declared_frames,
-        "frame_interval_s": _finite(started.frame_interval_s),
-        "versions": dict(started.versions),
-        "smoothed": started.smoothed,
+        "graph": start.graph,
+        "graph_sha256": start.graph_sha256,
+        "source": start.source,
+        "seed": start.seed,
+        "width": start.width,
+        "height": start.height,
+        "declared_frames": start.declared_frames,
+        "frame_interval_s": _finite(start.frame_interval_s),
+        "versions": dict(start.versions),
+        "smoothed": start.smoothed,
         "ended": None if ended is None else {"complete": ended.complete, "reason": ended.reason},
     }
 
@@ -157,10 +157,10 @@ def _target(lines: Sequence[FrameMetrics], points: int) -> Columns:
     for node in dict.fromkeys(name for line in lines for name in line.strength):
         columns[f"nodes/{node}/strength"] = _of_node(lines, "strength", node)
     for part in names["parts"]:
-        found = [line.parts.get(part) for line in lines]
+        parts = [line.parts.get(part) for line in lines]
         nothing = (math.nan,) * 4
-        columns[f"parts/{part}/box"] = short_floats([nothing if p is None else p.centre_box for p in found])
-        columns[f"parts/{part}/status"] = _codes("unwatched" if p is None else p.status for p in found)
+        columns[f"parts/{part}/box"] = short_floats([nothing if p is None else p.centre_box for p in parts])
+        columns[f"parts/{part}/status"] = _codes("unwatched" if p is None else p.status for p in parts)
     columns |= {f"modes/{mode}": _of_node(lines, "modes", mode) for mode in names["modes"]}
     return columns | _clouds(lines, points)
 

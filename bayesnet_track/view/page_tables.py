@@ -110,23 +110,23 @@ _FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
 
 def event_rows(events: Iterable[Event]) -> list[dict[str, Any]]:
     """`event_row` of every event that happened in a frame, in order."""
-    every = list(events)
-    kinds = kinds_of(every)
+    event_list = list(events)
+    kinds = kinds_of(event_list)
     return [
-        _calls_row(one, kinds) if isinstance(one, CallsFolded) else event_row(one, kinds)
-        for one in fold(every)
-        if not isinstance(one, RunStarted | RunEnded)
+        _calls_row(event, kinds) if isinstance(event, CallsFolded) else event_row(event, kinds)
+        for event in fold(event_list)
+        if not isinstance(event, RunStarted | RunEnded)
     ]
 
 
 def _calls_row(calls: CallsFolded, kinds: Mapping[str, str]) -> dict[str, Any]:
     """Runs of agents on call as one row."""
-    told = name_targets(calls.describe(), kinds)
+    sentence = name_targets(calls.describe(), kinds)
     return {
         "frame": calls.frame,
         "kind": "scheduled",
         "sort": "note",
-        "what": told,
+        "what": sentence,
         "why": "",
         "unless": "",
         "target": calls.target,
@@ -137,28 +137,28 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
     """One event of a frame as plain data; `kinds` names targets by their type.
 
     Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
-    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `on`:
-    whether a switch turned the agent on; `status`: the new one; `what` happened, `why`, and what would have
+    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `state`:
+    whether a switch turned the agent on; `status`: the new one; `change` happened, `why`, and what would have
     prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
     """
     sentence = name_targets(_FRAME.sub("", explain(event)), kinds)
     described, *prevented = _PREVENTED.split(sentence, maxsplit=1)
-    why, arrow, what = described.partition(ARROW)
+    why, arrow, change = described.partition(ARROW)
     row: dict[str, Any] = {
         "frame": getattr(event, "frame", 0),
         "kind": event_name(type(event)),
         "sort": _sort(event),
-        "what": what if arrow else described,
+        "what": change if arrow else described,
         "why": why if arrow else "",
         "unless": prevented[0] if prevented else "",
     }
     if isinstance(event, TargetStarted):
         # Nothing caused it: the piece before the arrow is what happened.
-        row |= {"what": f"{why} → {what}", "why": ""}
+        row |= {"what": f"{why} → {change}", "why": ""}
     if isinstance(event, Toggled):
-        on = "on" if event.on else "off"
+        state = "on" if event.on else "off"
         row |= {
-            "what": f"{event.node} {on} by hand",
+            "what": f"{event.node} {state} by hand",
             "why": "switched by hand; no rule switches it until it is released",
         }
     if isinstance(event, Released):
@@ -246,11 +246,11 @@ def _net(target: CheckedTarget) -> dict[str, Any]:
 
 def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
     """Every level of UD or of the score in the plate: node, rule, unit, level, frames."""
-    found: list[dict[str, Any]] = []
+    rules: list[dict[str, Any]] = []
 
     def add(node: str, rule: str, level: Level | None, frames: int = 1) -> None:
         if level is not None:
-            found.append(
+            rules.append(
                 {"node": node, "rule": rule, "unit": level.kind, "level": level.settings, "frames": frames}
             )
 
@@ -274,5 +274,5 @@ def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
             for rule in ("score_below", "uncertain_below"):
                 level = None if lost is None else getattr(lost, rule)
                 if level is not None:
-                    found.append({"node": name, "rule": rule, "unit": "score", "level": level, "frames": 1})
-    return found
+                    rules.append({"node": name, "rule": rule, "unit": "score", "level": level, "frames": 1})
+    return rules

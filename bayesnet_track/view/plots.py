@@ -30,14 +30,14 @@ def plot_uncertainty(ax: Any, run: RunRecord, target: str | None = None) -> Any:
     """
     lines = _lines(run, target)
     target = lines[0].target
-    known = [line for line in lines if math.isfinite(line.ud_px2) and line.ud_px2 > 0]
-    ax.semilogy([line.frame for line in known], [line.ud_px2 for line in known], lw=1.4, label="UD")
-    ud = {line.frame: line.ud_px2 for line in known}
+    finite = [line for line in lines if math.isfinite(line.ud_px2) and line.ud_px2 > 0]
+    ax.semilogy([line.frame for line in finite], [line.ud_px2 for line in finite], lw=1.4, label="UD")
+    ud = {line.frame: line.ud_px2 for line in finite}
     switches = [event for event in run.events if isinstance(event, Switch) and event.target == target]
-    for on, mark, colour, name in ((True, "^", UP, "on"), (False, "v", DOWN, "off")):
-        at = [event.frame for event in switches if turns_on(event) is on and event.frame in ud]
-        if at:
-            ax.plot(at, [ud[frame] for frame in at], mark, color=colour, label=f"agent {name}")
+    for is_on, mark, colour, name in ((True, "^", UP, "on"), (False, "v", DOWN, "off")):
+        frames = [event.frame for event in switches if turns_on(event) is is_on and event.frame in ud]
+        if frames:
+            ax.plot(frames, [ud[frame] for frame in frames], mark, color=colour, label=f"agent {name}")
     for kind, colour in ((Activated, UP), (Deactivated, DOWN)):
         _level(ax, [event for event in switches if isinstance(event, kind)], lines, colour)
     _shade_lost(ax, lines)
@@ -71,7 +71,7 @@ def plot_active(ax: Any, run: RunRecord, target: str | None = None) -> Any:
     agents = _agents(lines)
     for row, agent in enumerate(agents):
         spans = _spans([line.frame for line in lines if agent in line.active])
-        bars = [(first - 0.5, last - first + 1.0) for first, last in spans]
+        bars = [(first - 0.5, end - first + 1.0) for first, end in spans]
         ax.broken_barh(bars, (row - 0.35, 0.7), color=f"C{row % 10}")
     ax.set_yticks(range(len(agents)), agents)
     ax.set(
@@ -91,8 +91,10 @@ def plot_score(ax: Any, run: RunRecord, target: str | None = None) -> Any:
     lines = _lines(run, target)
     ax.plot([line.frame for line in lines], [line.score for line in lines], lw=1.4)
     _shade_lost(ax, lines)
-    what = "probability of being on target" if any(line.features for line in lines) else "score, uncalibrated"
-    ax.set(xlabel="frame", ylabel=what, ylim=(-0.02, 1.02))
+    score_name = (
+        "probability of being on target" if any(line.features for line in lines) else "score, uncalibrated"
+    )
+    ax.set(xlabel="frame", ylabel=score_name, ylim=(-0.02, 1.02))
     return ax
 
 
@@ -113,12 +115,12 @@ def plot_tracks(
     for target in dict.fromkeys(line.target for line in run.metrics):
         lines = _lines(run, target)
         path = np.array([line.centre_box[:2] for line in lines], dtype=np.float64)
-        seen = np.array([line.status != "lost" for line in lines])
-        drawn = ax.plot(*np.where(seen[:, None], path, np.nan).T, lw=1.4, label=f"target {target}")
-        ax.plot(*np.where(seen[:, None], np.nan, path).T, lw=1.0, ls=":", color=drawn[0].get_color())
+        visible = np.array([line.status != "lost" for line in lines])
+        curve = ax.plot(*np.where(visible[:, None], path, np.nan).T, lw=1.4, label=f"target {target}")
+        ax.plot(*np.where(visible[:, None], np.nan, path).T, lw=1.0, ls=":", color=curve[0].get_color())
         x, y, w, h = corner_from_centre(lines[-1].centre_box)
         corners = np.array([(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]) - 0.5
-        ax.plot(*corners.T, lw=0.8, color=drawn[0].get_color())
+        ax.plot(*corners.T, lw=0.8, color=curve[0].get_color())
     if truth is not None:
         boxes = np.asarray(truth, dtype=np.float64)
         ax.plot(
@@ -137,11 +139,11 @@ def plot_tracks(
 
 
 def _lines(run: RunRecord, target: str | None) -> list[FrameMetrics]:
-    wanted = target if target is not None else next((line.target for line in run.metrics), "")
-    lines = [line for line in run.metrics if line.target == wanted]
+    target_name = target if target is not None else next((line.target for line in run.metrics), "")
+    lines = [line for line in run.metrics if line.target == target_name]
     if not lines:
-        there = ", ".join(dict.fromkeys(line.target for line in run.metrics)) or "none"
-        raise ValueError(f"no target {wanted!r} in this run; there are {there}")
+        targets = ", ".join(dict.fromkeys(line.target for line in run.metrics)) or "none"
+        raise ValueError(f"no target {target_name!r} in this run; there are {targets}")
     return lines
 
 
@@ -181,5 +183,5 @@ def _name(ax: Any) -> None:
 
 
 def _shade_lost(ax: Any, lines: Sequence[FrameMetrics]) -> None:
-    for first, last in _spans([line.frame for line in lines if line.status == "lost"]):
-        ax.axvspan(first - 0.5, last + 0.5, color=LOST, alpha=0.5, lw=0)
+    for first, end in _spans([line.frame for line in lines if line.status == "lost"]):
+        ax.axvspan(first - 0.5, end + 0.5, color=LOST, alpha=0.5, lw=0)

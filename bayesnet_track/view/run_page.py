@@ -61,7 +61,7 @@ class Pictures:
 def gather(
     images: Iterable[tuple[int, Image]],
     expected: int,
-    wanted: Set[int] = frozenset(),
+    event_frames: Set[int] = frozenset(),
     budget: int = 7_000_000,
     annotated: bool = False,
 ) -> Pictures:
@@ -69,35 +69,35 @@ def gather(
 
     Width and step are chosen by the first pictures and the `expected` number of frames, so that one pass over
     the source is enough. Where they turn out too large, every other picture goes, again and again; those of
-    the frames `wanted` go last.
+    the frames `event_frames` go last.
     """
     source = iter(images)
     first = list(islice(source, SAMPLE))
     if not first:
         return Pictures((), (), 1, annotated)
     width, step = _choose(first, expected, budget)
-    kept: dict[int, bytes] = {}
+    pictures: dict[int, bytes] = {}
     total = 0
     for frame, image in chain(first, source):
-        if frame % step and frame not in wanted:
+        if frame % step and frame not in event_frames:
             continue
-        kept[frame] = _encode(image, width)
-        total += len(kept[frame])
-        while total > budget and len(kept) > 1:
+        pictures[frame] = _encode(image, width)
+        total += len(pictures[frame])
+        while total > budget and len(pictures) > 1:
             step *= 2
-            kept = _thin(kept, step, wanted)
-            total = sum(map(len, kept.values()))
-    frames = sorted(kept)
-    return Pictures(tuple(frames), tuple(kept[frame] for frame in frames), step, annotated)
+            pictures = _thin(pictures, step, event_frames)
+            total = sum(map(len, pictures.values()))
+    frames = sorted(pictures)
+    return Pictures(tuple(frames), tuple(pictures[frame] for frame in frames), step, annotated)
 
 
-def whole(images: Iterable[tuple[int, Image]]) -> Iterator[tuple[int, bytes]]:
+def full_pictures(images: Iterable[tuple[int, Image]]) -> Iterator[tuple[int, bytes]]:
     """Every frame in its own size, as JPEG."""
     import cv2
 
     for frame, image in images:
-        done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, FULL_QUALITY])
-        if done:
+        is_encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, FULL_QUALITY])
+        if is_encoded:
             yield frame, data.tobytes()
 
 
@@ -110,9 +110,9 @@ def _choose(sample: list[tuple[int, Image]], expected: int, budget: int) -> tupl
     return SIZES[-1]
 
 
-def _thin(kept: dict[int, bytes], step: int, wanted: Set[int]) -> dict[int, bytes]:
-    left = {frame: data for frame, data in kept.items() if frame % step == 0 or frame in wanted}
-    return left if len(left) < len(kept) else dict(list(kept.items())[::2])
+def _thin(pictures: dict[int, bytes], step: int, event_frames: Set[int]) -> dict[int, bytes]:
+    thinned = {frame: data for frame, data in pictures.items() if frame % step == 0 or frame in event_frames}
+    return thinned if len(thinned) < len(pictures) else dict(list(pictures.items())[::2])
 
 
 def _encode(image: Image, width: int) -> bytes:
@@ -125,8 +125,8 @@ def _encode(image: Image, width: int) -> bytes:
         size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
-    done, data = cv2.imencode(".jpg", image, options)
-    return data.tobytes() if done else b""
+    is_encoded, data = cv2.imencode(".jpg", image, options)
+    return data.tobytes() if is_encoded else b""
 
 
 FRAMES_FOLDER = "frames"
@@ -148,13 +148,13 @@ def one_file(
         without: why there are none, in words for the reader.
     """
     ends = np.cumsum([len(data) for data in pictures.data], dtype=np.int64).astype(np.int32)
-    about = {"where": "file", "step": pictures.step, "annotated": pictures.annotated, "without": without}
+    meta = {"where": "file", "step": pictures.step, "annotated": pictures.annotated, "without": without}
     columns = {
         **columns,
         "pictures/frame": np.array(pictures.frames, dtype=np.int32),
         "pictures/end": ends,
     }
-    yield from _page({**header, "pictures": about}, columns, "blob:")
+    yield from _page({**header, "pictures": meta}, columns, "blob:")
     yield '<script type="text/plain" id="run-pictures">'
     yield base64.b64encode(b"".join(pictures.data)).decode()
     yield "</script>\n</body>\n</html>\n"
@@ -164,16 +164,18 @@ def with_folder(
     header: Mapping[str, Any], columns: Columns, frames: tuple[int, ...], annotated: bool = False
 ) -> Iterator[str]:
     """The HTML text of a page whose pictures lie beside it, as `picture_name` names them."""
-    about = {"where": "folder", "step": 1, "annotated": annotated, "without": ""}
+    meta = {"where": "folder", "step": 1, "annotated": annotated, "without": ""}
     columns = {**columns, "pictures/frame": np.array(frames, dtype=np.int32)}
-    yield from _page({**header, "pictures": about}, columns, "'self' file: blob:")
+    yield from _page({**header, "pictures": meta}, columns, "'self' file: blob:")
     yield "</body>\n</html>\n"
 
 
 def room_for_pictures(header: Mapping[str, Any], columns: Columns, largest: int = LARGEST) -> int:
     """Bytes that pictures may take so that the page of `one_file` stays below `largest`."""
-    rest = len(pack(header, columns)) * 4 // 3 + len(_built("run_page.js")) + len(_built("run_page.css"))
-    return max((largest - rest - 100_000) * 3 // 4, LEAST_ROOM)
+    other_bytes = (
+        len(pack(header, columns)) * 4 // 3 + len(_built("run_page.js")) + len(_built("run_page.css"))
+    )
+    return max((largest - other_bytes - 100_000) * 3 // 4, LEAST_ROOM)
 
 
 def is_page(place: Path) -> bool:
@@ -232,14 +234,14 @@ def _policy(images: str) -> str:
     )
 
 
-def _head(title: str, policy: str, more: str = "") -> Iterator[str]:
+def _head(title: str, policy: str, extra: str = "") -> Iterator[str]:
     # In a page only a server can forbid frames around it.
     own_policy = policy.replace("; frame-ancestors 'none'", "")
     yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
     yield f'<meta http-equiv="Content-Security-Policy" content="{escape(own_policy, quote=True)}">\n'
     yield f'{GENERATOR}\n<meta name="viewport" content="width=device-width, initial-scale=1">\n'
     yield '<meta name="color-scheme" content="light dark">\n<meta name="referrer" content="no-referrer">\n'
-    yield f"{more}<title>{escape(title)}</title>\n"
+    yield f"{extra}<title>{escape(title)}</title>\n"
     yield f"<style>{_built('run_page.css')}</style>\n</head>\n<body>\n"
 
 

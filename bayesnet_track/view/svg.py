@@ -53,8 +53,8 @@ def _value(value: object) -> str:
     return f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else text_of(value)
 
 
-def ticks(first: int, last: int, most: int = 10) -> list[int]:
-    """Round frame numbers, at most one more than `most`.
+def ticks(first: int, end: int, max_ticks: int = 10) -> list[int]:
+    """Round frame numbers, at most one more than `max_ticks`.
 
     >>> ticks(0, 199)
     [0, 20, 40, 60, 80, 100, 120, 140, 160, 180]
@@ -63,12 +63,12 @@ def ticks(first: int, last: int, most: int = 10) -> list[int]:
         size * 10**power
         for power in range(19)
         for size in (1, 2, 5)
-        if (last - first) / (size * 10**power) <= most
+        if (end - first) / (size * 10**power) <= max_ticks
     )
-    return list(range(-(-first // step) * step, last + 1, step))
+    return list(range(-(-first // step) * step, end + 1, step))
 
 
-def decades(low: float, high: float, most: int = 8) -> list[float]:
+def decades(low: float, high: float, max_ticks: int = 8) -> list[float]:
     """1, 2, 5 times powers of ten inside a scale; powers of ten alone when there would be too many.
 
     >>> decades(30.0, 1200.0)
@@ -76,19 +76,19 @@ def decades(low: float, high: float, most: int = 8) -> list[float]:
     """
     exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     for steps in ((1, 2, 5), (1,)):
-        found = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
-        if len(found) <= most:
-            return found
-    return found[:: math.ceil(len(found) / most)]
+        levels = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
+        if len(levels) <= max_ticks:
+            return levels
+    return levels[:: math.ceil(len(levels) / max_ticks)]
 
 
-def stretches(lines: Sequence[FrameMetrics], wanted: Set[int]) -> list[tuple[int, int]]:
+def stretches(lines: Sequence[FrameMetrics], frames: Set[int]) -> list[tuple[int, int]]:
     """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
-    found: list[tuple[int, int]] = []
+    ranges: list[tuple[int, int]] = []
     previous = False
     for line in lines:
-        if line.frame in wanted:
-            first = found.pop()[0] if previous else line.frame
-            found.append((first, line.frame))
-        previous = line.frame in wanted
-    return found
+        if line.frame in frames:
+            first = ranges.pop()[0] if previous else line.frame
+            ranges.append((first, line.frame))
+        previous = line.frame in frames
+    return ranges

@@ -40,8 +40,8 @@ class Axes:
 
     def y(self, ud_px2: float) -> float:
         """Row of a UD, px; what lies beyond the scale is drawn at its end."""
-        inside = min(max(ud_px2, self.low), self.high)
-        share = math.log(inside / self.low) / math.log(self.high / self.low)
+        clamped = min(max(ud_px2, self.low), self.high)
+        share = math.log(clamped / self.low) / math.log(self.high / self.low)
         return TOP + PLOT_HEIGHT * (1.0 - share)
 
 
@@ -85,14 +85,14 @@ def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], targ
 
 
 def _agents(events: Sequence[Event], lines: Sequence[FrameMetrics]) -> list[str]:
-    started = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
+    initial = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
     switched = [event.node for event in events if isinstance(event, Switch)]
-    return list(dict.fromkeys([*started, *switched, *(name for line in lines for name in line.active)]))
+    return list(dict.fromkeys([*initial, *switched, *(name for line in lines for name in line.active)]))
 
 
 def _thresholds(events: Sequence[Event]) -> list[tuple[str, str, list[tuple[int, float]]]]:
     """Rule, colour, and its level in px^2 at each frame it fired."""
-    found: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    thresholds: dict[tuple[str, str], list[tuple[int, float]]] = {}
     for event in events:
         cause = getattr(event, "cause", None)
         if not isinstance(cause, Cause):
@@ -100,13 +100,13 @@ def _thresholds(events: Sequence[Event]) -> list[tuple[str, str, list[tuple[int,
         rule = {Activated: ("activate", UP), Deactivated: ("deactivate", DOWN), StatusChanged: ("lost", SOFT)}
         key = rule.get(type(event))
         if key is not None:
-            found.setdefault(key, []).append((getattr(event, "frame", 0), cause.level * cause.scale_px2))
-    return [(name, colour, levels) for (name, colour), levels in found.items()]
+            thresholds.setdefault(key, []).append((getattr(event, "frame", 0), cause.level * cause.scale_px2))
+    return [(name, colour, levels) for (name, colour), levels in thresholds.items()]
 
 
 def _axes(lines: Sequence[FrameMetrics], events: Sequence[Event]) -> Axes:
     values = [line.ud_px2 for line in lines] + [
-        level for _, _, found in _thresholds(events) for _, level in found
+        level for _, _, levels in _thresholds(events) for _, level in levels
     ]
     positive = sorted(value for value in values if 1e-6 < value < 1e15) or [1.0]
     # The first frames start from certainty: a few of them must not stretch the scale.
@@ -119,58 +119,58 @@ def _axes(lines: Sequence[FrameMetrics], events: Sequence[Event]) -> Axes:
 
 
 def _lost(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
-    drawn = []
-    for first, last in stretches(lines, {line.frame for line in lines if line.status == "lost"}):
-        left, right = _edges(first, last, axes)
-        tip = element("title", text_of(f"lost in frames {first} to {last}"))
+    elements = []
+    for first, end in stretches(lines, {line.frame for line in lines if line.status == "lost"}):
+        left, right = _edges(first, end, axes)
+        tip = element("title", text_of(f"lost in frames {first} to {end}"))
         look = {"fill": LOST, "fill_opacity": 0.4}
-        drawn.append(element("rect", tip, x=left, y=TOP, width=right - left, height=PLOT_HEIGHT, **look))
+        elements.append(element("rect", tip, x=left, y=TOP, width=right - left, height=PLOT_HEIGHT, **look))
         if right - left > 30:
-            drawn.append(
+            elements.append(
                 _text(
                     "lost", (left + right) / 2, TOP + PLOT_HEIGHT - 6.0, 10.5, UP, anchor="middle", halo=True
                 )
             )
-    return drawn
+    return elements
 
 
 def _grid(axes: Axes, bottom: float) -> list[str]:
-    drawn = []
+    elements = []
     for value in decades(axes.low, axes.high, 9):
         y = axes.y(value)
-        drawn.append(element("line", x1=LEFT, y1=y, x2=WIDTH - RIGHT, y2=y, stroke=GRID))
-        drawn.append(_text(f"{value:g}", LEFT - 8.0, y + 4.0, 10.5, SOFT, anchor="end"))
+        elements.append(element("line", x1=LEFT, y1=y, x2=WIDTH - RIGHT, y2=y, stroke=GRID))
+        elements.append(_text(f"{value:g}", LEFT - 8.0, y + 4.0, 10.5, SOFT, anchor="end"))
     for frame in ticks(axes.first, axes.last):
         x = axes.x(frame)
-        drawn.append(element("line", x1=x, y1=TOP, x2=x, y2=bottom, stroke=GRID))
-        drawn.append(_text(str(frame), x, bottom + 15.0, 10.5, SOFT, anchor="middle"))
-    return drawn
+        elements.append(element("line", x1=x, y1=TOP, x2=x, y2=bottom, stroke=GRID))
+        elements.append(_text(str(frame), x, bottom + 15.0, 10.5, SOFT, anchor="middle"))
+    return elements
 
 
 def _levels(lines: Sequence[FrameMetrics], events: Sequence[Event], axes: Axes) -> list[str]:
     """Dashed lines of the thresholds, held from one firing to the next; their names stand at the right."""
-    drawn, names = [], []
-    for name, colour, found in _thresholds(events):
-        starts = [axes.first, *(frame for frame, _ in found[1:])]
-        ends = [*(frame for frame, _ in found[1:]), axes.last]
+    elements, names = [], []
+    for name, colour, levels in _thresholds(events):
+        starts = [axes.first, *(frame for frame, _ in levels[1:])]
+        ends = [*(frame for frame, _ in levels[1:]), axes.last]
         points = [
             point
-            for (_, level), start, end in zip(found, starts, ends, strict=True)
+            for (_, level), start, end in zip(levels, starts, ends, strict=True)
             for point in ((axes.x(start), axes.y(level)), (axes.x(end), axes.y(level)))
         ]
-        drawn.append(_polyline(points, colour, 1.3, dash="6 4"))
-        names.append((axes.y(found[-1][1]), f"{name} {_number(found[-1][1])}", colour))
-    known = [line for line in lines if line.quiet_px2 is not None and line.quiet_px2 > 0]
-    if known:
-        points = [(axes.x(line.frame), axes.y(line.quiet_px2 or axes.low)) for line in known]
-        drawn.append(_polyline(points, QUIET, 1.3, dash="2 3"))
-        names.append((points[-1][1], f"quiet {_number(known[-1].quiet_px2 or 0.0)}", QUIET))
+        elements.append(_polyline(points, colour, 1.3, dash="6 4"))
+        names.append((axes.y(levels[-1][1]), f"{name} {_number(levels[-1][1])}", colour))
+    with_baseline = [line for line in lines if line.quiet_px2 is not None and line.quiet_px2 > 0]
+    if with_baseline:
+        points = [(axes.x(line.frame), axes.y(line.quiet_px2 or axes.low)) for line in with_baseline]
+        elements.append(_polyline(points, QUIET, 1.3, dash="2 3"))
+        names.append((points[-1][1], f"quiet {_number(with_baseline[-1].quiet_px2 or 0.0)}", QUIET))
     names.append((axes.y(lines[-1].ud_px2), f"UD {_number(lines[-1].ud_px2)}", UD_LINE))
     row = -math.inf
     for y, name, colour in sorted(names):
         row = max(y + 4.0, row + 13.0)
-        drawn.append(_text(name, WIDTH - RIGHT + 8.0, row, 10.5, colour, weight=600))
-    return drawn
+        elements.append(_text(name, WIDTH - RIGHT + 8.0, row, 10.5, colour, weight=600))
+    return elements
 
 
 def _curves(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
@@ -178,30 +178,33 @@ def _curves(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
     by_frame = {line.frame: line for line in lines}
     return [
         _polyline(
-            [(axes.x(f), axes.y(by_frame[f].ud_px2)) for f in sorted(usable) if first <= f <= last],
+            [(axes.x(f), axes.y(by_frame[f].ud_px2)) for f in sorted(usable) if first <= f <= end],
             UD_LINE,
             1.8,
         )
-        for first, last in stretches(lines, usable)
+        for first, end in stretches(lines, usable)
     ]
 
 
 def _bars(lines: Sequence[FrameMetrics], agents: Sequence[str], axes: Axes, top: float) -> list[str]:
-    drawn = []
+    elements = []
     for number, agent in enumerate(agents):
         y, colour = top + number * (BAR + BAR_GAP), BAR_COLOURS[number % len(BAR_COLOURS)]
         ground = element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=BAR, rx=3.0, fill="#f2f4f7")
         runs = stretches(lines, {line.frame for line in lines if agent in line.active})
         share = sum(agent in line.active for line in lines) / len(lines)
-        drawn += [ground, _text(_cut(agent), LEFT - 8.0, y + BAR - 4.0, 11.0, INK, anchor="end", tip=agent)]
-        for first, last in runs:
-            left, right = _edges(first, last, axes)
-            tip = element("title", text_of(f"{agent}: frames {first} to {last}"))
-            drawn.append(
+        elements += [
+            ground,
+            _text(_cut(agent), LEFT - 8.0, y + BAR - 4.0, 11.0, INK, anchor="end", tip=agent),
+        ]
+        for first, end in runs:
+            left, right = _edges(first, end, axes)
+            tip = element("title", text_of(f"{agent}: frames {first} to {end}"))
+            elements.append(
                 element("rect", tip, x=left, y=y, width=right - left, height=BAR, rx=3.0, fill=colour)
             )
-        drawn.append(_text(f"{share:.0%} of frames", WIDTH - RIGHT + 8.0, y + BAR - 4.0, 10.5, SOFT))
-    return drawn
+        elements.append(_text(f"{share:.0%} of frames", WIDTH - RIGHT + 8.0, y + BAR - 4.0, 10.5, SOFT))
+    return elements
 
 
 def _marks(
@@ -209,7 +212,7 @@ def _marks(
 ) -> list[str]:
     """A triangle on the curve (up: on, down: off), a stem to the agent's bar, and the frame number."""
     ud = {line.frame: line.ud_px2 for line in lines if math.isfinite(line.ud_px2)}
-    drawn, free = [], -math.inf
+    elements, free = [], -math.inf
     for event in sorted(switches, key=lambda event: event.frame):
         x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))
         colour, tip = (
@@ -230,16 +233,16 @@ def _marks(
                 _text(str(event.frame), x, top - 12.0, 10.5, colour, anchor="middle", weight=600, halo=True)
             )
             free = x + 26.0
-        drawn.append(element("g", "".join(parts)))
-    return drawn
+        elements.append(element("g", "".join(parts)))
+    return elements
 
 
 # ------------------------------------------------------------------------------------ small things
 
 
-def _edges(first: int, last: int, axes: Axes) -> tuple[float, float]:
+def _edges(first: int, end: int, axes: Axes) -> tuple[float, float]:
     """A frame is drawn half a frame to either side, inside the plot."""
-    return max(axes.x(first - 0.5), LEFT), min(axes.x(last + 0.5), WIDTH - RIGHT)
+    return max(axes.x(first - 0.5), LEFT), min(axes.x(end + 0.5), WIDTH - RIGHT)
 
 
 def _polyline(

@@ -23,7 +23,7 @@ from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
 from bayesnet_track.view.page_tables import event_row, event_rows, pack, plates, short_floats, unpack
-from bayesnet_track.view.run_page import Pictures, gather, one_file, whole, with_folder
+from bayesnet_track.view.run_page import Pictures, full_pictures, gather, one_file, with_folder
 
 STARTED = RunStarted(1, "g", "0" * 64, 0, "video.mp4", 64, 48, True, 3, 0.04)
 
@@ -204,7 +204,7 @@ def noise(count, size=(60, 80)):
 
 def test_pictures_keep_to_the_budget_and_to_the_frames_of_events():
     # Noise packs badly: far more than the budget at every size.
-    pictures = gather(noise(40), 40, wanted={7, 13}, budget=30_000)
+    pictures = gather(noise(40), 40, event_frames={7, 13}, budget=30_000)
     assert sum(map(len, pictures.data)) <= 30_000
     assert {7, 13} <= set(pictures.frames) and list(pictures.frames) == sorted(pictures.frames)
     assert 2 < len(pictures.frames) < 40 and pictures.step > 1
@@ -223,7 +223,7 @@ def test_a_source_without_frames_gives_no_pictures():
 
 def test_whole_frames_are_close_to_what_was_seen():
     image = np.full((20, 30, 3), (40, 90, 200), np.uint8)
-    ((frame, data),) = whole([(4, image)])
+    ((frame, data),) = full_pictures([(4, image)])
     shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert frame == 4 and np.abs(shown.astype(int) - image).max() < 6
 

@@ -33,7 +33,7 @@ def test_decades(scale, expected):
 
 
 def test_more_decades_than_fit_are_thinned():
-    assert decades(1.0, 1e20, most=8) == pytest.approx([10.0**e for e in range(0, 21, 3)])
+    assert decades(1.0, 1e20, max_ticks=8) == pytest.approx([10.0**e for e in range(0, 21, 3)])
 
 
 def test_stretches_end_where_a_frame_is_not_wanted():

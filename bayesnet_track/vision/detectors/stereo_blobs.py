@@ -44,7 +44,7 @@ class StereoBlobs:
 
 @dataclass(frozen=True)
 class StereoBlobSettings:
-    """Limits of a blob.
+    """What counts as a blob.
 
     Attributes:
         matcher: how the two eyes are matched.
