@@ -1,33 +1,233 @@
-"""Follow a run to its end: show how far it is, say how it ended, with which exit code."""
+"""A run that a command follows: live view, progress, how it ended, and the command that is useful next."""
 
 from __future__ import annotations
 
 import argparse
 import gc
+import json
 import sys
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.commands.answer import (
-    INCOMPLETE,
-    OK,
-    UsageError,
-    complain,
-    run_silently,
-)
-from bayesnet_track.cli.ending import say_end, say_next
+from bayesnet_track.cli.arguments import INCOMPLETE, OK, UsageError, complain, run_silently, say, words
 from bayesnet_track.numerics.compile_watch import WATCH
 
 if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.pace import Progress
-    from bayesnet_track.runtime.results import Result, Summary
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.results import FrameSource, Result, Summary
+    from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.stop import StopRequest
+
+
+SHOWN_NOTICES = 5
+
+ENDINGS = {
+    "source_truncated": "the source is truncated",
+    "source_damaged": "the source is damaged",
+    "frame_size_changed": "stopped where the frames change size",
+    "interrupted": "interrupted",
+}
+
+
+def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
+    """Warnings, failures, then how the run went: a sentence, with --json an object, with --quiet nothing.
+
+    Of `what-if` the object is the comparison.
+    """
+    from bayesnet_track.journal.text.explain import explain
+
+    for notice in summary.notices[:SHOWN_NOTICES]:
+        complain(explain(notice))
+    if len(summary.notices) > SHOWN_NOTICES:
+        complain(
+            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` lists them all"
+        )
+    for failure in list(summary.failures.values())[:SHOWN_NOTICES]:
+        complain(explain(failure))
+    if getattr(options, "json", False):
+        if options.command in ("run", "resume"):
+            say(json.dumps(as_object(out, summary)))
+    elif not options.quiet:
+        say(f"{out}: {as_sentence(summary)}")
+
+
+def as_object(out: Path, summary: Summary) -> dict[str, object]:
+    """What --json prints of a run."""
+    return {
+        "run": str(out),
+        "frames": summary.frames,
+        "seconds": round(summary.seconds, 3),
+        "frames_per_second": round(summary.frames_per_second, 1),
+        "reconfigurations": summary.reconfigurations,
+        "lost_frames": summary.lost_frames,
+        "complete": summary.complete,
+        "reason": summary.reason,
+    }
+
+
+def as_sentence(summary: Summary) -> str:
+    """`12 frames in 2.0 s (30 frames per second after the first), 1 reconfiguration`, and what went wrong."""
+    times = []
+    if summary.frames_per_second:
+        times.append(f"{summary.frames_per_second:.0f} frames per second after the first")
+    if summary.compiling_s >= 0.05:
+        times.append(f"{summary.compiling_s:.1f} s of compiling")
+    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s"]
+    if times:
+        parts[0] += f" ({', '.join(times)})"
+    parts.append(_count(summary.reconfigurations, "reconfiguration"))
+    if summary.lost_frames:
+        lost = f"lost in {_count(summary.lost_frames, 'frame')}"
+        several = f"a target {lost} (at most {summary.most_targets} targets at a time)"
+        parts.append(lost if summary.most_targets < 2 else several)
+    if not summary.complete:
+        parts.append(ENDINGS[summary.reason])
+    return ", ".join(parts)
+
+
+def say_next(options: argparse.Namespace, out: Path, summary: Summary) -> None:
+    """The command that is useful next: nothing where a program reads."""
+    if options.quiet or options.log_json or getattr(options, "json", False) or not summary.frames:
+        return
+    if summary.reason == "interrupted":
+        again = f"`bayesnet-track resume {out}` goes on from here; "
+        can_resume = (out / "checkpoint").exists()
+        shows = f"`bayesnet-track report {out} --open` shows what there is"
+        complain(f"next: {again if can_resume else ''}{shows}")
+    else:
+        shows = f"`bayesnet-track report {out} --open` shows the run in a browser"
+        then = f"`bayesnet-track log {out}` prints its decisions"
+        if summary.lost_frames:
+            then = f"`bayesnet-track diagnose {out}` names a key to try where it is lost"
+        complain(f"next: {shows}; {then}")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+@contextmanager
+def open_view(options: argparse.Namespace) -> Iterator[LiveView | None]:
+    """The view that the options ask for, or None; at the end it stays for as long as its page is open."""
+    if options.view is None:
+        if options.view_now or options.open:
+            raise UsageError("--view-now and --open are of a live view: give --view, too")
+        yield None
+        return
+    from bayesnet_track.runtime.live_view.view import LiveView
+
+    stop: StopRequest = options.stop
+    try:
+        view = LiveView(options.view_host, options.view or None)
+    except OSError as error:
+        where = f"{options.view_host} port {options.view}" if options.view else options.view_host
+        raise UsageError(f"--view: {where}: {words(error)}; choose another, or none") from error
+    with view:
+        announce(options, view.address)
+        yield view
+        if stop.signal is None and view.is_open:
+            complain("the view stays while its page is open; Ctrl-C closes it")
+            stop.is_patient = True
+            view.linger(lambda: stop.signal is not None)
+            if stop.between_frames():
+                # The run is over: what was closed is the view.
+                stop.signal = None
+
+
+def begin(
+    options: argparse.Namespace,
+    view: LiveView,
+    graph: CheckedGraph,
+    source: FrameSource,
+    starts: Sequence[Start],
+    out: Path,
+) -> Sequence[Start] | None:
+    """The boxes to start with, drawn on the page where none is given; None when stopped before."""
+    from bayesnet_track.engine.starts import has_births
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+    stop: StopRequest = options.stop
+    view.controls.can_switch = getattr(options, "inputs", None) is None
+    if not options.overwrite:
+        RunDirectory.create(str(out), overwrite=False)  # what is wrong there is told before anybody waits
+    view.shows(graph, source, out=str(out))
+
+    def give_up() -> bool:
+        return stop.signal is not None
+
+    if not starts and not has_births(graph):
+        first = getattr(source, "first_frame", None)
+        assert first is not None
+        chosen = view.choose(graph, source, first, give_up)
+        for one in chosen or ():
+            box = ",".join(f"{value:g}" for value in one.box)
+            complain(f"start box: --init {f'{one.plate}:' if one.plate else ''}{box}")
+        return chosen
+    if not options.view_now:
+        view.wait_for_page(give_up)
+    view.controls.to("starting")
+    return starts
+
+
+def begin_again(
+    options: argparse.Namespace, view: LiveView, directory: RunDirectory, expected: int | None
+) -> None:
+    """Show what the run that goes on has behind it, and wait for the page."""
+    from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.runtime.checkpoints.standing import standing
+    from bayesnet_track.view.page_data import read_timings
+
+    stop: StopRequest = options.stop
+    recipe = Recipe.read(directory)
+    view.controls.can_switch = recipe.inputs is None
+    view.shows(recipe.load_graph(directory), out=str(directory.path), expected=expected)
+    last = standing(directory.path).frame
+    if last is not None:  # else it starts again, and sends every event
+        events = [one for one in read_events(directory.journal) if not isinstance(one, RunEnded)]
+        view.recall(
+            [one for one in events if isinstance(one, RunStarted) or one.frame <= last],
+            [line for line in read_metrics(directory.frames) if line.frame <= last],
+            [line for line in read_timings(directory.timings) if line["frame"] <= last],
+        )
+    if not options.view_now:
+        view.wait_for_page(lambda: stop.signal is not None)
+    view.controls.to("starting")
+
+
+def announce(options: argparse.Namespace, address: str) -> None:
+    """Print the address of a page, and open it on request."""
+    if options.view_host not in ("127.0.0.1", "localhost", "::1"):
+        complain(
+            f"--view-host {options.view_host}: whoever gets this address can see and control the run, "
+            "and it travels unencrypted"
+        )
+    complain(f"view: {address}")
+    if options.open:
+        import threading
+
+        threading.Thread(target=open_page, args=(address,), daemon=True).start()
+
+
+def open_page(address: str) -> None:
+    """Open an address in this machine's browser; says so where there is none."""
+    import webbrowser
+
+    try:
+        is_open = webbrowser.open(address)
+    except (webbrowser.Error, OSError):
+        is_open = False
+    if not is_open:
+        complain(f"--open: no browser can be opened here (no display?); open {address} in one yourself")
 
 
 STOPPED = 130

@@ -1,46 +1,196 @@
-"""The parser of the whole command line."""
+"""Parser of the command line: its commands, its first screen, and the nearest name for a wrong word."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from functools import cache
-from typing import Any
+from typing import Any, NoReturn
 
 from bayesnet_track.cli.commands.annotate import add_annotate, annotate
 from bayesnet_track.cli.commands.batch import add_batch, batch
 from bayesnet_track.cli.commands.calibrate import add_calibrate, calibrate
-from bayesnet_track.cli.commands.compare import add_compare, compare
-from bayesnet_track.cli.commands.completion import add_completion, completion
-from bayesnet_track.cli.commands.demo import add_demo, demo
+from bayesnet_track.cli.commands.compare import add_compare, add_what_if, compare, what_if
 from bayesnet_track.cli.commands.detect import add_detect, detect
-from bayesnet_track.cli.commands.export import add_export, export
+from bayesnet_track.cli.commands.diagnose import add_diagnose, diagnose
+from bayesnet_track.cli.commands.export import add_export, add_report, export, report
+from bayesnet_track.cli.commands.fit import add_fit, fit
 from bayesnet_track.cli.commands.graphs import (
+    add_completion,
     add_graph,
+    add_init,
     add_list,
     add_schema,
     add_validate,
+    completion,
     graph,
+    init,
     list_installed,
     schema,
     validate,
 )
-from bayesnet_track.cli.commands.init import add_init, init
 from bayesnet_track.cli.commands.learn_shape import add_learn_shape, learn_shape
 from bayesnet_track.cli.commands.learn_stereo import add_learn_stereo, learn_stereo
-from bayesnet_track.cli.commands.report import add_report, report
-from bayesnet_track.cli.commands.resume import add_resume, resume
-from bayesnet_track.cli.commands.review import add_log, add_score, log, score
-from bayesnet_track.cli.commands.simulate import add_simulate, simulate
-from bayesnet_track.cli.commands.smooth import add_smooth, smooth
+from bayesnet_track.cli.commands.review import add_log, add_score, add_verify, log, score, verify
+from bayesnet_track.cli.commands.runs import (
+    add_demo,
+    add_resume,
+    add_simulate,
+    add_smooth,
+    demo,
+    resume,
+    simulate,
+    smooth,
+)
 from bayesnet_track.cli.commands.tracking import add_run, run
-from bayesnet_track.cli.commands.verify import add_verify, verify
-from bayesnet_track.cli.commands.what_if import add_what_if, what_if
-from bayesnet_track.cli.diagnose.command import add_diagnose, diagnose
 from bayesnet_track.cli.doctor import add_doctor
-from bayesnet_track.cli.fitting.fit import add_fit, fit
-from bayesnet_track.cli.overview import add_examples
-from bayesnet_track.cli.slips import MainParser, Parser
+from bayesnet_track.sources.paths import hide_secrets
+
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "see it work": ("demo", "doctor", "list", "completion"),
+    "track": ("run", "batch", "resume", "verify"),
+    "label a video": ("annotate",),
+    "look at a run": ("report", "log", "diagnose", "smooth", "export"),
+    "measure": ("score", "compare", "what-if"),
+    "write a graph": ("init", "validate", "graph", "simulate", "schema"),
+    "fit to your videos": ("fit", "learn-shape", "learn-stereo"),
+    "detect; calibrate cameras": ("detect", "calibrate"),
+}
+"""Title -> its commands."""
+
+EXAMPLES: Mapping[str, str] = {
+    "demo": "demo crowd",
+    "doctor": "doctor",
+    "list": "list",
+    "completion": "completion bash",
+    "run": "run general --source video.mp4 --init 57,21,31,45 --out runs/mine",
+    "batch": "batch general --source '*.mp4' --init-from '{name}.txt' --out runs/all",
+    "annotate": "annotate video.mp4 --out labels/mine --open",
+    "resume": "resume runs/mine",
+    "verify": "verify runs/mine",
+    "report": "report runs/mine --open",
+    "log": "log runs/mine --why 120",
+    "smooth": "smooth runs/mine --out runs/mine_smoothed",
+    "diagnose": "diagnose runs/mine",
+    "export": "export runs/mine --format coco --out tracks.json",
+    "score": "score runs/mine --truth groundtruth.txt",
+    "compare": "compare runs/a runs/b --html differences.html",
+    "what-if": "what-if runs/mine --set target.belief.particles.size=1000",
+    "init": "init mine.yaml",
+    "validate": "validate mine.yaml",
+    "graph": "graph general --formula",
+    "simulate": "simulate general --source video.mp4 --init 57,21,31,45 --png prior.png",
+    "schema": "schema > graph.schema.json",
+    "fit": "fit general --source a.mp4 --truth a.txt --out mine.yaml",
+    "learn-shape": "learn-shape person.npz --source a.mp4 --truth a.txt",
+    "learn-stereo": "learn-stereo --source left --right right --calibration pair.yaml --truth a.txt",
+    "detect": "detect motion --source video.mp4 --out detections.txt",
+    "calibrate": "calibrate left right --board 9x6 --square 0.025 --out pair.yaml",
+}
+"""Command -> one that does something useful, without the program's name."""
+
+
+def describe_commands(commands: argparse._SubParsersAction[Any]) -> str:
+    """The groups, each command with its line and its example."""
+    lines = {choice.dest: choice.help or "" for choice in commands._choices_actions}
+    width = max(map(len, lines))
+    shown: list[str] = []
+    for title, names in GROUPS.items():
+        shown += [f"{title}:"]
+        for name in names:
+            shown += [
+                f"  {name:{width}}  {lines[name]}",
+                f"  {'':{width}}  $ bayesnet-track {EXAMPLES[name]}",
+            ]
+    return "\n".join(shown)
+
+
+def add_examples(commands: argparse._SubParsersAction[Any]) -> None:
+    """Let the help of every command end with its example."""
+    for name, parser in commands.choices.items():
+        example = f"example:\n  bayesnet-track {EXAMPLES[name]}"
+        parser.epilog = f"{parser.epilog}\n\n{example}" if parser.epilog else example
+        parser.formatter_class = argparse.RawDescriptionHelpFormatter
+
+
+_CHOICE = re.compile(
+    r"argument (?P<what>.*?): invalid choice: '?(?P<word>.*?)'?"
+    r"(, maybe you meant .*?\?)? \(choose from (?P<names>.*)\)",  # argparse suggests since Python 3.15
+    re.DOTALL,
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """Of a command: says what is wrong, the nearest option or command, and where all are listed."""
+
+    given: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As inherited; remembers what was given."""
+        self.given = list(args or ())
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong in one line, a suggestion and where to look; exits with code 2."""
+        unknown = [] if isinstance(self, MainParser) else [self.describe_option(w) for w in self.unknown()]
+        said = hide_secrets(suggest(message))
+        text = "; ".join([*unknown, said] if "required" in message else [said])
+        self.exit(2, f"{self.prog}: {text}\n`{self.prog} --help` lists what there is\n")
+
+    def refuse(self, extras: Sequence[str]) -> NoReturn:
+        """Refuse words that nothing takes."""
+        options = [self.describe_option(word) for word in extras if re.match(r"--?[A-Za-z]", word)]
+        said = f"nothing takes {' '.join(extras)!r}; a value is one word, as 1,2,3,4 is, or in quotes"
+        self.error("; ".join(options) or said)
+
+    def unknown(self) -> Iterable[str]:
+        """Words that were given as options and begin no option of the parser."""
+        words = (word.partition("=")[0] for word in self.given if re.match(r"--[A-Za-z]", word))
+        return (
+            word for word in words if not any(name.startswith(word) for name in self._option_string_actions)
+        )
+
+    def describe_option(self, word: str) -> str:
+        """The message that there is no such option."""
+        option = word.partition("=")[0]
+        return f"no option {option}{nearest(option, self._option_string_actions)}"
+
+
+class MainParser(Parser):
+    """Of the whole command line: its help is the commands in groups."""
+
+    commands: argparse._SubParsersAction[Parser]
+
+    def format_help(self) -> str:
+        """What it is, the commands in groups, the exit codes."""
+        more = "`bayesnet-track COMMAND --help` lists the options of a command, --version the version."
+        parts = (self.format_usage().rstrip(), self.description, describe_commands(self.commands), more)
+        return "\n\n".join([*(part or "" for part in parts), f"{self.epilog}\n"])
+
+
+def suggest(message: str) -> str:
+    """The message of `argparse`; of a wrong choice with the nearest one.
+
+    >>> suggest("argument SHELL: invalid choice: 'bahs' (choose from 'bash', 'zsh')")
+    "no SHELL 'bahs'; there are bash, zsh; did you mean bash?"
+    """
+    choice = _CHOICE.fullmatch(message)
+    if choice is None:
+        return message
+    names = choice["names"].replace("'", "").split(", ")
+    is_command = choice["what"] == "COMMAND"
+    listed = "" if is_command else f"; there are {', '.join(names)}"
+    what = "command" if is_command else choice["what"]
+    return f"no {what} {choice['word']!r}{listed}{nearest(choice['word'], names)}"
+
+
+def nearest(word: str, names: Iterable[str]) -> str:
+    """`; did you mean run?`, or nothing."""
+    close = get_close_matches(word, [*names], n=1, cutoff=0.55)
+    return f"; did you mean {close[0]}?" if close else ""
+
 
 EXIT_CODES = """\
 exit codes:

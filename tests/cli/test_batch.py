@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.batch import places
-from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, allow
-from bayesnet_track.cli.batch.lists import read_list, videos_of
+from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, allow, read_list, videos_of
 from bayesnet_track.cli.batch.work import ROW, do
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import plugins

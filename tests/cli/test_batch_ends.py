@@ -17,11 +17,9 @@ import cv2
 import pytest
 
 from bayesnet_track.cli.batch import places
-from bayesnet_track.cli.batch.files import most_runs
 from bayesnet_track.cli.batch.jobs import BatchError, Job, Video
-from bayesnet_track.cli.batch.places import Processes, Progress
-from bayesnet_track.cli.batch.results import Results
-from bayesnet_track.cli.batch.table import BatchProgress, Silence
+from bayesnet_track.cli.batch.places import Processes, Progress, most_runs
+from bayesnet_track.cli.batch.results import BatchProgress, Results, Silence
 from bayesnet_track.cli.batch.work import FINISHED, failed_row
 from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes.library import SceneSource, make_scene

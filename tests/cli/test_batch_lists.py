@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from bayesnet_track.cli.batch.jobs import BatchError
-from bayesnet_track.cli.batch.lists import read_list, videos_of
+from bayesnet_track.cli.batch.jobs import BatchError, read_list, videos_of
 from bayesnet_track.cli.main import main
 
 BAD = ["..", ".", "...", "/etc/x", "a/b", "../a", "a\\b", "a\0b", "a\nb", " ", "a ", "a.", "results.csv"]

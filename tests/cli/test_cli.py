@@ -23,11 +23,10 @@ import numpy as np
 import pytest
 import yaml
 
-from bayesnet_track.cli import dispatch as commands
-from bayesnet_track.cli.commands.what_if import adapts
+from bayesnet_track.cli import main as commands
+from bayesnet_track.cli.commands.compare import adapts
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.overview import EXAMPLES, GROUPS
-from bayesnet_track.cli.parser import EXIT_CODES, make_parser
+from bayesnet_track.cli.parser import EXAMPLES, EXIT_CODES, GROUPS, make_parser
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import step
 from bayesnet_track.graph.text.load import load_graph

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from bayesnet_track.cli.commands.completion import actions, kind_of
+from bayesnet_track.cli.commands.graphs import actions, kind_of
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graphs import graph_names

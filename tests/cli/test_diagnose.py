@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli.diagnose import command
-from bayesnet_track.cli.diagnose.advice import advise, find_all, names_of
-from bayesnet_track.cli.diagnose.findings import FEW_FRAMES, Finding, find, until_lost
-from bayesnet_track.cli.diagnose.remedies import REMEDIES
+from bayesnet_track.cli.commands import diagnose
+from bayesnet_track.cli.commands.diagnose import advise, find_all, names_of
+from bayesnet_track.cli.findings import FEW_FRAMES, REMEDIES, Finding, find, until_lost
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
@@ -170,7 +169,7 @@ def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(l
     kalman = replace(own, graph_text=load_graph("kalman_detections").text)
     reason = "relocalize beside gaussian, and no agent of the whole says how sure it is anywhere"
     assert advise(kalman, gone)["refused"] == reason
-    said = "\n".join(command._lines("R", advise(kalman, gone)))
+    said = "\n".join(diagnose._lines("R", advise(kalman, gone)))
     assert f".relocalize.share, but not in this graph: {reason}" in said
 
 

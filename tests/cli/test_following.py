@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli.ending import SHOWN_NOTICES, as_sentence, say_end, say_next
-from bayesnet_track.cli.following import follow
+from bayesnet_track.cli.following import SHOWN_NOTICES, as_sentence, follow, say_end, say_next
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.runs import FramesMissing
 from bayesnet_track.runtime.results import Summary

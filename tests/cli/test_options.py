@@ -5,15 +5,21 @@ import shlex
 
 import pytest
 
-from bayesnet_track.cli.batch.table import csv_text, result
+from bayesnet_track.cli.arguments import (
+    UsageError,
+    add_plugins,
+    add_view_options,
+    parse_start,
+    read_start,
+    run_folder,
+    set_values,
+)
+from bayesnet_track.cli.batch.results import csv_text, result
 from bayesnet_track.cli.batch.work import ROW
-from bayesnet_track.cli.commands.answer import UsageError
 from bayesnet_track.cli.commands.calibrate import parse_board
 from bayesnet_track.cli.commands.detect import read_parameters
-from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.options.arguments import add_plugins, add_view_options, set_values
-from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_given
+from bayesnet_track.cli.options import add_depth_options, add_window_options, open_given
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.detector import installed_detectors

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.batch.ray_place import RayTasks
+from bayesnet_track.cli.batch.places import RayTasks
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors import PlacingError
 from bayesnet_track.sources.scenes import make_scene

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.batch.seeds import MEASURES, row_of_run
+from bayesnet_track.cli.commands.tracking import MEASURES, row_of_run
 from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes import make_scene
 

@@ -4,8 +4,8 @@ import argparse
 
 import pytest
 
-from bayesnet_track.cli.options.runs import add_video_option
-from bayesnet_track.cli.slips import nearest, suggest
+from bayesnet_track.cli.options import add_video_option
+from bayesnet_track.cli.parser import nearest, suggest
 
 
 def test_a_suggestion_of_argparse_is_replaced_by_ours():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.batch.spread import spread_of, spread_over_seeds, spread_text
+from bayesnet_track.cli.commands.tracking import spread_of, spread_over_seeds, spread_text
 
 
 def test_the_interval_holds_the_true_mean_as_often_as_it_says():

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.commands.answer import OK
+from bayesnet_track.cli.arguments import OK
 from bayesnet_track.cli.commands.graphs import validate
 from bayesnet_track.cues.opencv_tracker import missing_tracker, present_trackers
 from bayesnet_track.engine.step import State, make_engine, start_target, step

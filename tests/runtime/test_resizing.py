@@ -19,7 +19,7 @@ import pytest
 
 from bayesnet_track import Start, Tracker, open_run, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.options.sources import add_size_option
+from bayesnet_track.cli.options import add_size_option
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.graph.text.load import load_graph

@@ -1,17 +1,162 @@
-"""The table of results as a file, which is whole at any moment and loses no row of an earlier batch."""
+"""Progress and results of a batch: the table that is shown, and the file that is whole at any moment."""
 
 from __future__ import annotations
 
+import csv
+import io
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Self, TextIO
 
-from bayesnet_track.cli.batch.jobs import Job
+from bayesnet_track.cli.batch.jobs import BatchError, Job
 from bayesnet_track.cli.batch.places import Progress
-from bayesnet_track.cli.batch.table import csv_text, read_table
-from bayesnet_track.cli.batch.work import Row
+from bayesnet_track.cli.batch.work import FINISHED, ROW, Row
 from bayesnet_track.journal.writer import write_atomically
+
+LAST = 20
+"""Jobs over which it is measured how long one takes."""
+
+QUIET_S = 60.0
+"""Seconds without progress after which that is said."""
+
+
+class BatchProgress:
+    """On a terminal a table that is drawn anew; elsewhere a line for each job that is over."""
+
+    def __init__(self, stream: TextIO, jobs: Sequence[Job], is_terminal: bool) -> None:
+        self._stream, self._redraws, self._all = stream, is_terminal, len(jobs)
+        self._running: dict[Job, Progress] = {}
+        self._over, self._failed, self._drawn = 0, 0, 0
+        self._ends = deque([time.monotonic()], LAST + 1)
+
+    def update(self, report: Progress) -> None:
+        """Take what is reported of a job, and show it."""
+        lines = []
+        if report.notice is not None:
+            lines = [f"{report.job.label}: {report.notice}"]
+        elif report.row is None:
+            self._running[report.job] = report
+        else:
+            self._running.pop(report.job, None)
+            self._over += 1
+            self._failed += report.row["status"] != FINISHED
+            self._ends.append(time.monotonic())
+            end = "" if self._redraws else f" ({self._state()})"
+            lines = [f"{report.job.label}: {result(report.row)}{end}"]
+        if self._redraws:
+            self._clear()
+            running = [f"  {job.label}: {_so_far(one)}" for job, one in self._running.items()]
+            state = [self._state(), *running]
+            self._drawn = len(state)
+            lines += state
+        self._write(lines)
+
+    def note(self, text: str) -> None:
+        """Show a line that stays."""
+        if self._redraws:
+            self._clear()
+            self._drawn = 0
+        self._write([text])
+
+    def _state(self) -> str:
+        failed = f", {self._failed} failed" if self._failed else ""
+        todo = self._all - self._over
+        each_s = (self._ends[-1] - self._ends[0]) / max(len(self._ends) - 1, 1)
+        left = f", {clock(todo * each_s)} left" if todo and self._over else ""
+        return f"{self._over} of {self._all}{failed}{left}"
+
+    def _write(self, lines: Iterable[str]) -> None:
+        self._stream.write("".join(f"{line}\n" for line in lines))
+        self._stream.flush()
+
+    def _clear(self) -> None:
+        self._stream.write("\x1b[1A\x1b[2K" * self._drawn)
+
+
+class Silence:
+    """When each job was last heard of; says once of each silence that it lasts."""
+
+    def __init__(self, now: float) -> None:
+        self._heard: dict[Job, tuple[float, Progress]] = {}
+        self._last = now
+        self._said: set[Job | None] = set()
+
+    def hear(self, report: Progress | None, now: float) -> list[str]:
+        """Take a report, or that there was none; sentences about jobs not heard of for long."""
+        if report is not None:
+            self._last = now
+            self._said -= {report.job, None}
+            self._heard[report.job] = now, report
+            if report.row is not None:
+                del self._heard[report.job]
+        sentences = []
+        for job, (moment, last) in self._heard.items():
+            if now - moment >= QUIET_S and job not in self._said:
+                self._said.add(job)
+                sentences.append(f"{job.label}: no progress for {now - moment:.0f} s, {_so_far(last)}")
+        if not self._heard and now - self._last >= QUIET_S and None not in self._said:
+            self._said.add(None)
+            sentences.append(f"no run has been heard of for {now - self._last:.0f} s")
+        return sentences
+
+
+def clock(seconds: float) -> str:
+    """Seconds as minutes or hours.
+
+    >>> clock(80.2), clock(3 * 3600 + 62)
+    ('1:20', '3:01:02')
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def result(row: Row) -> str:
+    """What came of a job, in words."""
+    if row["status"] != FINISHED:
+        return f"{row['status']}: {row['reason']}"
+    parts = [f"{row['frames']} frames"]
+    parts += [f"{name} {row[name]:.3f}" for name in ("auc",) if isinstance(row[name], float)]
+    if row["lost_frames"]:
+        parts.append(f"lost in {row['lost_frames']}")
+    return ", ".join(parts)
+
+
+def csv_text(rows: Iterable[Row]) -> str:
+    """The table as CSV, a row for each job; empty where there is nothing to say."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ROW, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: "" if row[name] is None else row[name] for name in ROW} for row in rows)
+    return text.getvalue()
+
+
+def read_table(path: Path) -> dict[tuple[str, str], Row]:
+    """The rows of an earlier batch by video and seed, as texts; none where there is no table.
+
+    Raises:
+        BatchError: the file is no table of a batch, and is not to be written over.
+        OSError: it cannot be read.
+    """
+    if not path.exists():
+        return {}
+    cure = "move it, or give another --out"
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            if reader.fieldnames and not {"video", "seed", "status"} <= set(reader.fieldnames):
+                raise BatchError(f"{path}: not a table of results; {cure}")
+            rows: list[Row] = [{name: row.get(name) or "" for name in ROW} for row in reader]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise BatchError(f"{path}: not a table of results ({error}); {cure}") from None
+    return {(str(row["video"]), str(row["seed"])): row for row in rows}
+
+
+def _so_far(report: Progress) -> str:
+    return f"frame {report.done}" + ("" if report.expected is None else f"/{report.expected}")
+
 
 EVERY_S = 1.0
 """Seconds after which the table is written again while it grows."""

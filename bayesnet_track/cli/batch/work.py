@@ -1,16 +1,22 @@
-"""One job of a batch: begun, gone on with, or found finished; and its row of the table."""
+"""One job of a batch: begun, resumed, or complete already, in a process of its own; and its row."""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.batch.jobs import BatchError, Job
+from bayesnet_track.cli.batch.jobs import BatchError, Job, allow
 from bayesnet_track.runtime.run import Start
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
+
 
 Row = dict[str, str | int | float | None]
 
@@ -191,7 +197,7 @@ def _word(value: object) -> str:
 
 
 def _starts(job: Job) -> list[Start] | None:
-    from bayesnet_track.cli.commands.start_boxes import parse_start
+    from bayesnet_track.cli.arguments import parse_start
     from bayesnet_track.evaluate.truth import start_box
 
     if job.video.init is not None:
@@ -203,3 +209,38 @@ def _starts(job: Job) -> list[Start] | None:
 
 def _mean(values: list[float]) -> float | None:
     return sum(values) / len(values) if values else None
+
+
+EVERY_S = 0.5
+
+
+def main() -> int:
+    """Do one job; the exit code."""
+    from bayesnet_track.cli.arguments import words
+    from bayesnet_track.observation.settings import by_command_line
+    from bayesnet_track.sources.entrances.notices import heard
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch decides
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what cues print must not stand among the answers
+
+    def send(what: object) -> None:
+        os.write(answers, json.dumps(what).encode() + b"\n")
+
+    job = Job.from_json(sys.stdin.readline())
+    shown = 0.0
+
+    def progress(done: int, expected: int | None) -> None:
+        nonlocal shown
+        if time.monotonic() >= shown + EVERY_S:
+            shown = time.monotonic()
+            send({"done": done, "expected": expected})
+
+    try:
+        with heard(lambda text: send({"notice": text})), by_command_line():
+            allow(job)
+            row = do(job, progress)
+        send({"row": row})
+    except (OSError, ValueError) as error:
+        send({"row": failed_row(job, " ".join(words(error).split()))})
+    return 0

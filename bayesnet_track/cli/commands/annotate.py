@@ -9,19 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import (
+from bayesnet_track.cli.arguments import (
     INCOMPLETE,
     OK,
     UsageError,
+    add_address_options,
     complain,
     run_silently,
     say,
+    share,
     users_mistake,
+    whole_number,
     words,
     writing,
 )
-from bayesnet_track.cli.options.arguments import add_address_options, share, whole_number
-from bayesnet_track.cli.options.sources import add_range_option, add_size_option
+from bayesnet_track.cli.options import add_range_option, add_size_option
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -147,12 +149,12 @@ def describe(folder: Path, session: Session) -> str:
 
 def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> bool:
     """Open the page until the person leaves; whether every answer is tracked then."""
-    from bayesnet_track.cli.commands.viewing import announce
-    from bayesnet_track.runtime.annotation.desk import AnnotationServer
+    from bayesnet_track.cli.following import announce
+    from bayesnet_track.runtime.annotation.desk import Desk
 
     stop: StopRequest = options.stop
     try:
-        desk = AnnotationServer(session, store, runs, options.out, options.view_host, options.port)
+        desk = Desk(session, store, runs, options.out, options.view_host, options.port)
     except OSError as error:
         raise UsageError(f"--port: {options.view_host}: {words(error)}; choose another, or none") from error
     with desk:

@@ -13,18 +13,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import (
+from bayesnet_track.cli.arguments import (
     INCOMPLETE,
     OK,
     UsageError,
+    add_plugins,
+    add_truth_format,
     complain,
     run_silently,
     say,
+    seconds,
     users_mistake,
+    whole_number,
     writing,
 )
-from bayesnet_track.cli.options.arguments import add_plugins, add_truth_format, seconds, whole_number
-from bayesnet_track.cli.options.sources import add_range_option, add_size_option
+from bayesnet_track.cli.options import add_range_option, add_size_option
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.batch.jobs import Job, Video
@@ -34,12 +37,10 @@ if TYPE_CHECKING:
 
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
-    from bayesnet_track.cli.batch.lists import TABLE
-    from bayesnet_track.cli.batch.results import Results
-    from bayesnet_track.cli.batch.seeds import summary_of
-    from bayesnet_track.cli.batch.spread import spread_text
-    from bayesnet_track.cli.batch.table import BatchProgress, Silence
+    from bayesnet_track.cli.batch.jobs import TABLE
+    from bayesnet_track.cli.batch.results import BatchProgress, Results, Silence
     from bayesnet_track.cli.batch.work import FINISHED
+    from bayesnet_track.cli.commands.tracking import spread_text, summary_of
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
 
@@ -90,11 +91,10 @@ def batch(options: argparse.Namespace) -> int:
 def _place(options: argparse.Namespace, jobs: int) -> Place:
     """Where the runs are; raises UsageError where the limit on open files allows none."""
     if options.on == "ray":
-        from bayesnet_track.cli.batch.ray_place import RayTasks
+        from bayesnet_track.cli.batch.places import RayTasks
 
         return RayTasks(options.ray_address, options.timeout)
-    from bayesnet_track.cli.batch.files import MANY_FILES, most_runs
-    from bayesnet_track.cli.batch.places import Processes
+    from bayesnet_track.cli.batch.places import MANY_FILES, Processes, most_runs
 
     wanted = min(options.jobs or os.cpu_count() or 1, jobs)
     most = most_runs()
@@ -108,8 +108,8 @@ def _place(options: argparse.Namespace, jobs: int) -> Place:
 def _videos(options: argparse.Namespace) -> list[Video]:
     from dataclasses import replace
 
-    from bayesnet_track.cli.batch.lists import read_list, videos_of
-    from bayesnet_track.cli.commands.start_boxes import parse_start
+    from bayesnet_track.cli.arguments import parse_start
+    from bayesnet_track.cli.batch.jobs import read_list, videos_of
 
     if bool(options.source) == (options.list is not None):
         raise UsageError("give the videos by --source or by --list")

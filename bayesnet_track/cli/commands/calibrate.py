@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, say, users_mistake, writing
-from bayesnet_track.cli.options.arguments import metres
-from bayesnet_track.cli.options.sources import add_range_option
+from bayesnet_track.cli.arguments import OK, UsageError, check_free, metres, say, users_mistake, writing
+from bayesnet_track.cli.options import add_range_option
 
 if TYPE_CHECKING:
     import numpy as np

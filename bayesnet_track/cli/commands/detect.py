@@ -10,18 +10,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import (
+from bayesnet_track.cli.arguments import (
     INCOMPLETE,
     OK,
     UsageError,
+    add_plugins,
     check_free,
     complain,
     run_silently,
     say,
     users_mistake,
 )
-from bayesnet_track.cli.options.arguments import add_plugins
-from bayesnet_track.cli.options.sources import (
+from bayesnet_track.cli.options import (
     add_depth_options,
     add_size_option,
     add_window_options,

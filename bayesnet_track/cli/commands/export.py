@@ -1,17 +1,181 @@
-"""The command `export`: a run's tracks, or its beliefs, in another tool's format."""
+"""Commands that export a run: `report` as a page, `export` in the format of another tool."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, complain, writing
-from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.arguments import (
+    OK,
+    UsageError,
+    add_truth_format,
+    check_free,
+    complain,
+    say,
+    users_mistake,
+    whole_number,
+    words,
+    writing,
+)
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from bayesnet_track.runtime.recording.pictures import Found
+    from bayesnet_track.runtime.recording.report_page import Data
     from bayesnet_track.runtime.recording.run_reader import Run
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+
+FOLDER, INDEX = "report", "index.html"
+UNFINISHED = "<!doctype html><title>unfinished</title><p>This page is not finished: make it again.</p>\n"
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the page of a run."""
+    from bayesnet_track.journal.events.runs import RunStarted
+    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.runtime.recording.report_page import page_data, page_in_one
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+    directory = RunDirectory.open(options.run)
+    out = _place(options, directory)
+    events = list(read_events(directory.journal, complain))
+    metrics = list(read_metrics(directory.frames, complain)) if directory.frames.is_file() else []
+    if not events or not isinstance(events[0], RunStarted):
+        raise UsageError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
+    data = page_data(directory, events, metrics, _truth(directory, options), complain)
+    frames = [line.frame for line in metrics]
+    if options.frames == "none" or not frames:
+        missing = "left out by --frames none" if frames else "no frame was tracked"
+        _write(out, page_in_one(data, None, missing, 0))
+    else:
+        with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
+            if missing:
+                complain(f"{directory.path}: the page has no pictures: {missing}")
+            if found is not None and options.frames == "full":
+                _write_folder(out, data, found)
+            else:
+                _write(out, page_in_one(data, found, missing, len(set(frames))))
+    if out.resolve() == directory.report.resolve():
+        _list(directory)
+    say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    if not options.open:
+        complain(
+            "next: open it in a browser (--open does); "
+            f"`bayesnet-track diagnose {options.run}` names keys to try"
+        )
+    else:
+        from bayesnet_track.cli.following import open_page
+
+        open_page(out.absolute().as_uri())
+    return OK
+
+
+def _list(directory: RunDirectory) -> None:
+    """Let `verify` know the page, where the run has a manifest that can be trusted."""
+    from bayesnet_track.runtime.recording.manifest import ManifestError, add_output
+
+    try:
+        add_output(directory, "report")
+    except (OSError, ManifestError) as error:
+        complain(f"{directory.report}: not listed in {directory.manifest.name}: {words(error)}")
+
+
+def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
+    """The HTML file to write; its folder is there."""
+    with writing(Path(options.out or directory.path)):
+        place = _allowed(options, directory)
+        place.parent.mkdir(parents=True, exist_ok=True)
+    return place
+
+
+def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
+    from bayesnet_track.view.run_page import is_page
+
+    if options.frames == "full":
+        folder = Path(options.out) if options.out else directory.path / FOLDER
+        if folder.is_dir() and any(folder.iterdir()) and not (folder / INDEX).is_file():
+            raise UsageError(f"--out {folder}: the folder holds something else; give a new or an empty one")
+        place = folder / INDEX
+    else:
+        place = Path(options.out) if options.out else directory.report
+        if place.is_dir():
+            raise UsageError(f"--out {place}: it is a folder; name a file, or ask for --frames full")
+        with users_mistake():
+            if options.out and place.exists() and not is_page(place):
+                raise UsageError(
+                    f"--out {place}: it is there already, and no page of a run; name another file"
+                )
+    return place
+
+
+def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any] | None:
+    from bayesnet_track.evaluate.runs import say_lengths
+    from bayesnet_track.evaluate.truth import read_truth
+
+    given = options.truth
+    place = directory.truth if given is None else Path(given)
+    if given is None and not place.is_file():
+        return None
+    with users_mistake():
+        truth = read_truth(place, options.truth_format)
+    if given is not None:
+        say_lengths(directory.path, place, len(truth))
+    return truth
+
+
+def _write_folder(out: Path, data: Data, found: Found) -> None:
+    from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, whole, with_folder
+
+    frames = []
+    if not out.exists():  # what is killed before the page is there leaves a folder that is known for its own
+        _write(out, [UNFINISHED])
+    with writing(out.parent):
+        (out.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
+        for frame, picture in whole(found.images):
+            (out.parent / picture_name(frame)).write_bytes(picture)
+            frames.append(frame)
+    _write(out, with_folder(*data, tuple(frames), found.annotated))
+
+
+def _write(out: Path, pieces: Iterable[str]) -> None:
+    from bayesnet_track.journal.writer import PART
+
+    part = out.resolve().with_name(out.resolve().name + PART)
+    with writing(out):
+        with part.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
+            for piece in pieces:
+                file.write(piece)
+        part.replace(out.resolve())
+
+
+def add_report(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    report = commands.add_parser(
+        "report",
+        help="write a page of a run for the browser",
+        description="Write one HTML file that shows a run: its frames, the belief, the net, its uncertainty, "
+        "and every reconfiguration with its reason. The file needs no network.",
+    )
+    report.add_argument("run", metavar="RUN", help="run directory")
+    report.add_argument("-o", "--out", metavar="FILE", help="file to write (default: report.html in RUN)")
+    report.add_argument(
+        "--frames",
+        choices=["thumbnails", "full", "none"],
+        default="thumbnails",
+        help="thumbnails in the file (default); full: a folder with index.html and every frame; none",
+    )
+    report.add_argument(
+        "--truth", metavar="FILE", help="ground-truth file to compare with (default: the run's own truth.txt)"
+    )
+    add_truth_format(report)
+    report.add_argument("--open", action="store_true", help="open it in the browser")
+
 
 WITH_LOST = ("csv", "jsonl", "frames")
 """Formats that say of a box that its target is lost."""

@@ -1,16 +1,16 @@
-"""The commands that look at graphs and at what is installed: `validate`, `graph`, `schema`, `list`."""
+"""Commands about graphs and installed parts: `validate`, `graph`, `schema`, `list`, `init`, `completion`."""
 
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
-from bayesnet_track.cli.options.arguments import add_plugins
+from bayesnet_track.cli.arguments import BAD_GRAPH, OK, UsageError, add_plugins, complain, say, writing
 from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:
@@ -215,3 +215,135 @@ def add_schema(commands: argparse._SubParsersAction[Any]) -> None:
 def add_list(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     add_plugins(commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes"))
+
+
+HEAD = """\
+# A copy of the graph {source}. Try it, look at the result and at why agents were switched, then change one
+# thing at a time:
+#   bayesnet-track run {path} --source VIDEO --init X,Y,W,H --out runs/{name}
+#   bayesnet-track report runs/{name} --open
+#   bayesnet-track what-if runs/{name} --set KEY.KEY=VALUE --truth TRUTH
+"""
+NO_NAMES = frozenset({"null", "true", "false"})
+"""Words that YAML takes for something else."""
+
+
+def init(options: argparse.Namespace) -> int:
+    """Copy a graph of the library."""
+    from bayesnet_track.graph.checks.run import check
+    from bayesnet_track.graph.text.load import read_graph
+    from bayesnet_track.graphs import find_graph
+
+    path = Path(options.file)
+    with writing(path):
+        if path.exists() and not options.overwrite:
+            raise UsageError(f"{path} is there already; `--overwrite` replaces it")
+    try:
+        text = find_graph(options.source).read_text(encoding="utf-8")
+    except KeyError as error:
+        raise UsageError(str(error.args[0])) from None
+    name = re.sub(r"\W", "_", path.stem, flags=re.ASCII)[:60]
+    name = name if name[:1].isalpha() and name.lower() not in NO_NAMES else f"graph_{name}"
+    text = re.sub(r"(?m)^name: .*$", f"name: {name}", text, count=1)
+    head = HEAD.format(source=options.source, path=path.as_posix().replace("\n", " "), name=name)
+    check(*read_graph(head + text, str(path)))
+    with writing(path):
+        path.write_text(head + text, encoding="utf-8")
+    say(f"wrote {path}; its first lines say what to do next")
+    return OK
+
+
+def add_init(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "init",
+        help="write a commented graph, copied from one of the library",
+        description="Copy a graph of the library, with its comments, to begin your own. "
+        "`bayesnet-track list` names the graphs and says what each is for.",
+    )
+    parser.add_argument(
+        "file", nargs="?", default="mine.yaml", metavar="FILE", help="graph file to write (default mine.yaml)"
+    )
+    parser.add_argument(
+        "--from",
+        dest="source",
+        default="adaptive",
+        metavar="GRAPH",
+        help="installed graph to copy (default adaptive: one target, by color and edges)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+
+
+KINDS = {
+    **dict.fromkeys(("RUN", "DIR", "DATA", "FOLDER"), "DIRECTORY"),
+    **dict.fromkeys(("FILE", "SOURCE", "MODEL", "LEFT", "RIGHT", "source", "truth", "left", "right"), "FILE"),
+    **dict.fromkeys(("GRAPH", "graph"), "graphs"),
+    "SCENE": "scenes",
+    "DETECTOR": "detectors",
+}
+"""Metavar or name of an argument -> what shtab completes there, or a function of the preamble."""
+
+
+def completion(options: argparse.Namespace) -> int:
+    """Print the completion script of a shell."""
+    import shtab
+
+    from bayesnet_track.graphs import graph_names
+    from bayesnet_track.observation.detector import installed_detectors
+    from bayesnet_track.sources.scenes import scene_names
+
+    names = {"graphs": graph_names(), "scenes": scene_names(), "detectors": installed_detectors()}
+    for action in actions(options.parser):
+        kind = kind_of(action)
+        if kind is not None:
+            marked: Any = action
+            marked.complete = (
+                {"bash": f"_bt_{kind}", "zsh": f"_bt_{kind}", "fish": f"(_bt_{kind})"}
+                if kind in names
+                else getattr(shtab, kind)
+            )
+    files = {"bash": "compgen -f -X '!*.yaml' -- $1; compgen -d -- $1", "zsh": "_files -g '*.yaml'"}
+    files["fish"] = "__fish_complete_path (commandline -ct)"
+    preamble = dict.fromkeys(("bash", "zsh", "fish"), "")
+    for kind, given in names.items():
+        words = " ".join(given)
+        after = files if kind == "graphs" else dict.fromkeys(files, "")
+        preamble["bash"] += f"_bt_{kind}() {{\n  compgen -W '{words}' -- $1\n  {after['bash']}\n}}\n"
+        preamble["zsh"] += f"_bt_{kind}() {{\n  compadd -- {words}\n  {after['zsh']}\n}}\n"
+        preamble["fish"] += f"function _bt_{kind}\n  printf '%s\\n' {words}\n  {after['fish']}\nend\n"
+    say(shtab.complete(options.parser, shell=options.shell, preamble=preamble))
+    return OK
+
+
+def kind_of(action: argparse.Action) -> str | None:
+    """What is completed there, of `KINDS`; None where that is nothing, or the argument's own choices."""
+    if action.nargs == 0 or action.choices is not None:
+        return None
+    metavar = action.metavar if isinstance(action.metavar, str) else ""
+    return KINDS["graph"] if action.dest == "graph" else KINDS.get(metavar) or KINDS.get(action.dest)
+
+
+def actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Every argument of the parser and of its commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from actions(command)
+        else:
+            yield action
+
+
+def add_completion(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "completion",
+        help="print the script that completes commands, graphs, scenes and files in a shell",
+        description="Print the completion script of a shell. It knows the graphs, scenes and detectors that "
+        "are installed now: print it again after installing others.",
+        epilog="bash:  bayesnet-track completion bash > "
+        "~/.local/share/bash-completion/completions/bayesnet-track\n"
+        "zsh:   bayesnet-track completion zsh > DIR/_bayesnet-track   (DIR is in $fpath)\n"
+        "fish:  bayesnet-track completion fish > ~/.config/fish/completions/bayesnet-track.fish",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("shell", choices=("bash", "zsh", "fish"), metavar="SHELL", help="bash, zsh or fish")

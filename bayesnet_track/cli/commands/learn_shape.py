@@ -6,17 +6,21 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import (
+from bayesnet_track.cli.arguments import (
     INCOMPLETE,
     OK,
     UsageError,
+    add_truth_format,
+    cells,
     complain,
+    gradient,
     say,
+    share,
     users_mistake,
+    whole_number,
     writing,
 )
-from bayesnet_track.cli.options.arguments import add_truth_format, cells, gradient, share, whole_number
-from bayesnet_track.cli.options.sources import add_range_option
+from bayesnet_track.cli.options import add_range_option
 
 if TYPE_CHECKING:
     from bayesnet_track.numerics.arrays import Floats

@@ -5,10 +5,18 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake
+from bayesnet_track.cli.arguments import (
+    INCOMPLETE,
+    OK,
+    UsageError,
+    add_truth_format,
+    complain,
+    say,
+    users_mistake,
+    whole_number,
+)
 from bayesnet_track.cli.commands.detect import read_parameters
-from bayesnet_track.cli.options.arguments import add_truth_format, whole_number
-from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_depth
+from bayesnet_track.cli.options import add_depth_options, add_window_options, open_depth
 
 if TYPE_CHECKING:
     import numpy as np

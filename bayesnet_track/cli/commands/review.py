@@ -1,4 +1,4 @@
-"""The commands that look back at a run: `log` and `score`."""
+"""Commands that review a run: `log`, `score`, and `verify`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,24 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake
-from bayesnet_track.cli.options.arguments import add_truth_format, pixels, whole_number
+from bayesnet_track.cli.arguments import (
+    BAD_SOURCE,
+    INCOMPLETE,
+    OK,
+    UsageError,
+    add_truth_format,
+    complain,
+    pixels,
+    say,
+    users_mistake,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.journal.metrics import FrameMetrics
     from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.verify import Verified
 
 
 def log(options: argparse.Namespace) -> int:
@@ -246,3 +257,54 @@ def add_score(commands: argparse._SubParsersAction[Any]) -> None:
     )
     add_truth_format(score)
     score.add_argument("--json", action="store_true", help="print the scores as JSON")
+
+
+SAID = {
+    "missing": "missing",
+    "truncated": "truncated since it was written",
+    "changed": "changed since it was written",
+    "extra": "not of this run",
+}
+WITHOUT = {
+    "unfinished": "unfinished: it has no manifest to compare with; `bayesnet-track resume {run}` finishes it",
+    "running": "a process is writing it now; verify it when it has ended",
+}
+
+
+def verify(options: argparse.Namespace) -> int:
+    """Compare a run with its manifest."""
+    from bayesnet_track.runtime.recording.verify import verify
+
+    found = verify(options.run)
+    if options.json:
+        held = {"run": options.run, "status": found.status, "result": found.result, "outputs": found.outputs}
+        say(json.dumps(held, indent=1))
+    else:
+        _report(options.run, found)
+    return {"verified": OK, "changed": BAD_SOURCE}.get(found.status, INCOMPLETE)
+
+
+def _report(run: str, found: Verified) -> None:
+    if found.status in WITHOUT:
+        say(f"{run}: {WITHOUT[found.status].format(run=run)}")
+        return
+    wrong = {name: finding for name, finding in found.outputs.items() if finding != "ok"}
+    for name, finding in wrong.items():
+        say(f"{run}/{name}: {SAID[finding]}")
+    if wrong:
+        say(f"{run}: changed: {len(wrong)} of {len(found.outputs)} files are not as the run left them")
+    else:
+        say(f"{run}: verified: {len(found.outputs)} files, result {found.result}")
+
+
+def add_verify(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    verify = commands.add_parser(
+        "verify",
+        help="check that the files of a finished run are unchanged",
+        description="Compare every file of a run with the size and SHA-256 in its manifest.json. Exit code 0:"
+        " all are unchanged; 4: a file was changed, truncated, removed or added, or this is no "
+        "run; 5: the run is unfinished (`resume` finishes it) or still being written.",
+    )
+    verify.add_argument("run", metavar="RUN", help="run directory")
+    verify.add_argument("--json", action="store_true", help="print what was found as JSON")

@@ -1,50 +1,209 @@
-"""The command that tracks in a video: `run`."""
+"""The command that tracks in a video, `run`: with one seed, or with several and one summary of them."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import json
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bayesnet_track.cli.batch.seeds import add_seeds_options, run_seeds
-from bayesnet_track.cli.commands.answer import (
+from bayesnet_track.cli.arguments import (
+    INCOMPLETE,
+    OK,
+    TRUTH_LINES,
     UsageError,
-    complain,
-    users_file,
-    users_mistake,
-)
-from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
-from bayesnet_track.cli.commands.viewing import begin, open_view
-from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
-from bayesnet_track.cli.options.arguments import (
     add_plugins,
     add_set_option,
     add_truth_format,
     add_view_options,
+    complain,
+    parse_start,
+    read_start,
+    run_folder,
+    say,
     set_values,
+    users_file,
+    users_mistake,
     whole_number,
 )
-from bayesnet_track.cli.options.runs import (
+from bayesnet_track.cli.following import STOPPED, Narrator, begin, follow, open_view, users_start
+from bayesnet_track.cli.options import (
+    add_depth_options,
     add_outside_options,
     add_rerun_option,
     add_run_options,
-    add_video_option,
-)
-from bayesnet_track.cli.options.sources import (
-    add_depth_options,
     add_size_option,
+    add_video_option,
     add_window_options,
     open_given,
 )
 
 if TYPE_CHECKING:
+    from bayesnet_track.cli.batch.work import Row
+    from bayesnet_track.evaluate.truth import TruthForm
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.executors import Executing
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.sources.frames import Source
+
+
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A measure over seeds.
+
+    Attributes:
+        seeds: how many seeds have it.
+        mean: over them.
+        low: lower end of the 95 % interval of the mean (Student's t), None of a single seed.
+        high: its upper end.
+        least: the smallest.
+        most: the largest.
+    """
+
+    seeds: int
+    mean: float
+    low: float | None
+    high: float | None
+    least: float
+    most: float
+
+
+def spread_of(values: Sequence[float], confidence: float = 0.95) -> Spread:
+    """How values, one per seed, are spread; at least one.
+
+    The interval is that of the mean over seeds, as if the values were normal, and for these videos only.
+
+    >>> one = spread_of([1.0, 2.0, 3.0])
+    >>> one.mean, round(one.low, 3), round(one.high, 3)
+    (2.0, -0.484, 4.484)
+    """
+    count, mean = len(values), math.fsum(values) / len(values)
+    low = high = None
+    if count > 1:
+        from scipy.special import stdtrit
+
+        variance = math.fsum((value - mean) ** 2 for value in values) / (count - 1)
+        reach = float(stdtrit(count - 1, 0.5 + confidence / 2)) * math.sqrt(variance / count)
+        low, high = mean - reach, mean + reach
+    return Spread(count, mean, low, high, min(values), max(values))
+
+
+def spread_over_seeds(rows: Iterable[Mapping[str, Cell]], names: Sequence[str]) -> dict[str, Spread]:
+    """The measures `names` of rows with a `seed`; rows of one seed, such as its videos, count by their mean.
+
+    Only videos that every seed has count, so that seeds are compared over the same ones.
+    """
+    told = list(rows)
+    seeds = {row["seed"] for row in told}
+    found = {}
+    for name in names:
+        by_video: dict[Cell, dict[Cell, float]] = defaultdict(dict)
+        for row in told:
+            value = row.get(name)
+            if isinstance(value, int | float):
+                by_video[row.get("video")][row["seed"]] = float(value)
+        whole = [one for one in by_video.values() if one.keys() == seeds]
+        if whole:
+            means = [math.fsum(one[seed] for one in whole) / len(whole) for seed in sorted(seeds, key=str)]
+            found[name] = spread_of(means)
+    return found
+
+
+def spread_text(spreads: Mapping[str, Spread]) -> str:
+    """A table of them, one line each."""
+    lines = [f"{'':18}{'mean':>10}  {'95 % interval':22}{'smallest':>10}{'largest':>10}"]
+    for name, one in spreads.items():
+        interval = "" if one.low is None else f"{one.low:.4g} to {one.high:.4g}"
+        lines.append(f"{name:18}{one.mean:>10.4g}  {interval:22}{one.least:>10.4g}{one.most:>10.4g}")
+    return "\n".join(lines)
+
+
+WITH_TRUTH = ("auc", "auc_strict", "precision20", "mean_iou", "lost_episodes", "mota", "idf1", "hota")
+MEASURES = (*WITH_TRUTH, "score_mean", "lost_frames", "reconfigurations", "agents_per_frame", "fps")
+"""Of a summary, in this order; what depends on ground truth first."""
+
+
+def add_seeds_options(parser: argparse.ArgumentParser) -> None:
+    """`--seeds`, `--truth`."""
+    parser.add_argument(
+        "--seeds",
+        type=whole_number(1),
+        metavar="N",
+        help="N runs, with seeds from --seed on, in RUN/seed-0 ...; at the end a summary with intervals",
+    )
+    parser.add_argument("--truth", metavar="FILE", help="ground-truth file to score with; only with --seeds")
+
+
+def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], int]) -> int:
+    """Call `once` for each seed, with its own --seed and --out; then summarise."""
+    from bayesnet_track.evaluate.truth import is_mot
+
+    for name in ("view", "rerun", "inputs"):
+        if getattr(options, name, None) is not None:
+            raise UsageError(f"--{name} is for one run; leave out --seeds")
+    truth = options.truth or options.init_from
+    if options.truth:
+        with users_file("--truth", f"{TRUTH_LINES}, or MOT lines"):
+            is_mot(options.truth, options.truth_format)  # a file that cannot be read is known at once
+    rows, worst = [], OK
+    for seed in range(options.seed, options.seed + options.seeds):
+        out = str(Path(options.out) / f"seed-{seed}")
+        changed = {"seed": seed, "out": out, "seeds": None, "truth": None, "json": False}
+        changed["quiet"] = options.quiet or options.json
+        code = once(argparse.Namespace(**{**vars(options), **changed}))
+        if code not in (OK, INCOMPLETE):
+            return code
+        worst = max(worst, code)
+        with users_mistake():
+            rows.append(row_of_run(options.graph, seed, out, truth, options.truth_format))
+    say_summary(rows, options, {"run": options.out})
+    return worst
+
+
+def row_of_run(graph: str, seed: int, out: str, truth: str | None, form: TruthForm | None = None) -> Row:
+    """What was measured of a run; raises OSError, ValueError where a file cannot be read."""
+    from bayesnet_track.cli.batch.jobs import Job, Video
+    from bayesnet_track.cli.batch.work import row_of
+    from bayesnet_track.evaluate.mot import score_mot
+    from bayesnet_track.evaluate.mot_pairs import read_pair
+    from bayesnet_track.evaluate.runs import frames_of_run
+    from bayesnet_track.evaluate.truth import is_mot
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+    several = truth is not None and is_mot(truth, form)
+    video = Video(out, "", truth=None if several else truth)
+    row = row_of(Job(graph, video, seed, out, truth_format=form))
+    if several and truth is not None:
+        found = score_mot(*read_pair(RunDirectory(Path(out)).mot, truth, *frames_of_run(Path(out)), form))
+        row |= {"mota": found.mota, "idf1": found.idf1, "hota": found.hota}
+    return row
+
+
+def summary_of(rows: Sequence[Row]) -> dict[str, Spread]:
+    """The measures of runs over their seeds."""
+
+    return spread_over_seeds(rows, MEASURES)
+
+
+def say_summary(rows: Sequence[Row], options: argparse.Namespace, head: dict[str, object]) -> None:
+    """The summary as text, or with --json as one object."""
+
+    summary = summary_of(rows)
+    if options.json:
+        measures = {name: asdict(one) for name, one in summary.items()}
+        say(json.dumps({**head, "seeds": [row["seed"] for row in rows], "summary": measures}))
+    elif not options.quiet:
+        seeds = sorted({row["seed"] for row in rows}, key=str)
+        say(f"{head['run']}: {len(seeds)} seeds, {seeds[0]} to {seeds[-1]}\n{spread_text(summary)}")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.commands.answer import UsageError, complain, users_mistake
-from bayesnet_track.cli.options.arguments import pixels
+from bayesnet_track.cli.arguments import UsageError, complain, pixels, users_mistake
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:

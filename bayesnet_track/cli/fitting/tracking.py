@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.commands.answer import complain, users_mistake
+from bayesnet_track.cli.arguments import complain, users_mistake
 from bayesnet_track.cli.fitting.videos import Video, frames_of
 from bayesnet_track.journal.text.wording import plural
 

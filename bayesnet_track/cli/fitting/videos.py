@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.commands.answer import UsageError, users_mistake
+from bayesnet_track.cli.arguments import UsageError, users_mistake
 
 if TYPE_CHECKING:
     import numpy as np

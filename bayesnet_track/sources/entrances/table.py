@@ -163,7 +163,7 @@ SYSTEM = "the operating system or the installation"
 _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         RUN: (
-            "cli.batch.table.read_table",
+            "cli.batch.results.read_table",
             "evaluate.runs._has_end",
             "journal.frame_file.FrameFile.__init__",
             "journal.frame_file.FrameFile.columns",
@@ -194,7 +194,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "runtime.annotation.session.open_session",
         ),
         WRITES: (
-            "cli.commands.answer.mute",
+            "cli.arguments.mute",
             "journal.disk.sync_folder",
             "runtime.recording.lock.lock_run",
             "vision.calibration.write_calibration",
@@ -205,7 +205,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "numerics.compiled.is_whole",
         ),
         SYSTEM: (
-            "cli.commands.init.init",
+            "cli.commands.graphs.init",
             "cli.doctor.check_package",
             "cli.doctor.installed",
             "runtime.executors.worker.own_bytes",
@@ -227,7 +227,7 @@ BOXES = (
         "`--init`, the page of `--view`, `batch --list`; `Tracker.init`, `track`, `Start`",
         (
             "engine.starts: check_given say_blank",
-            "cli.commands.start_boxes: parse_start",
+            "cli.arguments: parse_start",
             "runtime.live_view.controls: _start",
         ),
         "a box mostly outside of the frame; a first frame of one value",
@@ -238,7 +238,7 @@ BOXES = (
     Entrance(
         "start boxes from a file",
         "`--init-from FILE`",
-        ("cli.commands.start_boxes: read_start",),
+        ("cli.arguments: read_start",),
         "all that is said of ground truth and of a start box",
         "no box for the first frame that is read; boxes of several targets",
         "as of ground truth of one target",
@@ -360,7 +360,7 @@ FILES = (
         (
             "graph.text.load: bytes_of",
             "graph.text.explain: _lines",
-            "cli.fitting.fit: graph_text",
+            "cli.commands.fit: graph_text",
         ),
         "nothing: every key is used",
         "each unknown key or value, with its line and column and the nearest name",
@@ -377,7 +377,7 @@ FILES = (
     Entrance(
         "lists of videos",
         "`batch --list FILE`, `batch --source PATTERN`",
-        ("cli.batch.lists: read_list _csv_rows videos_of",),
+        ("cli.batch.jobs: read_list _csv_rows videos_of",),
         "nothing: every row is a video; names that begin with a dot are none of a pattern",
         "an unknown column, a row without a source, a pattern that matches nothing",
         "CSV, or JSON Lines: a first line with a brace is JSON",

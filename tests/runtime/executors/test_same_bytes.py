@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from bayesnet_track.cli.commands.demo import SCENE_GRAPHS
+from bayesnet_track.cli.commands.runs import SCENE_GRAPHS
 from bayesnet_track.engine.starts import Start, has_births
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph

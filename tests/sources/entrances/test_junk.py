@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.batch.lists import videos_of
+from bayesnet_track.cli.batch.jobs import videos_of
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.paths import depth_files

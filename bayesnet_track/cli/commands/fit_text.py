@@ -1,4 +1,4 @@
-"""What `fit` writes: a graph's text with what was estimated, and the table of videos that were left out."""
+"""Text of a fitted graph, with every estimate in its place, and the table of videos that were left out."""
 
 from __future__ import annotations
 

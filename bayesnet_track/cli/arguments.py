@@ -1,17 +1,104 @@
-"""Options that several commands share, and the types of their values. Nothing heavy is imported."""
+"""Arguments that commands share, start boxes among them, and their answers: exit codes and complaints."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
 
-from bayesnet_track.cli.commands.answer import UsageError
+from bayesnet_track.sources.paths import hide_secrets
 
 if TYPE_CHECKING:
+    from bayesnet_track.evaluate.truth import TruthForm
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.observation.image_files import Mask
+    from bayesnet_track.runtime.run import Start
+
+
+OK, FAILED, USAGE, BAD_GRAPH, BAD_SOURCE, INCOMPLETE, BAD_OUTPUT = range(7)
+
+
+class UsageError(ValueError):
+    """Arguments that make no sense, alone or together."""
+
+
+@contextmanager
+def users_mistake() -> Iterator[None]:
+    """What fails inside does so because of an argument, or of a file that one names: `UsageError`."""
+    from bayesnet_track.journal.codec import JournalError
+
+    try:
+        yield
+    except JournalError:
+        raise
+    except (OSError, ValueError) as error:
+        raise UsageError(words(error)) from error
+
+
+@contextmanager
+def users_file(option: str, expected: str) -> Iterator[None]:
+    """`users_mistake` for the file of an option; one that cannot be read is said with what it should hold."""
+    from bayesnet_track.sources.mot_lines import NotTextError
+
+    with users_mistake():
+        try:
+            yield
+        except (OSError, NotTextError) as error:
+            raise UsageError(f"{option} {words(error)}; expected {expected}") from error
+
+
+def writing(path: Path) -> AbstractContextManager[None]:
+    """What the system refuses inside it is about an output: `OutputError`, which names it."""
+    from bayesnet_track.journal import writer
+
+    return writer.writing(path)
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """Refuse to write over another file unless that is asked for; raises OutputError."""
+    from bayesnet_track.journal.disk import is_there
+    from bayesnet_track.journal.writer import OutputError
+
+    with writing(path):
+        if is_there(path) and not overwrite:
+            raise OutputError(f"{path}: it is there already; --overwrite replaces it")
+
+
+def words(error: Exception) -> str:
+    """An error as a message; the system's own in the form "file: what is wrong"."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
+def say(text: str) -> None:
+    """Print a result."""
+    sys.stdout.write(text + "\n")
+
+
+def complain(message: str) -> None:
+    """Print what is wrong."""
+    run_silently(lambda: sys.stderr.write(hide_secrets(message) + "\n"))
+
+
+def run_silently(show: Callable[[], object]) -> None:
+    """Write to stderr; that nobody reads it any more stops nothing."""
+    try:
+        show()
+    except BrokenPipeError:
+        mute(sys.stderr)
+
+
+def mute(stream: TextIO) -> None:
+    """Let what is written go nowhere: at its end the interpreter would complain of a reader that is gone."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def whole_number(least: int) -> Callable[[str], int]:
@@ -161,3 +248,54 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 6 and 1024 <= int(text) < 65536):
         raise argparse.ArgumentTypeError(f"{text!r}: a port from 1024 to 65535 is needed")
     return int(text)
+
+
+TRUTH_LINES = "a text file with one box x,y,w,h per line"
+"""What a ground-truth file of one target holds, for messages."""
+
+VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
+
+
+def run_folder(text: str) -> Path:
+    """The run directory that `--out` names.
+
+    Raises:
+        UsageError: it looks like the name of a video.
+    """
+    out = Path(text)
+    if out.suffix.lower() in VIDEOS:
+        folder, kind = out.with_suffix(""), "mp4" if out.suffix.lower() == ".mp4" else "mkv"
+        raise UsageError(
+            f"--out {text}: this is the folder of the run; --out {folder} --video {kind} writes "
+            f"{folder}/video.{kind}"
+        )
+    return out
+
+
+def read_start(path: Path, frame: int, form: TruthForm | None = None) -> Start:
+    """The start that a ground-truth file has for `frame`; `form` is that of `read_truth`.
+
+    Raises:
+        UsageError: the file cannot be read, or has no box for this frame.
+    """
+    from bayesnet_track.evaluate.truth import start_box
+    from bayesnet_track.runtime.run import Start
+
+    with users_file("--init-from", TRUTH_LINES):
+        return Start(start_box(path, frame, form))
+
+
+def parse_start(text: str) -> Start:
+    """A start from ``x,y,w,h`` or ``plate:x,y,w,h`` (top-left corner, px).
+
+    Raises:
+        UsageError: it is something else.
+    """
+    from bayesnet_track.runtime.run import Start
+
+    plate, _, numbers = text.rpartition(":")
+    try:
+        x, y, w, h = (float(part) for part in numbers.split(","))
+    except ValueError:
+        raise UsageError(f"--init {text!r}: four numbers X,Y,W,H are needed (top-left corner, px)") from None
+    return Start((x, y, w, h), plate or None)

@@ -1,0 +1,212 @@
+"""The command `diagnose`: conspicuous findings of a run, each with a setting and a value to try."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.cli.arguments import OK, UsageError, complain, say
+
+if TYPE_CHECKING:
+    from bayesnet_track.cli.findings import Finding
+    from bayesnet_track.journal.events.faults import Quarantined
+    from bayesnet_track.journal.metrics import FrameMetrics
+    from bayesnet_track.runtime.recording.run_reader import Run
+
+
+def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
+    """The findings of one target, or of all."""
+    from bayesnet_track.cli.findings import find, find_failures, until_lost
+    from bayesnet_track.journal.events.faults import Quarantined
+    from bayesnet_track.journal.net.net import Switch
+
+    lines: dict[str, list[FrameMetrics]] = {}
+    switches: dict[str, int] = {}
+    failures: dict[str, list[Quarantined]] = {}
+    for line in run.metrics:
+        lines.setdefault(line.target, []).append(line)
+    for event in run.events:
+        if isinstance(event, Switch):
+            switches[event.target] = switches.get(event.target, 0) + 1
+        if isinstance(event, Quarantined):  # a switch, too
+            failures.setdefault(event.target, []).append(event)
+    for one in run.targets if target is None else (target,):
+        yield from find_failures(one, failures.get(one, ()))
+        own = lines.get(one, [])
+        shown = until_lost(own) if is_born(run, one) else own
+        for finding in find(shown, switches.get(one, 0)):
+            if finding.remedy != "stale" or "learn:" in run.graph_text:  # else nothing is meant to learn
+                yield finding
+
+
+def advise(run: Run, finding: Finding) -> dict[str, Any]:
+    """A finding as plain data, with the key and value to try where the run's graph takes them."""
+    kind = run.kinds[finding.target]
+    found = {"target": finding.target, "type": kind, "found": finding.what, "frame": finding.frame}
+    found |= {
+        "measure": finding.measure,
+        "symptom": None,
+        "try": None,
+        "key": None,
+        "why": None,
+        "refused": None,
+    }
+    if finding.remedy is None:
+        # Another seed is worth a try where chance may have lost a target, not where its detections ended.
+        return found | {"seed": finding.measure != "failed" and not is_born(run, finding.target)}
+    from bayesnet_track.cli.findings import REMEDIES
+
+    remedy = REMEDIES[finding.remedy]
+    names = names_of(run.graph_text, kind, finding.agent)
+    setting: str | None = remedy.setting(names)
+    refused = _refused(run.graph_text, str(setting))
+    return found | {
+        "symptom": remedy.symptom,
+        "try": None if refused else setting,
+        "key": remedy.path(names),
+        "why": remedy.why,
+        "refused": refused,
+    }
+
+
+@cache
+def _refused(text: str, setting: str) -> str | None:
+    """Why a graph does not take a setting; None if it does.
+
+    What is wrong without the setting, too, does not count: cues of the user's own are not loaded here.
+    """
+    from bayesnet_track.graph.text.change import ChangeError, change_graph
+    from bayesnet_track.graph.text.messages import GraphError
+    from bayesnet_track.observation.image_files import AnyMask
+
+    def mistakes(changes: Sequence[str]) -> list[str]:
+        try:
+            change_graph(text, changes, masks=AnyMask())
+        except GraphError as error:
+            return [one.found for one in error.errors]
+        return []
+
+    try:
+        before = mistakes([])
+        return next((one for one in mistakes([setting]) if one not in before), None)
+    except ChangeError as error:
+        return str(error)
+
+
+@cache
+def _types(text: str) -> Mapping[str, Any]:
+    import yaml
+
+    types: Mapping[str, Any] = yaml.safe_load(text)["targets"]
+    return types
+
+
+def is_born(run: Run, target: str) -> bool:
+    """Whether detections start and end targets of this type."""
+    return "birth" in _types(run.graph_text)[run.kinds[target]]
+
+
+def names_of(text: str, plate: str, agent: str | None = None) -> Mapping[str, str]:
+    """Names that ROOT, MOTION, AGENT and CUE stand for in a graph."""
+    from bayesnet_track.cli.findings import AGENT, MOTION, ROOT
+
+    nodes = _types(text)[plate]["nodes"]
+    root = next(name for name, node in nodes.items() if "parent" not in node)
+    motion = nodes[root].get("motion", MOTION)
+    names = {ROOT: root, MOTION: motion if isinstance(motion, str) else next(iter(motion))}
+    if agent in nodes:
+        cue = nodes[agent]["agent"]
+        names |= {AGENT: str(agent), "CUE": cue if isinstance(cue, str) else next(iter(cue))}
+    return names
+
+
+ONE_BY_ONE = 3
+"""Of more targets than this, findings that are alike are printed once."""
+SHOWN_TARGETS = 8
+UNTRIED = (
+    "no value was tried here, and one that helps one video makes another worse: `what-if` tracks with it and "
+    "compares. Compare a value with several seeds (run --seeds 5) before you keep it: one run may be chance"
+)
+
+
+def diagnose(options: argparse.Namespace) -> int:
+    """Print what stands out, target by target."""
+    import json
+
+    from bayesnet_track.runtime.recording.run_reader import open_run
+
+    run = open_run(options.run, complain)
+    if options.target is not None and options.target not in run.targets:
+        there = ", ".join(run.targets) or "none"
+        raise UsageError(f"{options.run}: no target {options.target!r}; there are {there}")
+    found = list(find_all(run, options.target))
+    if options.json:
+        say(json.dumps({"run": str(options.run), "findings": [advise(run, one) for one in found]}))
+        return OK
+    tried = False
+    for alike in _grouped(run, found):
+        advice = advise(run, alike[0])
+        tried |= advice["try"] is not None
+        say("\n".join(_lines(options.run, advice)))
+        if len(alike) > 1:
+            say("\n".join(_others(options.run, [one.target for one in alike[1:]])))
+    if tried:
+        say(UNTRIED)
+    elif not found:
+        say(
+            "nothing stands out. That a run agrees with itself does not show that the boxes are right: "
+            f"`bayesnet-track score {options.run} --truth FILE` does"
+        )
+    return OK
+
+
+def _grouped(run: Run, found: Sequence[Finding]) -> Iterator[Sequence[Finding]]:
+    """Findings that are alike: one by one for a few targets, together for many."""
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    several = len({one.target for one in found}) > ONE_BY_ONE
+    for index, one in enumerate(found):
+        alike = (
+            (run.kinds[one.target], one.measure, str(one.remedy), str(one.agent))
+            if several
+            else (str(index),)
+        )
+        groups.setdefault(alike, []).append(one)
+    yield from groups.values()
+
+
+def _others(run: str, targets: Sequence[str]) -> Iterator[str]:
+    from bayesnet_track.journal.text.wording import plural
+
+    some = ", ".join(targets[:SHOWN_TARGETS]) + (", ..." if len(targets) > SHOWN_TARGETS else "")
+    yield f"  also  {plural(len(targets), 'other target')}: {some}"
+    yield f"        bayesnet-track diagnose {run} --target {targets[0]}"
+
+
+def _lines(run: str, one: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{one['type']} {one['target']}: {one['found']}"
+    if one["try"] is not None:
+        yield f"  try   bayesnet-track what-if {run} --set '{one['try']}'"
+    elif one["key"] is not None:
+        yield f"  key   {one['key']}, but not in this graph: {one['refused']}"
+    elif one["seed"]:
+        yield f"  try   bayesnet-track what-if {run} --seed 1"
+        yield "        if another seed holds the target, chance decided; if not, no agent sees it there"
+    if one["why"] is not None:
+        yield f"        {one['why']}"
+    if one["frame"] is not None:
+        yield f"  look  bayesnet-track log {run} --why {one['frame']}"
+
+
+def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "diagnose",
+        help="find what went wrong in a run, and which key to turn",
+        description="Read the files of a run, report what stands out, and name a key and a value to try. "
+        "Nothing is tracked again.",
+    )
+    parser.add_argument("run", metavar="RUN", help="run directory")
+    parser.add_argument("--target", metavar="ID", help="only this target")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -1,0 +1,389 @@
+"""Further commands that write runs: `demo`, `resume`, `smooth`, and `simulate`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.cli.arguments import (
+    BAD_SOURCE,
+    OK,
+    UsageError,
+    add_plugins,
+    add_set_option,
+    add_truth_format,
+    add_view_options,
+    check_free,
+    complain,
+    parse_start,
+    read_start,
+    run_folder,
+    say,
+    set_values,
+    users_mistake,
+    whole_number,
+    writing,
+)
+from bayesnet_track.cli.commands.tracking import executor_of, track_source
+from bayesnet_track.cli.following import Narrator, begin_again, follow, open_view
+from bayesnet_track.cli.options import (
+    add_checkpoints,
+    add_executor_options,
+    add_output_options,
+    add_range_option,
+    add_run_options,
+)
+
+if TYPE_CHECKING:
+    from bayesnet_track.engine.simulating import Simulated
+    from bayesnet_track.observation.planes import Frame
+    from bayesnet_track.runtime.live_view.view import LiveView
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+
+SCENE_GRAPHS = {
+    "ball_between_children": "ball_between_children",
+    "carried_box": "carried_box",
+    "crowd": "crowd",
+    "orange_and_gray": "orange_and_gray",
+    "gray_square": "gray_square",
+    "flying_ball": "kalman_ball",
+    "person_and_board": "person_shape",
+    "person_parts": "person_parts",
+    "person_stereo": "person_stereo",
+    "glass_wall": "person_stereo",
+    "person_color_stereo": "person_color_stereo",
+    "person_same_clothes": "person_same_clothes",
+    "person_same_clothes_nearer": "person_same_clothes",
+    "two_people_color_stereo_shape": "two_people_color_stereo_shape",
+}
+"""Scenes that do not run with the graph `two_squares`."""
+
+
+def demo(options: argparse.Namespace) -> int:
+    """Track in a built-in scene, then tell what happened and how well it went."""
+    with open_view(options) as view:
+        return _demo(options, view)
+
+
+def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
+    from bayesnet_track.engine.starts import has_births
+    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.journal.reader import read_events
+    from bayesnet_track.journal.text.explain import has_several_targets, kinds_of
+    from bayesnet_track.journal.text.story import narrate_all
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.run import Start
+    from bayesnet_track.sources.scenes.library import SceneSource
+
+    with users_mistake():
+        source = SceneSource.named(options.scene, options.seed, options.end)
+    scene = source.scene
+    graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
+    if options.set:
+        graph = set_values(graph.text, options.set, masks=graph.masks)
+    # Only what an earlier demo wrote there is replaced without being asked to.
+    out = run_folder(options.out or f"runs/{options.scene}")
+    options.overwrite = options.overwrite or options.out is None
+    starts = [
+        Start(box, plate) for plate, box in (*scene.starts, *scene.part_starts) if plate in graph.targets
+    ]
+    starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
+    has_truth = bool(starts) and starts[0].box == scene.start_box
+    code = track_source(options, graph, source, starts, out, video=True, view=view)
+    directory = RunDirectory.open(out) if code == OK else None
+    if options.json and directory is not None:
+        scores = asdict(score_run(out, directory.truth, target="1")) if has_truth else {}
+        say(json.dumps({"run": str(out), "scene": options.scene, "scores": scores}))
+    if directory is None or options.quiet or options.json:
+        return code
+    events = list(read_events(directory.journal))
+    name_target, kinds = has_several_targets(events), kinds_of(events)
+    if not options.verbose:
+        say("\nwhat was decided, and why:")
+        for line in narrate_all(events, kinds, name_target):
+            say(line)
+    if has_truth:
+        whose = f" of {kinds['1']} 1" if name_target else ""
+        say(f"\nagainst the ground truth{whose}:")
+        say(score_run(out, directory.truth, target="1").text(explained=True))
+    explained_frame = min(29, source.expected_frames - 1)
+    say(
+        f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` writes a page about it; "
+        f"`bayesnet-track log {out} --why {explained_frame}` explains a frame"
+    )
+    return code
+
+
+def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    demo = commands.add_parser(
+        "demo", help="track a target in a built-in synthetic scene; nothing to download"
+    )
+    demo.add_argument(
+        "scene", nargs="?", default="two_squares", metavar="SCENE", help="default two_squares; see `list`"
+    )
+    demo.add_argument("--graph", help="graph to use instead of the scene's own")
+    demo.add_argument(
+        "-o", "--out", metavar="RUN", help="run directory (default runs/SCENE, replaced if it exists)"
+    )
+    demo.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
+    add_set_option(demo)
+    add_run_options(demo)
+    add_view_options(demo)
+    add_plugins(demo)
+
+
+def resume(options: argparse.Namespace) -> int:
+    """Go on with a run."""
+    from bayesnet_track.runtime.checkpoints.resume import resume
+    from bayesnet_track.runtime.checkpoints.standing import standing
+    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.results import Summary
+
+    directory = RunDirectory(Path(options.run))
+    settle_broken(directory)
+    if standing(directory.path).is_finished:
+        for _ in resume(directory.path):  # removes what a kill in the last moment left
+            pass
+        if not (options.quiet or options.json):
+            say(f"{directory.path}: it is finished; there is nothing to do")
+        if options.json:
+            say(json.dumps({"run": str(directory.path), "complete": True, "reason": "end_of_source"}))
+        return OK
+    summary, expected = Summary(), _expected(directory)
+    with open_view(options) as view:
+        if view is not None:
+            begin_again(options, view, directory, expected)
+        results = resume(
+            directory.path,
+            summary=summary,
+            checkpoint_every=options.checkpoint_every,
+            executor=executor_of(options),
+            allow_other_machine=options.allow_other_machine,
+            sinks=[*([Narrator()] if options.verbose else []), *([] if view is None else [view])],
+            inputs=view if view is not None and view.controls.can_switch else None,
+            notice=lambda text: complain(f"{directory.path}: {text}"),
+        )
+        return follow(options, results, summary, expected, directory.path, view)
+
+
+def _expected(directory: RunDirectory) -> int | None:
+    """How many frames the journal says are to be tracked."""
+    from bayesnet_track.journal.codec import JournalError
+    from bayesnet_track.journal.events.runs import RunStarted
+    from bayesnet_track.journal.reader import read_events
+
+    try:
+        first = next(read_events(directory.journal), None)
+    except (OSError, JournalError):
+        return None
+    return first.declared_frames if isinstance(first, RunStarted) else None
+
+
+def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    resume = commands.add_parser(
+        "resume",
+        help="continue a run that was interrupted",
+        description="Continue from the last checkpoint of a run that was killed, interrupted or out of disk "
+        "space. The run directory ends up as that of an uninterrupted run, byte for byte, except "
+        "for the times.",
+    )
+    resume.add_argument("run", metavar="RUN", help="run directory")
+    add_output_options(resume)
+    resume.add_argument(
+        "--allow-other-machine",
+        action="store_true",
+        help="continue although the machine, its instruction sets or the libraries differ from those "
+        "of the run so far; the result then equals that of no uninterrupted run",
+    )
+    add_checkpoints(resume)
+    add_plugins(resume)
+    add_executor_options(resume)
+    add_view_options(resume)
+
+
+def smooth(options: argparse.Namespace) -> int:
+    """Smooth a run and write the result."""
+    from bayesnet_track.runtime.recording.run_reader import open_run
+    from bayesnet_track.runtime.recording.rundir import RunDirectoryError
+    from bayesnet_track.runtime.recording.smoothed import write_smoothed
+    from bayesnet_track.runtime.smoothing import KeptBeliefsError
+    from bayesnet_track.runtime.smoothing import smooth as smooth_run
+
+    try:
+        run = open_run(options.run, complain)
+    except RunDirectoryError as error:
+        complain(f"bayesnet-track smooth: {error}")
+        return BAD_SOURCE
+    try:
+        smoothed = smooth_run(run, options.draws, options.seed, options.map)
+    except KeptBeliefsError as error:
+        raise UsageError(str(error)) from error
+    write_smoothed(run, smoothed, Path(options.out), options.overwrite)
+    frames = len({line.frame for line in smoothed.metrics})
+    say(f"{options.out}: {frames} frames smoothed; `bayesnet-track report {options.out}` makes a page")
+    return OK
+
+
+def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    smooth = commands.add_parser(
+        "smooth",
+        help="estimate every frame of a finished run from the whole sequence",
+        description="Run backward over the beliefs that `run --keep-beliefs` kept, without the video. The "
+        "result is another run: boxes, uncertainties and regions are those given all frames; "
+        "decisions, status and score are unchanged. Exit code 2: the run kept no beliefs.",
+    )
+    smooth.add_argument("run", metavar="RUN", help="run directory, written with --keep-beliefs")
+    smooth.add_argument("--out", metavar="SMOOTHED", required=True, help="run directory to write")
+    smooth.add_argument(
+        "--draws",
+        type=whole_number(1),
+        default=50,
+        metavar="N",
+        help="trajectories drawn backward for each target (default 50; a Gaussian belief needs none)",
+    )
+    smooth.add_argument(
+        "--seed", type=whole_number(0), default=0, metavar="N", help="seed of these draws (default 0)"
+    )
+    smooth.add_argument(
+        "--map",
+        action="store_true",
+        help="let the boxes be those of the most probable trajectory, instead of the mean of each frame",
+    )
+    smooth.add_argument("--overwrite", action="store_true", help="replace an earlier run in --out")
+
+
+FILES = ("png", "csv")
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Draw trajectories, print how far they go, and write picture and CSV."""
+    from bayesnet_track.engine.simulating import Simulation
+    from bayesnet_track.engine.simulating import simulate as draw
+    from bayesnet_track.engine.starts import check_given
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.numerics.boxes import centre_from_corner
+
+    graph = load_graph(options.graph)
+    if options.set:
+        graph = set_values(graph.text, options.set)
+    if (options.init is None) == (options.init_from is None):
+        raise UsageError("give the box of the first frame: --init X,Y,W,H, or --init-from FILE")
+    if options.init is not None:
+        start = parse_start(options.init)
+    else:
+        start = read_start(Path(options.init_from), options.start, options.truth_format)
+    for name in FILES:
+        if getattr(options, name) is not None:
+            check_free(Path(getattr(options, name)), options.overwrite)
+    frame = _first_frame(options)
+    with users_mistake():
+        check_given(graph, [start], frame.width, frame.height)
+    plate = graph.targets[start.plate or next(iter(graph.targets))]
+    chosen = Simulation(options.frames, options.draws, options.seed, (frame.width, frame.height))
+    drawn = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), chosen)
+    say(_summary(drawn, frame))
+    if options.csv is not None:
+        with writing(Path(options.csv)):
+            Path(options.csv).write_text(csv_text(drawn, frame.index), encoding="utf-8")
+        say(f"wrote {options.csv}")
+    if options.png is not None:
+        import cv2
+
+        from bayesnet_track.view.overlay import draw_trajectories
+
+        picture = cv2.imencode(".png", draw_trajectories(frame.image, drawn.boxes))[1].tobytes()
+        with writing(Path(options.png)):
+            Path(options.png).write_bytes(picture)
+        say(f"wrote {options.png}")
+    return OK
+
+
+def csv_text(drawn: Simulated, first: int = 0) -> str:
+    """A row for each trajectory and frame: corner box in px, then the further fields."""
+    from bayesnet_track.numerics.boxes import corner_from_centre
+
+    further = drawn.fields[4:]
+    lines = [",".join(("trajectory", "frame", "x", "y", "w", "h", *further))]
+    for number in range(drawn.states.shape[1]):
+        for frame, state in enumerate(drawn.states[:, number]):
+            values = [f"{value:.3f}" for value in corner_from_centre(state[:4])]
+            for name, value in zip(further, state[4:], strict=True):
+                is_mode = drawn.modes and name == further[-1]
+                values.append(drawn.modes[int(value)] if is_mode else f"{value:.4f}")
+            lines.append(",".join((str(number), str(first + frame), *values)))
+    return "\n".join(lines) + "\n"
+
+
+def _summary(drawn: Simulated, frame: Frame) -> str:
+    """How far the centre and the size have gone after some frames."""
+    import numpy as np
+
+    boxes, last = drawn.boxes, len(drawn.boxes) - 1
+    side = np.sqrt(boxes[..., 2] * boxes[..., 3])
+    away = np.hypot(*np.moveaxis(boxes[..., :2] - boxes[0, :, :2], -1, 0))
+    x, y = boxes[..., 0], boxes[..., 1]
+    at_border = ((x <= 0) | (y <= 0) | (x >= frame.width - 1) | (y >= frame.height - 1)).mean(axis=1)
+    rows = ["frames  centre, px from the start     side, % of the first    centre at the"]
+    rows += ["ahead        50 %         90 %            5 %       95 %          border"]
+    for ahead in sorted({1, 5, 10, 25, 50, last} & set(range(1, last + 1))):
+        near, far = np.quantile(away[ahead], (0.5, 0.9))
+        small, large = 100 * np.quantile(side[ahead] / side[0], (0.05, 0.95))
+        border = 100 * at_border[ahead]
+        rows.append(f"{ahead:5d} {near:11.1f} {far:12.1f} {small:14.0f} {large:10.0f} {border:14.0f} %")
+    return "\n".join(rows)
+
+
+def _first_frame(options: argparse.Namespace) -> Frame:
+    from bayesnet_track.observation.planes import Frame
+    from bayesnet_track.sources.paths import SourceError
+    from bayesnet_track.sources.sources import open_source
+
+    window = (options.source, options.start, options.start + 1, options.allow_network)
+    with open_source(*window, value_range=options.value_range) as source:
+        for item in source:
+            if isinstance(item, Frame):
+                return item
+        raise SourceError(source.description, f"no frame {options.start}", "a readable frame", "--start N")
+
+
+def add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    simulate = commands.add_parser(
+        "simulate",
+        help="draw trajectories from a graph's prior over the first frame",
+        description="Draw how a graph expects a target to move before it has seen anything but the first "
+        "box, and print how far: a check of its motion against what you know. No agent is asked.",
+    )
+    simulate.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
+    simulate.add_argument("--source", required=True, help="video file, folder of images, glob, or URL")
+    simulate.add_argument("--init", metavar="[TYPE:]X,Y,W,H", help="box in the first frame")
+    simulate.add_argument("--init-from", metavar="FILE", help="ground-truth file; its box of the first frame")
+    add_truth_format(simulate)
+    simulate.add_argument(
+        "--start", type=whole_number(0), default=0, metavar="N", help="first frame (default 0)"
+    )
+    simulate.add_argument(
+        "--frames", type=whole_number(1), default=50, metavar="N", help="frames ahead (default 50)"
+    )
+    simulate.add_argument(
+        "--draws", type=whole_number(1), default=200, metavar="N", help="trajectories (default 200)"
+    )
+    simulate.add_argument(
+        "--seed", type=whole_number(0), default=0, metavar="N", help="seed of the draws (default 0)"
+    )
+    simulate.add_argument("--png", metavar="FILE", help="write a picture of them on the first frame")
+    simulate.add_argument("--csv", metavar="FILE", help="write them, one row per trajectory and frame")
+    simulate.add_argument("--overwrite", action="store_true", help="replace existing files")
+    simulate.add_argument("--allow-network", action="store_true", help="let the source be a URL")
+    add_range_option(simulate)
+    add_set_option(simulate)
+    add_plugins(simulate)

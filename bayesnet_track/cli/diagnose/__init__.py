@@ -1,1 +1,0 @@
-"""What went wrong in a run, and which key of its graph to turn."""
