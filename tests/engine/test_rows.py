@@ -17,7 +17,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.lives import CandidateConfirmed
+from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired
 from bayesnet_track.journal.events.load import LateFrame, Released, Toggled
 from bayesnet_track.journal.frame_columns import columns_of
 from bayesnet_track.journal.frame_file import record
@@ -81,13 +81,13 @@ def apart(graph, found, inputs=None, frames=FRAMES):
 
 
 def assert_alike(rows, singles, unlike):
-    """Events are the same bytes; metrics differ by rounding in what is next to nothing.
+    """Events are the same bytes, whatever their order in a frame; metrics differ by rounding in what is next to nothing.
 
     The UD of an agent that says nothing is that around any of equal hypotheses, as rounding has it.
     """
 
     def written(done):
-        return [to_json(one) for one in done.events if not isinstance(one, Toggled | Released)]
+        return sorted(to_json(one) for one in done.events if not isinstance(one, Toggled | Released))
 
     assert [written(one) for one in rows] == [written(one) for one in singles]
     for own, other in zip(rows, singles, strict=True):
@@ -165,6 +165,18 @@ def test_one_that_is_switched_by_hand_is_an_object_and_the_others_stay_rows(grap
                 assert unlike(json.loads(a), json.loads(b), rel=1e-8, abs=1e-13) == []
             elif line.target != target:
                 assert a == b, f"frame {index}: the bytes of {line.target}"
+
+
+def test_lost_targets_that_are_found_by_their_place_are_rows_again(found, unlike):
+    written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    plate |= {"reidentify": {"lost": True, "min_probability": 0.5}, "death": {"unseen_frames": 30}}
+    graph = load_graph(written)
+    rows = outcomes(graph, found)
+    back = [one.target for done in rows for one in done.events if isinstance(one, Reacquired)]
+    assert back and sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
+    assert not rows[-1].state.targets.others
+    assert_alike(rows, apart(graph, found), unlike)
 
 
 def test_one_that_is_switched_off_by_hand_sees_nothing_until_it_is_released(graph, found, unlike):

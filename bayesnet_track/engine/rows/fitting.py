@@ -97,10 +97,6 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
         return None
     if not isinstance(motion, LinearMotion) or not _belief_fits(compiled, motion):
         return None
-    if compiled.lifecycle is not None:
-        again = compiled.lifecycle.reidentify
-        if again is not None and again.lost:
-            return None
     return RowRule(
         compiled,
         agent,
