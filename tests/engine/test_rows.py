@@ -81,7 +81,7 @@ def apart(graph, found, inputs=None, frames=FRAMES):
 
 
 def assert_alike(rows, singles, unlike):
-    """Events are the same bytes, whatever their order in a frame; metrics differ by rounding in what is next to nothing.
+    """Events are the same bytes, in any order in a frame; metrics differ by rounding in what is next to nothing.
 
     The UD of an agent that says nothing is that around any of equal hypotheses, as rounding has it.
     """
@@ -342,3 +342,26 @@ def test_where_no_agent_knows_looks_they_say_nothing_of_who_a_detection_is(graph
     events = [event for outcome in outcomes(graph, found) for event in outcome.events]
     weighed = [one.nearest for one in events if isinstance(one, CandidateConfirmed) and one.nearest]
     assert weighed and all(one.agents == () and one.appearance == 0.0 for one in weighed)
+
+
+def test_two_plates_are_a_table_each(found, unlike):
+    written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    plates = {}
+    for name in ("person", "bike"):
+        own = json.loads(json.dumps(plate).replace('"target"', f'"{name}"'))
+        own["birth"]["labels"] = [name]
+        plates[name] = own
+    written["targets"] = plates
+    two = {
+        frame: Detections(
+            one.boxes, one.scores, tuple(("person", "bike")[int(x) % 2] for x in one.boxes[:, 2])
+        )
+        for frame, one in found.items()
+    }
+    graph = load_graph(written)
+    rows = outcomes(graph, two, None, 25)
+    tables = rows[-1].state.targets.gaussians
+    assert sorted(table.rule.plate for table in tables) == ["bike", "person"]
+    assert not rows[-1].state.targets.others and all(len(table.ids) > 1 for table in tables)
+    assert_alike(rows, apart(graph, two, None, 25), unlike)
