@@ -72,7 +72,7 @@ def pair_up(cost: Floats, limit: Floats) -> Owners:
 def associate(
     detections: Floats, live: Floats, sd_px: Floats, apart: float, covered: float | None = COVERED
 ) -> tuple[Owners, NDArray[np.bool_]]:
-    """Who holds which detection, and which are free.
+    """Assignment of detections to targets, and the free ones.
 
     Args:
         detections: (N, 4) centre boxes.
@@ -212,7 +212,7 @@ FIXED = 6
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parts of a row stand.
+    """Columns of the parts of a row.
 
     Attributes:
         frames: L, over how many frames directions are measured; 0 without.

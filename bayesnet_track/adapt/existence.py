@@ -1,4 +1,4 @@
-"""How probable it is that targets exist, and whose detections are: pure functions on arrays.
+"""Probabilities that targets exist, and of which target detections are: pure functions on arrays.
 
 Integrated probabilistic data association, in the form of Poisson multi-Bernoulli filters: a target exists
 with a probability r, is detected with a probability d if it does, and false detections and new targets have
@@ -48,7 +48,7 @@ SIZE_SD, LEAST_SIZE_SD = 0.5, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Prospects:
-    """What was detected and is no target yet: K of them, a Gaussian belief each.
+    """Detected things that are no target yet: K of them, a Gaussian belief each.
 
     Attributes:
         mean: (K, D).
@@ -97,7 +97,7 @@ class Prospects:
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """What a plate's detections have told about all of them.
+    """Statistics learnt from all detections of a plate.
 
     Attributes:
         prospects: what is no target yet.
@@ -213,7 +213,7 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """What of the detections is whose.
+    """Association probabilities of targets and detections.
 
     Attributes:
         existence: (T,) probability that it exists, after the look.

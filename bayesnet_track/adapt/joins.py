@@ -77,7 +77,7 @@ LEVEL_HIDDEN = 0.1
 
 @dataclass(frozen=True)
 class PairMemory:
-    """What is remembered of two joined targets.
+    """Memory of two joined targets.
 
     Attributes:
         first_in_front: probability that the first is in front.
@@ -96,7 +96,7 @@ class PairMemory:
 
 @dataclass(frozen=True)
 class Level:
-    """What the agents `active` say of a target while it is seen: means over `frames`.
+    """Usual answers of the agents `active` about a target while it is seen: means over `frames`.
 
     Attributes:
         active: those agents.
@@ -122,7 +122,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class CarriedHypotheses:
-    """Which hypotheses of a target are carried.
+    """Hypotheses of a target that are carried.
 
     Attributes:
         belief: the belief after the last frame, whose hypotheses they are.
@@ -135,7 +135,7 @@ class CarriedHypotheses:
 
 @dataclass(frozen=True, eq=False)
 class JoinMemory:
-    """What is remembered between frames.
+    """Memory of joins between frames.
 
     Attributes:
         pairs: joined pair -> what is remembered of it.
@@ -156,7 +156,7 @@ class JoinMemory:
 
 @dataclass(frozen=True, eq=False)
 class Reaches:
-    """Where beliefs say that their targets are.
+    """Places at which beliefs say that their targets are.
 
     Attributes:
         names: the T targets.

@@ -42,7 +42,7 @@ class AppearanceMemory:
 
 @dataclass(frozen=True, eq=False)
 class TrackRecord:
-    """What is counted of a live target.
+    """Counts of a live target.
 
     Attributes:
         since: frame in which its net was born.
@@ -63,7 +63,7 @@ class TrackRecord:
 
 @dataclass(frozen=True, eq=False)
 class TrackHistory:
-    """What the engine remembers of births and deaths between frames.
+    """Memory of births and deaths between frames.
 
     Attributes:
         detectors: detector -> its state.

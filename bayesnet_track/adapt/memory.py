@@ -24,7 +24,7 @@ from bayesnet_track.numerics.records import changed
 
 @dataclass(frozen=True)
 class InformationRate:
-    """What agents contributed, the past fading.
+    """Contributions of agents, the past fading.
 
     Attributes:
         nats: agent -> sum of its contributions.
@@ -62,7 +62,7 @@ class InformationRate:
 
 
 def goes_by_information(rules: Adapt) -> bool:
-    """Whether rules choose agents by what they contributed."""
+    """True where rules choose agents by what they contributed."""
     on = rules.activate is not None and rules.activate.which == "information_per_ms"
     return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
 
@@ -188,7 +188,7 @@ class Baseline:
 
 @dataclass(frozen=True, eq=False)
 class RuleMemory:
-    """What the rules remember of T targets of a plate.
+    """Memory of the rules for T targets of a plate.
 
     The baseline of a node's UD is the median of the last 50 values seen with the smallest set of active
     agents below the node that has at least 10 of them: the level of the agents that stay on. Fewer agents are

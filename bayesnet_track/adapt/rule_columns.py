@@ -1,4 +1,4 @@
-"""What the rules see and remember of T targets of a plate: one update of streaks and baselines for all."""
+"""Inputs and memory of the rules for T targets of a plate: one update of streaks and baselines for all."""
 
 from __future__ import annotations
 

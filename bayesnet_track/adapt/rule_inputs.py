@@ -62,7 +62,7 @@ def scale_of(level: Level, area_px2: float, quiet_px2: float | None) -> float | 
 
 @dataclass(frozen=True)
 class Inside:
-    """What of a belief lies around its mode.
+    """Share of a belief around its mode.
 
     Attributes:
         share: of the belief, inside the window.
@@ -139,7 +139,7 @@ PartStatus = Literal["seen", "hidden", "unwatched"]
 
 @dataclass(frozen=True, eq=False)
 class PartMeasure:
-    """What one step says of a part.
+    """Measures of a part in one step.
 
     Attributes:
         box: (4,) its estimate, the mean of its belief, a centre box in px.
@@ -161,7 +161,7 @@ class PartMeasure:
 
 @dataclass(frozen=True, eq=False)
 class Measures:
-    """What one step says of the net.
+    """Measures of the net in one step.
 
     Attributes:
         ud_px2: inference node -> UD of its belief; the root's about the MAP, another's about its most
@@ -203,7 +203,7 @@ class Measures:
 
 @dataclass(frozen=True)
 class OnCallOutcome:
-    """What became of the agents on call in one frame.
+    """Outcome of the agents on call in one frame.
 
     Attributes:
         agents: those that are on call, in the order of the graph.
@@ -280,7 +280,7 @@ def read_ud_beside_more(now: RuleInputs, memory: RuleMemory, node: str, level: L
 
 
 def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) -> int:
-    """How many of the active agents below an inference node its `adapt.agents` leaves out."""
+    """Number of the active agents below an inference node its `adapt.agents` leaves out."""
     adapt = plate.inference(node).adapt
     if adapt is None or adapt.agents is None:
         return 0

@@ -79,7 +79,7 @@ def decide_row(
 def _find(
     now: RuleInputs, memory: RuleMemory, node: str, level: Level | None, test: Condition | None
 ) -> Reading | Tested | None:
-    """What a rule's condition finds in the node's belief; None while it cannot be told."""
+    """Reading of a rule's condition on the node's belief; None while it cannot be told."""
     if level is not None:
         return read_ud(now, memory, node, level)
     if test is None or test.concentrated is None:
@@ -232,12 +232,12 @@ def _drop_index(
 
 
 def _count_held_on(now: RuleInputs, node: str) -> int:
-    """How many governed agents work because a person switched them on."""
+    """Number of governed agents that work because a person switched them on."""
     return sum(now.plate.governor[agent] == node and agent in now.net.active for agent in now.net.by_hand)
 
 
 def _count_left_out_on(now: RuleInputs, node: str, decisions: list[Decision]) -> int:
-    """How many agents stay on that the node's rules may not switch."""
+    """Number of agents that stay on and that the node's rules may not switch."""
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
     return count_left_out(now.plate, now.net.active - stopped, node)
 

@@ -41,7 +41,7 @@ LEAST_FACTOR = 0.5
 
 @dataclass(frozen=True)
 class Load:
-    """What is remembered of late frames.
+    """Memory of late frames.
 
     Attributes:
         late: the last late frames: how many tracked frames came before, and what it took, ms.
@@ -59,7 +59,7 @@ class Load:
 
     @property
     def counts(self) -> bool:
-        """Whether something is remembered of which the age matters."""
+        """True where something is remembered whose age matters."""
         return bool(self.late) or self.back is not None
 
 
@@ -89,7 +89,7 @@ class Running:
 def balance(
     frame: int, timing: Iterable[LateFrame | SpareTime], running: Mapping[str, Running], load: Load
 ) -> tuple[tuple[Decision, ...], Load]:
-    """What is shed or taken back in this frame, and what is remembered.
+    """Decisions to shed or take back in this frame, and the memory after it.
 
     Asked in every frame as long as `load` counts them: the numbers of frames jump where some are dropped.
     """
@@ -127,7 +127,7 @@ def _shed_agents(
     spent: float,
     frame: int,
 ) -> list[Decision]:
-    """Those that say least per ms, until by declared costs enough is saved; at least one if possible."""
+    """Agents that say least per ms, until by declared costs enough is saved; at least one if possible."""
     total = sum(one.costs_ms[agent] for one in running.values() for agent in one.net.active)
     to_save, saved = total * (1.0 - notice.budget_ms / spent), 0.0
     turning = sorted(ms for _, ms in late)[-LATE]
@@ -151,7 +151,7 @@ def _shed_agents(
 
 
 def _can_go(one: Running, agent: str, gone: set[str]) -> bool:
-    """Whether the node that governs it keeps enough others.
+    """True where the node that governs it keeps enough others.
 
     The last that is not on call stays with those on call, which would run in every frame without it.
     """

@@ -42,7 +42,7 @@ def quarantine(net: TargetNet, frame: int, target: str, agent: str, reason: str)
 
 
 def next_try(frame: int, before: Fault | None) -> tuple[int, int]:
-    """When something that failed in `frame` is tried again, and how many times in a row it has failed.
+    """Frame in which what failed in `frame` is tried again, and how many times in a row it has failed.
 
     >>> next_try(15, Fault(1, 5, 15, True)), next_try(200, Fault(1, 5, 15, True))
     ((35, 2), (210, 1))
@@ -94,12 +94,12 @@ def on_call_rule(plate: CheckedTarget) -> OnCall | None:
 
 
 def is_due(net: TargetNet, frame: int) -> bool:
-    """Whether agents on call run in a frame, whatever the others say of it."""
+    """True where agents on call run in a frame, whatever the others say of it."""
     return net.turn is None or frame >= net.turn.due or net.status == "lost"
 
 
 def schedule(now: RuleInputs, memory: RuleMemory) -> tuple[Scheduled, ...]:
-    """When the agents on call run next; nothing where that is as it was."""
+    """Decision when the agents on call run next; nothing where that is as it was."""
     rule, call, turn = on_call_rule(now.plate), now.call, now.net.turn
     if rule is None or call is None or not call.ran:
         return ()

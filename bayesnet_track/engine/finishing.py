@@ -51,7 +51,7 @@ from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 @dataclass(frozen=True, eq=False)
 class FinishedGroup:
-    """What the frame gave for the targets of a group.
+    """Outcome of a frame for the targets of a group.
 
     Attributes:
         work: the frame, without planes: lines may be asked for much later.
@@ -110,7 +110,7 @@ class FinishedGroup:
         return (*faults, *by_hand, *(() if beside is None else beside.decisions))
 
     def events(self, row: int) -> tuple[Event, ...]:
-        """What is written down of one target besides."""
+        """Events of one target besides its decisions."""
         one, frame, target = self.judged.filtered.of(row), self.work.frame.index, self.ids[row]
         before, stepped, outcome = one.before, one.step, self.judged.score(row)
         mode = None if one.modes is None else one.modes.change(frame, target)
@@ -131,7 +131,7 @@ class FinishedGroup:
         return tuple(events)
 
     def line(self, row: int) -> FrameMetrics:
-        """What is written down of one target."""
+        """Line of metrics of one target."""
         judged, one, outcome = self.judged, self.judged.filtered.of(row), self.judged.score(row)
         measured = Measured(
             judged.boxes[row], judged.measures.of(row), outcome.scored, outcome.score, outcome.bound
@@ -142,14 +142,14 @@ class FinishedGroup:
         return with_modes(line, one.modes, outcome.score is not None)
 
     def heard(self, row: int) -> Heard:
-        """What the agents of one target said."""
+        """Answers of the agents of one target."""
         one = self.judged.filtered.of(row)
         return _heard(one.step, one.plan.active)
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What the frame gave for all targets.
+    """Outcome of a frame for all targets, by groups.
 
     Attributes:
         groups: of targets that were finished together.
@@ -175,7 +175,7 @@ class Results:
 
     @property
     def lines(self) -> list[Callable[[], FrameMetrics]]:
-        """What makes the line of each."""
+        """Makers of the lines, one a target."""
         return [partial(group.line, row) for group, row in self.places.values()]
 
     @property
@@ -230,7 +230,7 @@ def _finished(
 
 @lru_cache(maxsize=64)
 def columns_say_all(compiled: CompiledPlate) -> bool:
-    """Whether a target's state is its belief, references and rule memory, as long as nothing is decided."""
+    """True where belief, references and rule memory are a target's state while nothing is decided."""
     root = compiled.plate.inference(compiled.plate.root)
     return (
         root.score is None
@@ -248,7 +248,7 @@ def _with_level(seen: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
 
 
 def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
-    """What is written of expressions that begin to have no value in this frame, and of those that end to."""
+    """Events of expressions that begin to have no value in this frame, and of those that end to."""
     one = judged.filtered.of(row)
     target, before, after = one.target, one.before.flawed, {*one.flaws, *one.undefined}
     return [
@@ -267,7 +267,7 @@ def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
 
 
 def _heard(step: Step[Any], agents: frozenset[str]) -> Heard:
-    """What the active `agents` said in a step, of the hypotheses that are still the belief's."""
+    """Answers of the active `agents` in a step, for the hypotheses that are still the belief's."""
     evidence = step.evidence
     is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
     messages = {name: evidence.messages[name] for name in evidence.messages if is_aligned and name in agents}
@@ -307,7 +307,7 @@ def _groups_of(work: FrameWork, filtered: Together) -> list[LiveGroup]:
 
 
 def _fits(work: FrameWork, group: FilteredRows, row: int) -> bool:
-    """Whether nothing is known of a target of an array that has no column."""
+    """True where columns hold all that is known of a target of an array."""
     table, target = group.before, group.ids[row]
     if target in work.by_hand:
         return False

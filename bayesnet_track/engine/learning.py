@@ -50,7 +50,7 @@ References = Mapping[str, Sequence[Reference]]
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """What was learnt of one target besides the references that moved.
+    """Outcome of learning for one target besides the references that moved.
 
     Attributes:
         references: agent -> what it remembers.
@@ -67,7 +67,7 @@ class Beside:
 
 @dataclass(frozen=True, eq=False)
 class LearntGroup:
-    """What the agents learnt of T targets.
+    """Outcome of learning for T targets.
 
     Attributes:
         references: agent -> its reference of each.
@@ -116,7 +116,7 @@ def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
 
 
 def _lesson(work: FrameWork, group: JudgedGroup, row: int) -> LearningInputs:
-    """What the agents of one target can learn from."""
+    """Inputs from which the agents of one target learn."""
     filtered, compiled = group.filtered, group.filtered.compiled
     state = np.concatenate([group.boxes[row], group.states[row, 4:]])[None]
     parts = group.measures.of(row).parts if compiled.part_of else {}
@@ -175,7 +175,7 @@ def _part_rates(group: JudgedGroup, row: int, rule: Learn, seen: float) -> dict[
 
 
 def _is_held(group: JudgedGroup, row: int, rule: Learn) -> bool:
-    """Whether the box shows the target, as far as status and score say."""
+    """True where the box shows the target, as far as status and score say."""
     net, outcome = group.nets[row], group.score(row)
     likely = outcome.score is not None and rule.score_above is not None and outcome.score > rule.score_above
     held = net.status == "tracking" or (net.status == "uncertain" and (likely or outcome.scored.doubt > 0))
@@ -296,7 +296,7 @@ def _taken(references: Sequence[Reference], rows: Ints) -> Sequence[Reference]:
 
 
 def _replaced(known: Sequence[Reference], rows: Ints, found: Sequence[Reference]) -> Sequence[Reference]:
-    """What is known, with what was found in some rows."""
+    """References with those of some rows replaced."""
     if len(rows) == len(known):
         return found
     if isinstance(known, ReferenceRows) and isinstance(found, ReferenceRows):

@@ -52,7 +52,7 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What the agents said.
+    """Answers of the agents of one target.
 
     Attributes:
         log_likelihoods: active agent -> (N,) its log-likelihood of each particle of the belief; none for
@@ -151,7 +151,7 @@ def frame_metrics(
     learnt: tuple[float, float],
     summary: Summary,
 ) -> FrameMetrics:
-    """What is written down of a target: its belief in a few numbers, the status that it ran with.
+    """Line of metrics of a target: its belief in a few numbers, the status that it ran with.
 
     `learnt` is the share of the largest learning rate, and the estimate's rotation in degrees.
     Without a calibrated score the score is `index`.

@@ -1,4 +1,4 @@
-"""What the engine knows between frames, and what one frame gave."""
+"""State of the engine between frames, and the outcome of one frame."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one frame gave.
+    """Outcome of one frame.
 
     Attributes:
         state: the state after it.

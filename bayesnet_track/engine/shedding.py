@@ -1,4 +1,4 @@
-"""What a run that is short of time does without, over all live targets."""
+"""Work that a run short of time does without, over all live targets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def balance_load(
     load: Load,
     frame: int,
 ) -> tuple[tuple[Decision, ...], Load]:
-    """What is shed or taken back in this frame, and what is remembered."""
+    """Decisions to shed or take back in this frame, and the memory after it."""
     running = {target: _running(engine, net, target, state) for target, state in targets.items()}
     return balance(frame, timing, running, load)
 

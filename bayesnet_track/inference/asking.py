@@ -124,7 +124,7 @@ def _follow_one(
 
 
 def fault_of(error: BaseException, during: str = "") -> Fault:
-    """What an exception of a cue is called."""
+    """Description of an exception of a cue."""
     if isinstance(error, AgentUnavailable):
         return Missing(str(error))
     return f"raised {type(error).__name__}{during}: {text_of(error)}" if during else f"raised {said(error)}"
@@ -136,14 +136,14 @@ def _shown(references: Sequence[Reference]) -> Sequence[Reference]:
 
 
 def _is_usual(log_likelihood: Floats) -> bool:
-    """Whether nothing is NaN, above 0 or zero."""
+    """True where nothing is NaN, above 0 or zero."""
     if not len(log_likelihood):
         return False
     return bool(log_likelihood.max() <= ROUNDING and log_likelihood.min() >= ZERO_BELOW)  # neither when NaN
 
 
 def check_log_likelihood(log_likelihood: Floats | str, size: int) -> Floats | str:
-    """What a cue returned for (size,) hypotheses, or in words what is wrong with it."""
+    """Log-likelihoods that a cue returned for (size,) hypotheses, or in words what is wrong."""
     if isinstance(log_likelihood, str):
         return f"returned a value of type {log_likelihood}, not {size} real numbers"
     if log_likelihood.shape != (size,):
@@ -161,7 +161,7 @@ def check_log_likelihood(log_likelihood: Floats | str, size: int) -> Floats | st
 
 
 def check_reference(reference: Mapping[str, Any]) -> Reference | str:
-    """What a cue learnt of one target, each array for reading only; or which of them is not finite."""
+    """Reference that a cue learnt, each array for reading only; or which of them is not finite."""
     for name, values in reference.items():
         array = np.asarray(values)
         if array.dtype.kind in "fc" and not _is_finite(array):

@@ -23,7 +23,7 @@ from bayesnet_track.observation.planes import region_of_boxes, shown
 
 @dataclass(frozen=True, eq=False)
 class SlowReferences:
-    """What the guard of one target remembers.
+    """Memory of the guard of one target.
 
     Attributes:
         slow: agent -> its slow reference.
@@ -49,7 +49,7 @@ def watch(references: Mapping[str, Reference], looks: Set[str], rule: Guard | No
 
 @dataclass(frozen=True, eq=False)
 class DriftCheck:
-    """What the guard says in one frame.
+    """Verdict of the guard in one frame.
 
     Attributes:
         gaps: agent that was checked -> log-likelihoods of the estimate by its own and by its slow reference.
@@ -63,7 +63,7 @@ class DriftCheck:
 
 
 def judge_nothing(watched: SlowReferences) -> DriftCheck:
-    """What the guard says in a frame in which nothing is compared."""
+    """Verdict of the guard in a frame in which nothing is compared."""
     return DriftCheck(held=frozenset(watched.parted))
 
 

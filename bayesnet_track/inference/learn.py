@@ -36,7 +36,7 @@ from bayesnet_track.observation.planes import PlaneCache, region_of_boxes, shown
 
 @dataclass(frozen=True, eq=False)
 class LearningInputs:
-    """What the agents of one target can learn from in one frame.
+    """Inputs from which the agents of one target learn in one frame.
 
     Attributes:
         cues: agent -> implementation.
@@ -182,7 +182,7 @@ def blend_ahead(
 
 
 def _learnt(lesson: LearningInputs, agent: str) -> Reference | str | Missing:
-    """What the cue sees in its box, or what went wrong."""
+    """Reference of what the cue sees in its box, or what went wrong."""
     try:
         method, arguments = _to_learn(lesson, agent)
         return check_reference(getattr(lesson.cues[agent], method)(*arguments))
@@ -205,7 +205,7 @@ def _learn_ahead(lesson: LearningInputs, agent: str) -> Wait[Reference | str | M
 
 
 def _to_learn(lesson: LearningInputs, agent: str) -> tuple[str, tuple[Any, ...]]:
-    """Which method of the cue learns, and its arguments."""
+    """Method of the cue that learns, and its arguments."""
     cue, box, angle = lesson.cues[agent], lesson.box_of(agent), lesson.angle
     planes = lesson.cache.planes(cue.needs, region_of_boxes(box[None, :], grow=context_of(cue)))
     if angle != 0.0 and isinstance(cue, Turnable):

@@ -185,7 +185,7 @@ def _insides(
     beliefs: Mapping[str, Floats],
     parts: Mapping[str, PartBelief],
 ) -> dict[tuple[str, float], Inside]:
-    """What lies around every node's mode (a part's estimate), in the windows that its rules ask about."""
+    """Shares of belief around every node's mode (a part's estimate), in the windows of its rules."""
     found: dict[tuple[str, float], Inside] = {}
     for node in target.children:
         for within_box in _windows(target, node):

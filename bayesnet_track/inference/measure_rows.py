@@ -27,7 +27,7 @@ Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequ
 
 @lru_cache(maxsize=64)
 def is_flat(target: CheckedTarget) -> bool:
-    """Whether the only beliefs of a net are the root's and its agents', and its rules ask for no more."""
+    """True where the only beliefs of a net are the root's and its agents', and its rules ask for no more."""
     root = target.inference(target.root)
     rules = root.adapt
     on, off = (None, None) if rules is None else (rules.activate, rules.deactivate)
@@ -42,7 +42,7 @@ def is_flat(target: CheckedTarget) -> bool:
 
 
 def is_alone(plan: Plan) -> bool:
-    """Whether nobody but one agent says anything: without it the prior is left."""
+    """True where only one agent says anything: without it the prior is left."""
     return len(plan.observations) == 1 and not plan.factors
 
 
@@ -119,7 +119,7 @@ class StepArrays:
 
     @classmethod
     def of(cls, target: CheckedTarget, plan: Plan, steps: Sequence[Step[Any]]) -> StepArrays:
-        """Those of steps with the same key."""
+        """Arrays of steps with the same key."""
         evidence, columns = steps[0].evidence, [BOX_FIELDS.index(name) for name in _ud_fields(target)]
         messages = {
             name: _stack([step.evidence.messages[name] for step in steps]) for name in evidence.messages

@@ -1,4 +1,4 @@
-"""What is decided of rows after a look: who is lost, and who is found."""
+"""Decisions about rows after a look: targets that are lost, and those that are found."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def judge_rows(work: FrameWork, filtered: FilteredGaussians) -> JudgedRows:
 
 
 def _see(work: FrameWork, rows: Rows, after: Columns, numbers: Floats, row: int) -> RuleInputs:
-    """What the rules of one target see."""
+    """Inputs of the rules of one target."""
     rule, target = rows.rule, rows.ids[row]
     ud, fit, area = numbers[row, [UD, FIT, AREA]].tolist()
     silent = () if after.given[row] == GIVEN else (rule.agent,)

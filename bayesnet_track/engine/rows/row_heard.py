@@ -1,4 +1,4 @@
-"""What the agents said of the targets of a table: each made when it is asked for."""
+"""Answers of the agents about the targets of a table: each made when it is asked for."""
 
 from __future__ import annotations
 

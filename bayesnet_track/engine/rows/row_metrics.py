@@ -1,4 +1,4 @@
-"""What was measured of the rows of a table, as columns; `FrameMetrics` of a target when somebody asks."""
+"""Measures of the rows of a table, as columns; `FrameMetrics` of a target when somebody asks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEAST = np.array([0.0, 0.0, 1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class RowMeasures:
-    """What was measured of T targets.
+    """Measures of T targets.
 
     Attributes:
         numbers: (T, 8) in the columns of `numerics.arrays`.
@@ -236,7 +236,7 @@ class RowMetrics(Sequence[FrameMetrics]):
         return written(np.rint(clouds).astype(np.int64))
 
     def _p_values(self) -> list[float | None]:
-        """How well each row's detection was predicted; None of one that several targets share."""
+        """P-value of each row's detection under its prediction; None of one that several targets share."""
         rule, now = self.rows.rule, self.rows.columns
         is_shared = rule.crowd is not None and rule.crowd.is_marginal
         found: list[float | None] = [None] * len(self.rows.ids)

@@ -58,7 +58,7 @@ def with_recent(scored: ScoreState, score: float, rule: Guarantee) -> ScoreState
 
 
 def is_assured(scored: ScoreState, rule: Guarantee | None) -> bool:
-    """Whether `tracking` may be said; always without a guarantee, and in the first frame."""
+    """True where `tracking` may be reported; always without a guarantee, and in the first frame."""
     return rule is None or not scored.recent or fmean(scored.recent) > rule.above
 
 
@@ -123,7 +123,7 @@ def with_evidence(scored: ScoreState, score: float, frame: int) -> ScoreState:
 def judge_alarm(
     before: ScoreState, scored: ScoreState, rule: Alarm, frame: int, target: str
 ) -> tuple[ScoreState, AlarmRaised | AlarmEnded | None]:
-    """Whether the alarm is raised, or ends as its evidence has gone."""
+    """The alarm that is raised, or that ends as its evidence has gone."""
     found = e_value(scored.rise, rule)
     if not scored.alarmed and found >= 1.0 / rule.share and scored.since is not None:
         raised = AlarmRaised(frame, target, found, rule.share, scored.since, rule.videos)
@@ -134,7 +134,7 @@ def judge_alarm(
 def judge_assurance(
     before: ScoreState, scored: ScoreState, rule: Guarantee, frame: int, target: str
 ) -> AssuranceChanged | None:
-    """What is written down when `tracking` may no longer be said, or may be said again."""
+    """Event for when `tracking` may no longer be said, or may be said again."""
     now = is_assured(scored, rule)
     if now == is_assured(before, rule):
         return None
@@ -163,7 +163,7 @@ class ScoreOutcome:
 
 
 def score_target(work: FrameWork, filtered: Filtered, box: Floats, measures: Measures) -> ScoreOutcome:
-    """How sure it is that a target is held whose estimate is `box` (4,), inside the frame."""
+    """Score of a target whose estimate is `box` (4,), inside the frame."""
     compiled, scored = work.plate_of(filtered.target), filtered.before.scored
     root = compiled.plate.inference(compiled.plate.root)
     assert root.score is not None
@@ -198,7 +198,7 @@ def score_target(work: FrameWork, filtered: Filtered, box: Floats, measures: Mea
 
 
 def _is_sought(work: FrameWork, filtered: Filtered) -> bool:
-    """Whether the target is lost, or found by a search in this frame: the belief is as wide as the search."""
+    """True where the target is lost, or found by a search in this frame: its belief is as wide as that."""
     frame, target = work.frame.index, filtered.target
     events = (report(frame, target) for report in filtered.step.reports)
     return work.net.targets[target].status == "lost" or any(isinstance(one, Reappeared) for one in events)
@@ -226,7 +226,7 @@ def _follow_distractors(
 
 
 def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:
-    """What the frame shows of a target whose estimate is `box` (4,)."""
+    """Appearance of a target whose estimate is `box` (4,)."""
     target, (x, y, w, h) = filtered.target, box.tolist()
     surprise = kl(filtered.step.support.weights.log, filtered.step.prior.log)
     status = work.net.targets[target].status
@@ -236,7 +236,7 @@ def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: f
 def _follow(
     root: InferenceNode, before: ScoreState, scored: ScoreState, score: float, frame: int, target: str
 ) -> tuple[ScoreState, tuple[Event, ...]]:
-    """What guarantee and alarm remember after a frame, and what they give to write down."""
+    """Memory of guarantee and alarm after a frame, and their events."""
     notices: list[Event | None] = []
     if root.guarantee is not None:
         scored = with_recent(scored, score, root.guarantee)

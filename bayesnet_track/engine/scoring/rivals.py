@@ -1,4 +1,4 @@
-"""What looks like the target beside it, and what verifiers say of the estimate."""
+"""Look-alikes beside a target, and verifiers of its estimate."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def follow_distractor(
 
 
 def _is_past(meeting: Encounter | None, frame: int) -> bool:
-    """Whether no look-alike has been seen for a while, be it in too few frames in a row to count."""
+    """True where no look-alike has been seen for a while, be it in too few frames in a row to count."""
     return meeting is None or frame - meeting.last.frame >= WAIT
 
 
@@ -138,11 +138,11 @@ class VerifierAtWork:
     needs_color: bool
 
     def planes(self, cache: PlaneCache, box: Floats) -> Planes:
-        """What the cue sees of a centre box (4,) and around it."""
+        """Planes that the cue sees of a centre box (4,) and around it."""
         return cache.planes(self.cue.needs, region_of_boxes(box[None], grow=context_of(self.cue)))
 
     def first_reference(self, cache: PlaneCache, box: Floats) -> Reference | str:
-        """What is learnt in a centre box (4,), or why nothing is."""
+        """The reference learnt in a centre box (4,), or the reason why there is none."""
         if self.needs_color and not cache.frames.current.has_color:
             return "needs colour, and the source is gray"
         try:
@@ -194,14 +194,14 @@ def make_verifiers(
 def first_references(
     verifiers: Mapping[str, VerifierAtWork], cache: PlaneCache, box: Floats
 ) -> dict[str, Reference]:
-    """What each verifier learns in the centre box (4,); one that cannot is asked again in the next frame."""
+    """References that verifiers learn in the centre box (4,); one that cannot is asked again later."""
     learnt = {name: one.first_reference(cache, box) for name, one in verifiers.items()}
     return {name: one for name, one in learnt.items() if not isinstance(one, str)}
 
 
 @dataclass(frozen=True, eq=False)
 class Verified:
-    """What the verifiers of one target say of a frame.
+    """Answers of the verifiers of one target in a frame.
 
     Attributes:
         values: verifier -> its log-likelihood of the estimate, of those that are asked in this frame.

@@ -62,7 +62,7 @@ def _last_scene(state: State) -> Scene | None:
 
 
 def _without_place(engine: Engine, state: State, target: str, frame: int) -> TargetState:
-    """What is known of a target that may now be anywhere: it has to be recognised, best where it was last."""
+    """State of a target that may now be anywhere: it has to be recognised, best where it was last."""
     one = state.targets[target]
     rule = _rule_of(engine.plates[state.net.targets[target].template])
     scored, context = one.scored, one.motion_context

@@ -83,7 +83,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Encounter:
-    """How a target and something that looks like it moved when they met.
+    """Encounter of a target with something that looks like it: how both moved.
 
     Attributes:
         own: two places of the target before; None where there are no two.
@@ -98,7 +98,7 @@ class Encounter:
 
 
 def place_in(frame: int, first: Place, last: Place) -> Place:
-    """Where something is in a frame if it moves on as between two places.
+    """Place of something in a frame if it moves on as between two places.
 
     >>> place_in(4, Place(1, 0.0, 5.0), Place(2, 3.0, 5.0))
     Place(frame=4, x=9.0, y=5.0)
@@ -115,7 +115,7 @@ def motion_before(places: Sequence[Place]) -> tuple[Place, Place] | None:
 
 
 def distances_since(met: Encounter, place: Place, side_px: float) -> tuple[float, float] | None:
-    """How far an estimate is from where the target and the other one should be by now, in box sides.
+    """Distances of an estimate from where the target and the other one should be by now, in box sides.
 
     None where motion does not show it: the other was seen in one frame only or long ago, or both should be at
     nearly the same place.
@@ -148,7 +148,7 @@ MARGINAL_POINTS = 32
 
 @dataclass(frozen=True)
 class ScoreState:
-    """What a score remembers of its target.
+    """Memory of the score of a target.
 
     Attributes:
         smooth: feature -> its filtered value, of those that had one; empty before the first frame.
@@ -243,7 +243,7 @@ class ScoreState:
 
 
 def extent_beyond(box: Floats, frame: Frame) -> float:
-    """How far a centre box (4,) extends beyond the image: 0 inside, 1 from `BEYOND` of its side on.
+    """Extent to which a centre box (4,) lies beyond the image: 0 inside, 1 from `BEYOND` of its side on.
 
     A target at the edge of the image is not one that leaves, and its box is not exact.
     """
@@ -348,7 +348,7 @@ fifth roots of the levels count."""
 
 @dataclass(frozen=True)
 class Look:
-    """What a frame shows of a target.
+    """Appearance of a target in one frame.
 
     Attributes:
         frame: the frame.
@@ -373,14 +373,14 @@ class Look:
 
 
 def usual_fit(scored: ScoreState) -> float | None:
-    """How well the target usually fits; None while nothing is usual yet, or it is missing."""
+    """Usual fit of the target; None while nothing is usual yet, or it is missing."""
     if scored.missing is not None or len(scored.fits) < LEAST_FRAMES:
         return None
     return math.exp(median(scored.fits))
 
 
 def follow_fit(scored: ScoreState, rule: Lost, look: Look) -> tuple[ScoreState, float, FoundAgain | None]:
-    """What is remembered after a frame, the most that its score may be, and how a target was found again.
+    """Memory after a frame, the most that its score may be, and how a target was found again.
 
     A target is missing after `frames` frames with a score below `score_below`, those left out in which
     nothing is seen at all. It is found when something fits at least `found_fit` of what was usual for
