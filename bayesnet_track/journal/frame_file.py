@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.journal.encoder import JournalError
-from bayesnet_track.journal.frame_columns import Columns, columns_of, lines_of
+from bayesnet_track.journal.frame_columns import Columns, columns_of, lines_of, only
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 
@@ -127,12 +127,15 @@ class FrameFile:
                 except (ValueError, zlib.error) as error:
                     raise self._damaged(place, error) from error
 
-    def lines(self, places: Sequence[Place] | None = None) -> Iterator[FrameMetrics]:
-        """The lines of some frames, or of all, in order."""
+    def lines(
+        self, places: Sequence[Place] | None = None, target: str | None = None
+    ) -> Iterator[FrameMetrics]:
+        """The lines of some frames, or of all, in order; with `target` of that one alone."""
         wanted_places = self.places if places is None else places
         for place, columns in zip(wanted_places, self.columns(wanted_places), strict=True):
             try:
-                lines = list(lines_of(columns))
+                chosen = columns if target is None else only(columns, target)
+                lines = list(lines_of(chosen)) if len(chosen["target"]) else []
             except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as error:
                 raise self._damaged(place, error) from error
             yield from lines

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
 from bayesnet_track.journal.encoder import short
 from bayesnet_track.journal.events.event import Event, Input
-from bayesnet_track.journal.frame_file import FrameFile
+from bayesnet_track.journal.frame_columns import strings
+from bayesnet_track.journal.frame_file import FrameFile, Place
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 
 Notice = Callable[[str], None]
@@ -36,8 +39,10 @@ def read_events(path: Path, notice: Notice | None = None) -> Iterator[Event]:
         yield event
 
 
-def read_metrics(path: Path, notice: Notice | None = None) -> Iterator[FrameMetrics]:
-    """Measurements of ``frames.npy.gz``, a line per target and frame, in order.
+def read_metrics(
+    path: Path, notice: Notice | None = None, target: str | None = None
+) -> Iterator[FrameMetrics]:
+    """Measurements of ``frames.npy.gz``, a line per target and frame, in order; or of one `target` alone.
 
     A torn last record is dropped, and `notice` told of it.
 
@@ -45,12 +50,76 @@ def read_metrics(path: Path, notice: Notice | None = None) -> Iterator[FrameMetr
         JournalError: any other damage.
         OSError: the file cannot be read.
     """
-    for line in FrameFile(path, notice).lines():
+    yield from _checked(FrameFile(path, notice), None, target)
+
+
+def _checked(
+    file: FrameFile, places: Sequence[Place] | None, target: str | None = None
+) -> Iterator[FrameMetrics]:
+    for line in file.lines(places, target):
         try:
             check_line(line)
         except JournalError as error:
-            raise JournalError(f"{path}: frame {line.frame}: {error}") from error
+            raise JournalError(f"{file.path}: frame {line.frame}: {error}") from error
         yield line
+
+
+class Measurements(Sequence[FrameMetrics]):
+    """The lines of ``frames.npy.gz`` as a sequence that reads a frame when it is asked for one of its lines.
+
+    Memory does not grow with the run; going through all lines reads the file once.
+
+    Args:
+        path: the file.
+        notice: told of a torn last record.
+
+    Raises:
+        JournalError: a record is damaged, when it is read.
+        OSError: the file cannot be read.
+    """
+
+    def __init__(self, path: Path, notice: Notice | None = None) -> None:
+        self.file = FrameFile(path, notice)
+        self._ends = list(accumulate(place.targets for place in self.file.places))
+        self._last: tuple[int, list[FrameMetrics]] = (-1, [])
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def __iter__(self) -> Iterator[FrameMetrics]:
+        for number in range(len(self.file)):
+            yield from self._read(number)
+
+    @overload
+    def __getitem__(self, index: int) -> FrameMetrics: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[FrameMetrics]: ...
+
+    def __getitem__(self, index: int | slice) -> FrameMetrics | Sequence[FrameMetrics]:
+        if isinstance(index, slice):
+            return tuple(self[number] for number in range(len(self))[index])
+        at = range(len(self))[index]
+        number = bisect_right(self._ends, at)
+        if self._last[0] != number:
+            self._last = number, self._read(number)
+        return self._last[1][at - self._ends[number]]
+
+    def __repr__(self) -> str:
+        return f"Measurements({str(self.file.path)!r}: {len(self)} lines)"
+
+    def targets(self) -> dict[str, None]:
+        """The targets that it has, in order."""
+        return {name: None for columns in self.file.columns() for name in strings(columns["target"])}
+
+    def _read(self, number: int) -> list[FrameMetrics]:
+        place = self.file.places[number]
+        lines = list(_checked(self.file, [place]))
+        if len(lines) != place.targets:
+            raise JournalError(
+                f"{self.file.path}: frame {place.frame}: {len(lines)} lines, not {place.targets}"
+            )
+        return lines
 
 
 def read_inputs(path: Path, notice: Notice | None = None) -> Iterator[Input]:

@@ -178,3 +178,20 @@ def test_a_frame_of_a_thousand_columns(tmp_path: Path) -> None:
     many = {f"node_{number}": float(number) for number in range(1000)}
     (back,) = lines_of(unpacked(record(columns_of([replace(line(), ud_nodes=many)]))))
     assert back.ud_nodes == many
+
+
+@pytest.mark.parametrize("target", ["1", FULL.target, "3", "nobody"])
+def test_the_lines_of_one_target_are_those_among_all(tmp_path: Path, target: str) -> None:
+    frames = [
+        [line(0), replace(FULL, frame=0), line(0, "3", cloud=(), kl={}, active=())],
+        [line(1, "3"), line(1, cloud=())],
+        [replace(FULL, frame=2)],
+    ]
+    path = tmp_path / "frames.npy.gz"
+    with FrameWriter(path) as writer:
+        for lines in frames:
+            writer.write(lines)
+    expected = [one for one in read_metrics(path) if one.target == target]
+    assert len(expected) == sum(one.target == target for lines in frames for one in lines)
+    found = list(read_metrics(path, target=target))
+    assert len(found) == len(expected) and all(map(same, found, expected))

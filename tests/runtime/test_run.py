@@ -213,7 +213,7 @@ def test_the_journal_begins_and_ends_as_documented(recorded):
     assert isinstance(started, RunStarted) and isinstance(target, TargetStarted)
     assert (started.width, started.height, started.has_color, started.declared_frames) == (320, 240, True, 45)
     assert set(started.costs_ms) == {"color_histogram", "motion"}  # prices are the cues'
-    always = {"python", "bayesnet-track", "numpy", "numba", "scipy", "av", "opencv"}
+    always = {"python", "bayesnet-track", "numpy", "numba", "scipy", "av", "opencv", "zlib"}
     assert set(started.versions) - {"onnxruntime"} == always
     assert ("onnxruntime" in started.versions) == (find_spec("onnxruntime") is not None)
     assert ended == RunEnded(45, 45, True, "end_of_source")

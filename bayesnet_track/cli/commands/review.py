@@ -49,7 +49,7 @@ def log(options: argparse.Namespace) -> int:
         with users_mistake():
             check_target(events, options.target)
     if options.why is not None or (options.target is not None and not given):
-        metrics = _lines(directory, options.why)
+        metrics = _lines(directory, options.why, options.target)
         with users_mistake():
             if options.why is None:
                 account = describe_life(events, metrics, options.target)
@@ -74,13 +74,13 @@ def log(options: argparse.Namespace) -> int:
     return OK
 
 
-def _lines(directory: RunDirectory, frame: int | None) -> Iterator[FrameMetrics]:
-    """Measurements of one frame; of the first and the last if the run has none of it; of all without one."""
+def _lines(directory: RunDirectory, frame: int | None, target: str | None) -> Iterator[FrameMetrics]:
+    """Measurements of one frame, or of the first and the last if the run lacks it; else of the target."""
     from bayesnet_track.journal.frame_file import FrameFile
     from bayesnet_track.journal.reader import read_metrics
 
     if frame is None:
-        yield from read_metrics(directory.frames, complain)
+        yield from read_metrics(directory.frames, complain, target)
         return
     file = FrameFile(directory.frames, complain)
     places = [place for place in file.places if place.frame == frame]

@@ -152,8 +152,8 @@ def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], targ
         else:
             between.append(event)
     lines += _condense(between)
-    own = [line for line in metrics if line.target == target]
-    return "\n".join([*lines, _ending(mine, own)])
+    statuses = [line.status for line in metrics if line.target == target]
+    return "\n".join([*lines, _ending(mine, statuses)])
 
 
 def check_target(events: Iterable[Event], target: str) -> None:
@@ -198,11 +198,11 @@ def _more(done: Sequence[Event]) -> str:
     return f" and {len(done) - 3} more" if len(done) > 3 else ""
 
 
-def _ending(mine: Sequence[Event], lines: Sequence[FrameMetrics]) -> str:
+def _ending(mine: Sequence[Event], statuses: Sequence[str]) -> str:
     """The last line: how long it lived, how long it was lost, and how it is left."""
-    lost = sum(line.status == "lost" for line in lines)
+    lost = statuses.count("lost")
     chapters = [event for event in mine if isinstance(event, CHAPTERS)]
     left = "ended" if isinstance(chapters[-1], TargetDied | DuplicateEnded) else "alive at the end of the run"
-    if left != "ended" and lines and lines[-1].status == "lost":
+    if left != "ended" and statuses[-1:] == ["lost"]:
         left = "lost at the end of the run"
-    return f"summary: {plural(len(lines), 'frame')}, lost in {lost}; {left}"
+    return f"summary: {plural(len(statuses), 'frame')}, lost in {lost}; {left}"

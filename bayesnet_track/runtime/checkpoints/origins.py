@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ def versions() -> dict[str, str]:
         "python": python_version(),
         **{name: _installed(name) for name in names},
         "opencv": cv2.__version__,
+        "zlib": zlib.ZLIB_RUNTIME_VERSION,
         **_if_installed("onnxruntime"),
     }
 
@@ -81,8 +83,12 @@ def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[s
 
     >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
     ('NumPy CPU: without AVX2',)
+    >>> name_differences({"zlib": "1.2"}, {"zlib": "1.3"}), name_differences({}, {"zlib": "1.3"})
+    (('zlib 1.2, now 1.3',), ())
     """
     names = dict.fromkeys((*then, *now))
+    if "zlib" not in then:
+        names.pop("zlib", None)  # earlier runs did not record it
     return tuple(
         _difference(name, then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -19,7 +19,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.reader import Notice, read_events, read_metrics
+from bayesnet_track.journal.reader import Measurements, Notice, read_events
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.runtime.recording.interchange import Detections
@@ -35,6 +35,9 @@ from bayesnet_track.runtime.recording.tables import (
 )
 from bayesnet_track.view.notebook import Page, run_html
 from bayesnet_track.view.timeline import draw_timeline
+
+MOST_KEPT = 10_000
+"""Lines of measurements that are kept in memory, at some 10 kB each; those of a longer run are read anew."""
 
 
 def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
@@ -54,14 +57,16 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
     directory = RunDirectory.open(Path(path))
     try:
         events = tuple(read_events(directory.journal, notice))
-        metrics = tuple(read_metrics(directory.frames, notice))
+        measured = Measurements(directory.frames, notice)
+        targets = {*measured.targets()}
+        metrics = tuple(measured) if len(measured) <= MOST_KEPT else measured
         text = directory.graph.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise RunDirectoryError(f"{error.filename}: missing from the run directory") from error
     except UnicodeDecodeError as error:
         raise JournalError(f"{directory.graph}: not a text: {error}") from error
     run = Run(directory, events, metrics, text)
-    unknown = {line.target for line in metrics} - run.kinds.keys()
+    unknown = targets - run.kinds.keys()
     if unknown:
         raise JournalError(
             f"{directory.frames}: target {min(unknown)!r} never starts in {directory.journal.name}"
@@ -76,13 +81,14 @@ class Run:
     Attributes:
         directory: where its files are.
         events: the lines of journal.jsonl, in order.
-        metrics: what was measured, in order: one per live target and frame.
+        metrics: what was measured, in order: one per live target and frame. Of a long run a line is read from
+            the file when it is asked for.
         graph_text: the canonical text of its graph.
     """
 
     directory: RunDirectory
     events: tuple[Event, ...]
-    metrics: tuple[FrameMetrics, ...]
+    metrics: Sequence[FrameMetrics]
     graph_text: str
 
     def __repr__(self) -> str:

@@ -1,0 +1,57 @@
+"""A long run is read from its file line by line: every reader says of it what it says of one in memory."""
+
+import pytest
+
+from bayesnet_track import Start, track
+from bayesnet_track.journal.codec import JournalError
+from bayesnet_track.journal.reader import Measurements
+from bayesnet_track.runtime.recording import run_reader
+from bayesnet_track.runtime.recording.run_reader import open_run
+from bayesnet_track.sources.scenes.library import SceneSource
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("long") / "run"
+    source = SceneSource.named("two_squares", 0, 8)
+    box = source.scene.start_box
+    list(track("two_squares", source, [Start(box), Start(box)], out=folder))
+    return folder
+
+
+@pytest.fixture
+def both(folder, monkeypatch):
+    """The run in memory, and read from its file."""
+    kept = open_run(folder)
+    monkeypatch.setattr(run_reader, "MOST_KEPT", 3)
+    return kept, open_run(folder)
+
+
+def test_its_lines_are_those_of_the_run_in_memory(both):
+    kept, read = both
+    assert isinstance(kept.metrics, tuple) and isinstance(read.metrics, Measurements)
+    assert len(read.metrics) == len(kept.metrics) == 16
+    assert tuple(read.metrics) == tuple(read.metrics) == kept.metrics
+    assert [read.metrics[at] for at in (0, 7, 2, -1, -16)] == [kept.metrics[at] for at in (0, 7, 2, -1, -16)]
+    assert read.metrics[3:12:2] == kept.metrics[3:12:2]
+    with pytest.raises(IndexError):
+        read.metrics[16]
+
+
+def test_tables_pictures_and_pages_are_the_same(both):
+    kept, read = both
+    assert read.to_dict() == kept.to_dict() and read.agents_to_dict() == kept.agents_to_dict()
+    assert read.timeline() == kept.timeline() and repr(read) == repr(kept)
+    assert read._repr_html_() == kept._repr_html_()
+    assert read.page().html == kept.page().html
+
+
+def test_a_damaged_frame_is_named_when_the_run_is_opened(folder, tmp_path, both):
+    for path in folder.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    data = bytearray((tmp_path / "frames.npy.gz").read_bytes())
+    data[-20] ^= 0xFF
+    (tmp_path / "frames.npy.gz").write_bytes(data)
+    with pytest.raises(JournalError, match="frame 7 .* is damaged"):
+        open_run(tmp_path)
