@@ -48,7 +48,7 @@ BOX_FIELDS = ("x", "y", "w", "h")
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the net says of N hypotheses.
+    """Evidence of the net about N hypotheses.
 
     Attributes:
         log_likelihood: (N,) of the whole net, finite or -inf; zeros when no agent is active.
@@ -115,7 +115,7 @@ class MotionModel(Protocol):
 
 
 class Posterior(Protocol):
-    """What a belief knows of its target after a frame, whatever represents it."""
+    """Knowledge of a target after a frame, whatever represents it."""
 
     @property
     def fields(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ NEGLIGIBLE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """How states moved between two frames.
+    """Motion of states between two frames.
 
     Attributes:
         motion: the model.

@@ -56,7 +56,7 @@ class Bin:
 
 
 def reliability(scores: ArrayLike, hits: ArrayLike, bins: int = 5) -> tuple[Bin, ...]:
-    """What was said against what was, in `bins` equal bins of the score; empty ones are left out."""
+    """Mean score and share on target, in `bins` equal bins of the score; empty ones are left out."""
     values, flags = np.asarray(scores, dtype=np.float64), np.asarray(hits, dtype=bool)
     edges = np.linspace(0.0, 1.0, bins + 1)
     indices = np.clip(np.digitize(values, edges) - 1, 0, bins - 1)
@@ -230,7 +230,7 @@ USUAL_FEATURES = ("log_ud_box", "evidence")
 
 @dataclass(frozen=True)
 class Fitted:
-    """What was estimated.
+    """Estimated calibration of a score.
 
     Attributes:
         logistic: bias and coefficients of the score.
@@ -306,7 +306,7 @@ def score_of(logistic: Mapping[str, float], data: CalibrationData) -> Floats:
 
 @dataclass(frozen=True)
 class Checked:
-    """How calibrated frames are that were not fitted on.
+    """Calibration of frames that were not fitted on.
 
     Attributes:
         name: video, or what it sums up.

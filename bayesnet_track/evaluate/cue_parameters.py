@@ -59,7 +59,7 @@ class FittedSd:
 
 
 def cue_residuals(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats) -> CueResiduals:
-    """What the agents of the first target differ by at (n, 4) true corner boxes.
+    """Residuals of the agents of the first target at (n, 4) true corner boxes.
 
     As in tracking, the reference of each agent moves to what it learns at every box by its largest rate; the
     box of a frame is compared with the reference before that. Agents of a part of the target, whose true box
@@ -204,7 +204,7 @@ and so many on each axis."""
 
 @dataclass(frozen=True)
 class Correlation:
-    """How much the errors of a pool's children have in common.
+    """Correlation of the errors of a pool's children.
 
     Attributes:
         value: the correlation, 0..1.
@@ -240,7 +240,7 @@ def learned_pools(plate: CheckedTarget) -> dict[str, tuple[str, ...]]:
 
 
 def pool_errors(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats, seed: int = 0) -> PoolErrors:
-    """What the children of learned pools are off by, in the frames in which tracking is on target.
+    """Errors of the children of learned pools, in the frames in which tracking is on target.
 
     The video is tracked from the first of (n, 4) true corner boxes, so that references are those of a run. In
     every later frame each child is asked about boxes of the true size at `PLACES`^2 places around the true

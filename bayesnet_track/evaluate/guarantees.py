@@ -1,4 +1,4 @@
-"""What may be promised of new videos: a level by conformal risk control, and the e-value of an alarm.
+"""Guarantees for new videos: a level by conformal risk control, and the e-value of an alarm.
 
 Both count whole calibration videos, so that nothing is assumed of the frames of one video. They hold when the
 new video and the calibration videos are exchangeable, and the score was fitted to others.
@@ -147,7 +147,7 @@ def share_called(videos: Sequence[Sequence[Run]], level: float) -> float:
 
 
 def share_called_afterwards(videos: Sequence[Sequence[Run]], levels: Sequence[float]) -> float:
-    """As `share_called`, each run at the level that is its own when it is over."""
+    """`share_called` with each run at the level that is its own when it is over."""
     return share_called([[_judged(run, levels) for run in runs] for runs in videos], 0.5)
 
 

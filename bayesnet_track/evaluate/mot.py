@@ -19,7 +19,7 @@ from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 @dataclass(frozen=True)
 class MotScore:
-    """How well several targets were followed. Shares are 0..1, MOTA at most 1.
+    """Scores of several targets. Shares are 0..1, MOTA at most 1.
 
     Attributes:
         frames: number of frames up to the last with a box, true or tracked.

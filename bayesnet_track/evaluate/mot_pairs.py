@@ -186,7 +186,7 @@ def read_pair(
 
 
 def _renumbered(tracks: Tracks, frames: Collection[int]) -> Tracks:
-    """What is in these frames, numbered from 0 without gaps."""
+    """Boxes of these frames, numbered from 0 without gaps."""
     places = np.array(sorted(frames), dtype=np.int64)
     scored = tracks.only(np.isin(tracks.frames, places))
     return Tracks(np.searchsorted(places, scored.frames), scored.ids, scored.boxes, scored.classes)

@@ -66,7 +66,7 @@ def log_evidence(boxes: Floats, hypotheses: Sequence[Hypothesis]) -> Floats:
 
 
 def noisy_columns(motion: KinematicMotion) -> list[int]:
-    """Which coordinates of the box the motion moves: x and y where they have any noise, the size likewise."""
+    """Coordinates of the box that the motion moves: x and y where they have any noise, the size likewise."""
     x, y, w, h = noisy(motion.noise)
     driven = motion.diffusion != 0 or motion.order > 1
     return [k for k, moves in enumerate((x or driven, y or driven, w, h)) if moves]

@@ -175,7 +175,7 @@ def _group(path: Path) -> tuple[str, str]:
 
 
 def _tried(group: tuple[str, str], begin: Mapping[Path, float]) -> list[dict[Path, float]]:
-    """What a group's parameters are at the starts, as they are given first."""
+    """Values of a group's parameters at the starts, as they are given first."""
     kind = group[0]
     own = {path: value for path, value in begin.items() if _group(path) == group}
     if kind in VALUES:
@@ -237,7 +237,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FittedMotion:
-    """What was found.
+    """Fitted noise and modes of a motion.
 
     Attributes:
         estimates: of each parameter.
@@ -343,7 +343,7 @@ def _trimmed(track: Floats) -> Floats:
 
 
 def _first_errors(root: spec.InferenceNode, tracks: Sequence[Floats]) -> dict[Path, float]:
-    """Where the search for the boxes' errors begins: what their second differences allow."""
+    """Start of the search for the boxes' errors: what their second differences allow."""
     motion = make_motion(_any_motion(root))
     columns = noisy_columns(motion)
     first_errors: dict[Path, float] = {}

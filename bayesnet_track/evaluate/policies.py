@@ -37,7 +37,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Trial:
-    """What a policy gave on one video: success AUC, and declared ms of the agents that looked, per frame."""
+    """Result of a policy on one video: success AUC, and declared ms of the agents that looked, per frame."""
 
     auc: float
     cost_ms: float

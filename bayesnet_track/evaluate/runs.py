@@ -111,7 +111,7 @@ def say_lengths(folder: Path, truth_path: str | Path, rows: int) -> None:
 
 
 def _has_end(folder: Path) -> bool:
-    """Whether a run was asked to end before its source does, or nothing is known of that."""
+    """True if a run was asked to end before its source does, or nothing is known of that."""
     try:
         origin = json.loads((folder / "run.json").read_text(encoding="utf-8"))["origin"]
         return origin.get("end") is not None

@@ -20,7 +20,7 @@ EPISODE_FRAMES = 5
 
 @dataclass(frozen=True)
 class Score:
-    """How well a target was followed. Shares are 0..1; None where there was nothing to measure.
+    """Scores of one target. Shares are 0..1; None where there was nothing to measure.
 
     Attributes:
         frames: frames of the pass, the first included.
@@ -94,7 +94,7 @@ class Score:
 
 
 def meanings(kind: Any) -> Mapping[str, str]:
-    """What the figures of a class of scores say: field -> the text of its annotation, in order."""
+    """Meanings of the figures of a class of scores: field -> the text of its annotation, in order."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
 

@@ -101,7 +101,7 @@ def is_mot(path: str | Path, form: TruthForm | None = None) -> bool:
 
 
 def has_frames_and_ids(lines: Lines) -> bool:
-    """Whether lines are those of several targets; by the first one, or by all if they have 8 numbers.
+    """True if lines are those of several targets; by the first one, or by all if they have 8 numbers.
 
     Raises:
         ValueError: they can be MOT as well as polygons.
@@ -121,7 +121,7 @@ def has_frames_and_ids(lines: Lines) -> bool:
 
 
 def _form_of_header(lines: Lines) -> TruthForm | None:
-    """What the lines under a header of boxes hold; None where it names frames."""
+    """Form of the lines under a header of boxes; None where it names frames."""
     assert lines.header is not None
     number, words = lines.header
     names = tuple(plain(word) for word in words)

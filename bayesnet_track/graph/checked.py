@@ -45,7 +45,7 @@ class Conditional:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredAs:
-    """What the quantities that an agent measures would be of a state.
+    """Expressions of the quantities that an agent measures, given a state.
 
     Attributes:
         terms: quantity -> expression.

@@ -142,7 +142,7 @@ def compare_page(
 
 
 def _runs(first: RunRecord, second: RunRecord) -> list[str]:
-    """What was run on what, and which run was smoothed or is only a part."""
+    """Graph and source of both runs, and which run was smoothed or is only a part."""
     rows = []
     for letter, run in (("A", first), ("B", second)):
         start = next((event for event in run.events if isinstance(event, RunStarted)), None)
@@ -163,7 +163,7 @@ def _runs(first: RunRecord, second: RunRecord) -> list[str]:
 
 
 def _settings(settings: Sequence[str]) -> list[str]:
-    """What differs in graph and versions; long ones folded."""
+    """Differences in graph and versions; long ones folded."""
     if not settings:
         return ["<section><h2>They differ in</h2><p>The same graph and settings.</p></section>"]
     items = [

@@ -77,7 +77,7 @@ def _colours(node: NodeShape) -> tuple[str, str, str]:
 
 
 def _lines(node: NodeShape) -> list[tuple[str, float, float, bool]]:
-    """What is written in a node: text, size, middle of its line, whether it is the name."""
+    """Lines of text in a node: text, size, middle of its line, whether it is the name."""
     if not node.name:
         return [(node.note, NOTE_SIZE, node.y, False)]
     if not node.note:

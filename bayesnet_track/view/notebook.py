@@ -73,7 +73,7 @@ def graph_picture(graph: CheckedGraph) -> str:
 
 
 def run_html(run: RunRecord) -> str:
-    """What a run was, its figures, timelines of its first targets, and its decisions as sentences."""
+    """Description of a run, its figures, timelines of its first targets, and its decisions as sentences."""
     starts = [event for event in run.events if isinstance(event, RunStarted)]
     ended = [event for event in run.events if isinstance(event, RunEnded)]
     frames = len({line.frame for line in run.metrics} | run.seconds.keys())

@@ -160,7 +160,7 @@ def _label(
 
 
 def _fit(words: list[str], room: int, extent: Callable[[str], int]) -> str:
-    """As many words as fit, then how many are left out; a single word is cut."""
+    """Words that fit, then how many are left out; a single word is cut."""
     for kept in range(len(words), 0, -1):
         rest = len(words) - kept
         text = ", ".join(words[:kept]) + (f" +{rest}" if rest else "")

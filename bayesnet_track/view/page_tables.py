@@ -86,7 +86,7 @@ def unpack(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def short_floats(values: Any) -> NDArray[np.float32]:
-    """As float32 with 14 bits of mantissa, rounded: relative error below 2^-15, and half as long when packed.
+    """Float32 with 14 bits of mantissa, rounded: relative error below 2^-15, and half as long when packed.
 
     >>> float(short_floats([1234.56])[0])
     1234.5625
@@ -204,7 +204,7 @@ def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, An
 
 
 def settings_text(target: CheckedTarget, name: str) -> str:
-    """What holds of a node, as YAML: what the graph says of it, and all parameters of a cue."""
+    """Settings of a node, as YAML: what the graph says of it, and all parameters of a cue."""
     plain = {key: value for key, value in as_plain(target.spec.nodes[name]).items() if key != "parent"}
     parameters = target.parameters.get(name)
     if parameters is not None:

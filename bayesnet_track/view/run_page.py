@@ -179,13 +179,13 @@ def room_for_pictures(header: Mapping[str, Any], columns: Columns, largest: int 
 
 
 def is_page(place: Path) -> bool:
-    """Whether a file is a page of a run."""
+    """True if a file is a page of a run."""
     with place.open("rb") as file:
         return GENERATOR.encode() in file.read(2048)
 
 
 def picture_name(frame: int) -> str:
-    """Where the picture of a frame lies, from the page's folder."""
+    """Path of a frame's picture, from the page's folder."""
     return f"{FRAMES_FOLDER}/{frame:06d}.jpg"
 
 

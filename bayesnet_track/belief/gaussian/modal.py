@@ -279,7 +279,7 @@ def _modal(motion: MotionModel) -> Modal:
 
 
 def _motions(motion: MotionModel) -> tuple[MotionModel, ...]:
-    """How the target moves in each mode, confined where the motion is."""
+    """Motions of the target in each mode, confined where the motion is."""
     modal = _modal(motion)
     if isinstance(motion, Confined):
         return tuple(replace(motion, motion=one) for one in modal.motions)

@@ -54,7 +54,7 @@ Ask = Callable[[Floats], Evidence]
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the detector found.
+    """Verdict of the detector.
 
     Attributes:
         report: the event to be written, or None when the evidence is feasible.

@@ -25,7 +25,7 @@ AXIS = {"x": X, "y": Y, "w": SCALE, "h": SCALE, "vx": VX, "vy": VY}
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Where cells stand: points of a lattice that is anchored at the start box's centre.
+    """Places of cells: points of a lattice that is anchored at the start box's centre.
 
     Attributes:
         anchor: (x, y) of the cell in column 0, row 0, px.

@@ -57,7 +57,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Leap:
-    """What a gap does to the position along one axis, in cells.
+    """Effect of a gap on the position along one axis, in cells.
 
     Attributes:
         first: (V,) shift of each old velocity.
@@ -73,7 +73,7 @@ class Leap:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """How far down and up mass goes."""
+        """Distance that mass goes down and up."""
         shift = self.first[None, :] + self.second[:, None]
         return float(shift.min()) - REACH * self.sd, float(shift.max()) + REACH * self.sd
 
@@ -194,7 +194,7 @@ FEW = 96
 
 @dataclass(frozen=True)
 class AxisStep:
-    """What one frame does to position and velocity of an axis, px and px per frame.
+    """Effect of one frame on position and velocity of an axis, px and px per frame.
 
     Attributes:
         first: F_xv - c F_vv, frames.

@@ -41,15 +41,15 @@ class Attached:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Those of the model, and whether it is carried."""
+        """Fields of the model, and whether it is carried."""
         return (*self.motion.fields, FIELD)
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model, not carried."""
+        """Like the model, not carried."""
         return with_column(self.motion.start(box, size, rng), np.zeros(size))
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """As the model, not carried."""
+        """Like the model, not carried."""
         mean, covariance = self.motion.start_moments(box)
         return np.append(mean, 0.0), np.pad(covariance, (0, 1))
 
@@ -74,7 +74,7 @@ class Attached:
         return with_column(moved, states[:, -1])
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
-        """Those of the model; the last field stays."""
+        """Fields of the model; the last field stays."""
         transition, covariance = self.motion.linearise(state[:-1], dt)
         whole = np.pad(transition, (0, 1))
         whole[-1, -1] = 1.0

@@ -26,37 +26,37 @@ class Wrapped:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Those of the model."""
+        """Fields of the model."""
         return self.motion.fields
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model."""
+        """Like the model."""
         return self.motion.start(box, size, rng)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """As the model."""
+        """Like the model."""
         return self.motion.start_moments(box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
-        """As the model."""
+        """Like the model."""
         return self.motion.propagate(states, dt, rng, parents)
 
     def drift(self, states: Floats, dt: float) -> Floats:
-        """As the model."""
+        """Like the model."""
         return self.motion.drift(states, dt)
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
-        """As the model."""
+        """Like the model."""
         return self.motion.linearise(state, dt)
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """As the model."""
+        """Like the model."""
         return self.motion.log_density(new, old, dt)
 
     def transition(self, old: Floats, dt: float) -> Transition:
-        """As the model."""
+        """Like the model."""
         return self.motion.transition(old, dt)
 
 
@@ -79,11 +79,11 @@ class Confined(Wrapped):
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
-        """As the model, then confined."""
+        """Like the model, then confined."""
         return self.confine(self.motion.propagate(states, dt, rng, parents))
 
     def drift(self, states: Floats, dt: float) -> Floats:
-        """As the model, then confined."""
+        """Like the model, then confined."""
         return self.confine(self.motion.drift(states, dt))
 
     def confine(self, moved: Floats) -> Floats:
@@ -109,7 +109,7 @@ class Confined(Wrapped):
 
     @cached_property
     def leaves_image(self) -> bool:
-        """Whether the model's centres go on beyond the image."""
+        """True if the model's centres go on beyond the image."""
         return bool(getattr(self.motion, "leaves_image", False))
 
     @property
@@ -157,11 +157,11 @@ class Reflecting(Wrapped):
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
-        """As the model, then reflected."""
+        """Like the model, then reflected."""
         return self.reflect(self.motion.propagate(states, dt, rng, parents))
 
     def drift(self, states: Floats, dt: float) -> Floats:
-        """As the model, then reflected."""
+        """Like the model, then reflected."""
         return self.reflect(self.motion.drift(states, dt))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:

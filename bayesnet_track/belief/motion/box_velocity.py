@@ -29,7 +29,7 @@ class BoxVelocityMotion:
 
     @property
     def leaves_image(self) -> bool:
-        """Whether centres go on beyond the image."""
+        """True if centres go on beyond the image."""
         return self.settings.leave_image
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:

@@ -59,7 +59,7 @@ class Walk:
     sd: float
 
     def over(self, dt: float) -> tuple[float, float]:
-        """As of a `Deviation`."""
+        """Share and sd as of a `Deviation`."""
         return 1.0, self.sd * float(np.sqrt(dt))
 
 
@@ -108,15 +108,15 @@ class Nested:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Those of the model, and the deviations."""
+        """Fields of the model, and the deviations."""
         return (*self.motion.fields, *(one.name for one in self.deviations))
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model, everything in its place."""
+        """Like the model, everything in its place."""
         return _with(self.motion.start(box, size, rng), np.zeros((size, len(self.deviations))))
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """As the model, everything in its place."""
+        """Like the model, everything in its place."""
         mean, covariance = self.motion.start_moments(box)
         further = len(self.deviations)
         return np.append(mean, np.zeros(further)), np.pad(covariance, (0, further))
@@ -150,7 +150,7 @@ class Nested:
         return self.transition(old, dt).log_density(new)
 
     def transition(self, old: Floats, dt: float) -> Transition:
-        """That of the model; the deviations are the last coordinates."""
+        """Transition of the model; the deviations are the last coordinates."""
         own = self.motion.transition(self._rest(old), dt)
         further = len(self.deviations)
         kept, step_sds = self._over(dt)
@@ -211,7 +211,7 @@ def inflate_noise(motion: KinematicMotion, factor: float) -> KinematicMotion:
 
 @dataclass(frozen=True, eq=False)
 class Influences:
-    """What the motion into a frame depended on; with the graph, the motion itself.
+    """Influences on the motion into a frame; with the graph, the motion itself.
 
     Attributes:
         dt: frame intervals since the last frame.

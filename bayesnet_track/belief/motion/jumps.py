@@ -47,7 +47,7 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """How reappearing is looked for in one frame.
+    """Search for a reappearing target in one frame.
 
     Attributes:
         hypotheses: share of the hypotheses that look.
@@ -143,7 +143,7 @@ class Jumping(Wrapped):
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
-        """As the model, then each with probability `share` anywhere."""
+        """Like the model, then each with probability `share` anywhere."""
         moved = self.motion.propagate(states, dt, rng, parents)
         jumps = np.flatnonzero(rng.random(len(moved)) < self.share)
         moved[jumps, :2] = self.evenly().draw(len(jumps), rng)
@@ -268,7 +268,7 @@ def report_reappeared(
 
 
 def _places(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Generator) -> Places:
-    """Where to look: mostly where the search finds something, else evenly."""
+    """Places to look: mostly where the search finds something, else evenly."""
     search = jumping.search
     if search.probes:
         found = _probe(inputs, jumping, states, rng)

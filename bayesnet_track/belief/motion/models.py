@@ -393,5 +393,5 @@ def propagate_rows(
 
 
 def draws_twice(motion: KinematicMotion) -> bool:
-    """Whether a target's numbers are drawn in two turns, for the velocities and for the box."""
+    """True if a target's numbers are drawn in two turns, for the velocities and for the box."""
     return motion.diffusion != 0 and any(noisy(motion.noise))

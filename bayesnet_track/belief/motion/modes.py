@@ -44,7 +44,7 @@ class Modes:
 
     @property
     def can_hide(self) -> bool:
-        """Whether the target cannot be seen in one of them."""
+        """True if the target cannot be seen in one of them."""
         return any(self.hidden)
 
     @property
@@ -162,7 +162,7 @@ class Forgetting:
         return [k for k, sd in zip(self._further, self.sds, strict=True) if sd > 0]
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model, the further fields drawn."""
+        """Like the model, the further fields drawn."""
         return self._join(self.motion.start(box, size, rng), rng)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
@@ -198,7 +198,7 @@ class Forgetting:
         return np.asarray(own + normal.sum(axis=1)[:, None])
 
     def transition(self, old: Floats, dt: float) -> Transition:
-        """That of the model; the further fields are the last coordinates."""
+        """Transition of the model; the further fields are the last coordinates."""
         own = self.motion.transition(self._of(old), dt)
         sds = np.broadcast_to([sd for sd in self.sds if sd > 0], (*own.sds.shape[:2], len(self._drawn)))
 
@@ -247,17 +247,17 @@ class Modal:
 
     @cached_property
     def motions(self) -> tuple[MotionModel, ...]:
-        """How it moves in each mode, all with the same fields, without the mode."""
+        """Motions in each mode, all with the same fields, without the mode."""
         return complete(self.parts)
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Those of the motions, and the mode."""
+        """Fields of the motions, and the mode."""
         return (*self.motions[0].fields, FIELD)
 
     @property
     def chain(self) -> Chain:
-        """How modes follow each other."""
+        """Chain by which modes follow each other."""
         return self.modes.chain
 
     def each(self, change: Callable[[MotionModel], MotionModel]) -> Modal:

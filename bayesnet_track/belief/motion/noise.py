@@ -69,7 +69,7 @@ def sample_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: floa
 
 
 def add_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0) -> None:
-    """As `sample_noise`, in place."""
+    """Add noise as `sample_noise` draws it, in place."""
     keep = noisy(noise)
     if any(keep[:2]):
         # Imported here: a graph is validated without compiling anything.
@@ -124,7 +124,7 @@ def noise_transition(noise: Noise, old: Floats, dt: float = 1.0) -> Transition:
 
 
 def noisy(noise: Noise) -> list[bool]:
-    """Which of the four coordinates have noise."""
+    """Coordinates of the four that have noise."""
     px, box, log = noise.sd_px, noise.sd_box, noise.sd_log
     if is_log(noise):
         sized = px.w > 0 or px.h > 0

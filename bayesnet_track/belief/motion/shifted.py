@@ -16,7 +16,7 @@ from bayesnet_track.numerics.arrays import Floats
 
 
 class Shift(Protocol):
-    """What happens to states before their motion, without chance."""
+    """Deterministic change of states before their motion."""
 
     def apply(self, states: Floats) -> Floats:
         """(N, D) states after it, a copy."""
@@ -92,7 +92,7 @@ class CameraShift:
 
 
 def camera_shift(flow: Floats, dt: float) -> CameraShift | None:
-    """How points of the background moved over `dt` frame intervals; None where the picture rests.
+    """Motion of points of the background over `dt` frame intervals; None where the picture rests.
 
     Args:
         flow: (2, 3) M of the camera's plane: M (x', y', 1) px per frame interval at the *present* place x'.

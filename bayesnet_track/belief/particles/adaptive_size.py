@@ -90,7 +90,7 @@ def _settle(motion: MotionModel) -> MotionModel:
 
 
 def start_size(settings: spec.Particles) -> int:
-    """How many hypotheses a target starts with."""
+    """Number of hypotheses at the start of a target."""
     return settings.size if isinstance(settings.size, int) else settings.least
 
 
@@ -113,7 +113,7 @@ def fixed_size(settings: spec.Particles, size: int, inputs: Inputs) -> FrameSamp
 def resize_by(
     settings: spec.Particles, inputs: Inputs, whole: WeightedSample, size_memory: SizeMemory | None
 ) -> SizeMemory | None:
-    """What an adaptive size remembers of a frame whose passes are `whole`."""
+    """Memory of an adaptive size of a frame whose passes are `whole`."""
     if size_memory is None or isinstance(settings.size, int):
         return size_memory
     return replace(size_memory, wanted=_find_size(settings.size, inputs, whole, slice(None)))

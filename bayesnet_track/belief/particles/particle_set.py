@@ -98,7 +98,7 @@ def _order(values: Floats, weights: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What every pass of a frame starts from.
+    """Inputs of every pass of a frame.
 
     Attributes:
         prior: the belief after the last frame.
@@ -160,7 +160,7 @@ class Clouds:
         )
 
     def take(self, rows: Sequence[int]) -> Clouds:
-        """Those of some targets."""
+        """Rows of some targets."""
         chosen = some(rows)
         return Clouds(self.states[chosen], self.fields, self.log[chosen], self.weights[chosen])
 
@@ -184,7 +184,7 @@ class Clouds:
 
 
 def some(rows: Sequence[int]) -> slice | list[int]:
-    """What chooses rows from an array: the first ones without a copy.
+    """Index that chooses rows from an array: the first ones without a copy.
 
     >>> some([0, 1, 2]), some([1, 2])
     (slice(None, 3, None), [1, 2])

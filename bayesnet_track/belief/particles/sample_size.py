@@ -23,7 +23,7 @@ LEAST_EFFECTIVE = 10.0
 
 @dataclass(frozen=True)
 class SampleSize:
-    """What a sample asks for.
+    """Size that a sample asks for.
 
     Attributes:
         particles: how many hypotheses, not rounded and not kept in bounds; 0 for as few as may be.
@@ -48,7 +48,7 @@ class SampleSize:
 
 @dataclass(frozen=True)
 class SizeMemory:
-    """What an adaptive size remembers of a frame.
+    """Memory of an adaptive size of a frame.
 
     Attributes:
         first_pass: hypotheses of the first pass.
@@ -147,7 +147,7 @@ class SizeDecision:
 
     @property
     def halves(self) -> tuple[int, int]:
-        """How many of them are in each half."""
+        """Number of them in each half."""
         return halve(self.begin)
 
     @property

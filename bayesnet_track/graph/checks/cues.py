@@ -75,7 +75,7 @@ def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> NoParamet
 
 
 def declares(plate: Plate, node: AgentNode, what: Callable[[CueDeclaration, NoParameters], bool]) -> bool:
-    """Whether an agent's cue is such a one; what is wrong with its parameters is said elsewhere."""
+    """True if an agent's cue is such a one; what is wrong with its parameters is said elsewhere."""
     declaration = plate.cues.get(node.agent.cue)
     if declaration is None:
         return False

@@ -313,7 +313,7 @@ def gaussian_givens_are_normal(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def is_drawn(term: Term) -> bool:
-    """Whether it is a distribution, not a value."""
+    """True if it is a distribution, not a value."""
     return isinstance(term, Call) and term.arguments[:1] == (Variable(DRAWN),)
 
 

@@ -149,7 +149,7 @@ def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def has_a_state(node: InferenceNode) -> bool:
-    """Whether it has a state of its own."""
+    """True if it has a state of its own."""
     return node.fuse is not None and node.fuse.latent is not None
 
 
@@ -206,7 +206,7 @@ def form_of(target: CheckedTarget, node: str, measuring: Container[str]) -> Form
 
 
 def _asks_for_parent(target: CheckedTarget, node: str) -> bool:
-    """Whether a factor weighs pairs of a draw and its parent, which only draws that go together have."""
+    """True if a factor weighs pairs of a draw and its parent, which only draws that go together have."""
     return any(
         _state_above(target, factor.parent) == node
         and any(name.startswith(PARENT) for name in names_in(factor.term))
@@ -221,19 +221,19 @@ def _state_above(target: CheckedTarget, node: str | None) -> str | None:
 
 
 def is_latent(target: CheckedTarget, node: str) -> bool:
-    """Whether an inference node has a state of its own beside the root's."""
+    """True if an inference node has a state of its own beside the root's."""
     fuse = target.inference(node).fuse
     return fuse is not None and fuse.latent is not None
 
 
 def _is_linear(given: Given) -> bool:
-    """Whether the state is the parent's box times a matrix, with Gaussian noise in px."""
+    """True if the state is the parent's box times a matrix, with Gaussian noise in px."""
     sized = [part for part in beyond_position(given) if not part.startswith("sd_px")]
     return not given.written and given.heavy_tail is None and not sized
 
 
 def _is_measured(target: CheckedTarget, node: str, measuring: Container[str]) -> bool:
-    """Whether all that is said of a node's state are linear measurements."""
+    """True if all that is said of a node's state are linear measurements."""
     if any(factor.parent == node for factor in target.factors.values()):
         return False
     for child in target.children[node]:
@@ -249,7 +249,7 @@ def _is_measured(target: CheckedTarget, node: str, measuring: Container[str]) ->
 
 
 def _fits_cells(target: CheckedTarget, node: str, given: Given) -> bool:
-    """Whether a grid over x and y, with one noise for all cells, holds all that is uncertain."""
+    """True if a grid over x and y, with one noise for all cells, holds all that is uncertain."""
     spreads = given.sd_px.x > 0 and given.sd_px.y > 0 and not beyond_position(given)
     return spreads and all(_keeps_size(target, above) for above in _nodes_above(target, node))
 
@@ -262,7 +262,7 @@ def _nodes_above(target: CheckedTarget, node: str) -> Iterator[str]:
 
 
 def _keeps_size(target: CheckedTarget, node: str) -> bool:
-    """Whether all boxes of a state have one size, if those above it have."""
+    """True if all boxes of a state have one size, if those above it have."""
     one = target.inference(node)
     noises: list[object] = []
     if one.fuse is not None and one.fuse.latent is not None:

@@ -151,7 +151,7 @@ def gaussians_are_looked_for(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def _is_of_a_part(plate: Plate, agent: str) -> bool:
-    """Whether a latent node is above it (for a valid tree)."""
+    """True if a latent node is above it (for a valid tree)."""
     above: str | None = plate.agents[agent].parent
     while above is not None:
         node = plate.inference[above]
@@ -287,7 +287,7 @@ def _fits_grid(plate: Plate, node: str, motion: ByExpressions) -> Iterator[Graph
 
 
 def attached_motions_are_kinematic(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
-    """What may be carried has no motion by expressions: being carried sets its velocity."""
+    """Kinds that may be carried have no motion by expressions: being carried sets its velocity."""
     for number, join in enumerate(spec.joins):
         kind = (join.between or ("",))[-1]
         if join.attachment is None or kind not in spec.targets:

@@ -302,7 +302,7 @@ def _violations(plate: Plate) -> list[GraphMessage]:
 
 
 def _failures(plate: Plate, checks: Iterable[Check]) -> list[GraphMessage]:
-    """What fails these checks; of each no more than a reader is shown."""
+    """Messages of these checks; of each no more than a reader is shown."""
     return [message for check in checks for message in islice(check(plate), MAX_MESSAGES + 1)]
 
 

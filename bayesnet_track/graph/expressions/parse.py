@@ -126,7 +126,7 @@ class _Parser:
         return term
 
     def is_one_call(self) -> bool:
-        """Whether the text is a function of arguments and nothing else."""
+        """True if the text is a function of arguments and nothing else."""
         depth = 0
         for number, token in enumerate(self.tokens[1:], 2):
             depth += {"(": 1, ")": -1}.get(token.text, 0)

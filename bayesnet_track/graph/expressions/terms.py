@@ -87,7 +87,7 @@ NEGATIVE = "neg"
 
 @dataclass(frozen=True)
 class Function:
-    """What a function takes and means.
+    """Arguments and meaning of a function.
 
     Attributes:
         parameters: names of its arguments; of the last one any number where `more`.
@@ -109,7 +109,7 @@ class Function:
         return f"({', '.join(self.parameters)}{', ...' if self.more else ''})"
 
     def takes(self, count: int) -> bool:
-        """Whether it can be called with so many arguments."""
+        """True if it can be called with so many arguments."""
         return count == len(self.parameters) or (self.more and count > len(self.parameters))
 
 

@@ -134,7 +134,7 @@ def _deeper(data: Mapping[str, Any], name: str) -> Iterator[Keys]:
 
 
 def _depth(data: Any, keys: Keys) -> int:
-    """How many of the keys are there."""
+    """Number of the keys that are there."""
     for number, key in enumerate(keys):
         if not isinstance(data, Mapping) or key not in data:
             return number
@@ -217,13 +217,13 @@ def _entry(holder: Any, name: str) -> tuple[Any, Any]:
 
 
 def _begins(text: str, key: Any) -> bool:
-    """Whether nothing but space stands before the key in its line."""
+    """True if nothing but space stands before the key in its line."""
     begin = text.rfind("\n", 0, key.start_mark.index) + 1
     return not text[begin : key.start_mark.index].strip()
 
 
 def _end(text: str, node: Any) -> int:
-    """Where a value ends: a block collection's mark lies behind the comments that follow it."""
+    """End of a value: a block collection's mark lies behind the comments that follow it."""
     while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last

@@ -130,13 +130,13 @@ class _Events(Reader, Scanner, Parser):
         Parser.__init__(self)
 
     def need_more_tokens(self) -> bool:
-        """As inherited, with a short way for the usual case: the parser asks this some ten times a token."""
+        """Inherited check, with a short way for the usual case; the parser asks some ten times a token."""
         if self.tokens and not self.possible_simple_keys:
             return False
         return bool(super().need_more_tokens())
 
     def fetch_flow_collection_start(self, token: Any) -> None:
-        """As inherited, to a depth."""
+        """Inherited step, to a depth."""
         if self.flow_level >= MAX_DEPTH:
             raise _TooMuch(self.get_mark(), *_TOO_DEEP)
         super().fetch_flow_collection_start(token)

@@ -55,7 +55,7 @@ def explain(
 
 
 def _follows(steps: list[_Step]) -> bool:
-    """Whether a key is unknown only because `nodes` is missing above it, or the key that makes an agent."""
+    """True if a key is unknown only because `nodes` is missing above it, or the key that makes an agent."""
     *_, around, last = steps
     kind = around.shape.only if around.shape is not None else None
     if kind is InferenceNode:
@@ -173,7 +173,7 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Ke
 
 
 def _allowed(steps: list[_Step]) -> str:
-    """What may stand at the last step: for a parent, the inference nodes of the target."""
+    """Valid values of the last step: for a parent, the inference nodes of the target."""
     last = steps[-1]
     if last.shape is None:
         return ""

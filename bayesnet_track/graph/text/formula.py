@@ -75,7 +75,7 @@ Factor = Likelihood | Weight | Product | Integral
 
 
 def factor_of(target: CheckedTarget, active: Iterable[str] | None = None) -> Factor | None:
-    """What the root's children say, of the agents `active` (all when None); None when none is active."""
+    """Factor of the root's children, of the agents `active` (all when None); None when none is active."""
     working = set(target.agents if active is None else active)
     return _factor(target, target.root, target.root, working)
 
@@ -289,7 +289,7 @@ _SHARED = "o_t: which one is in front; S_i: evidence of the pixels of box i that
 
 
 def join_text(join: Join) -> str:
-    """What the joint belief of a pair is while its nets are joined, one equation a line."""
+    """Joint belief of a pair while its nets are joined, one equation a line."""
     first, second = _states(join)
     together = f"{first}_t, {second}_t"
     near = f"while the beliefs of {first} and {second} overlap by {join.when.overlap:g} or more:"

@@ -50,18 +50,18 @@ def own_state(target: CheckedTarget, name: str) -> str:
 
 
 def moves(target: CheckedTarget, state: str) -> bool:
-    """Whether a latent state is remembered, and so a part of what the belief is about."""
+    """True if a latent state is remembered, and so a part of what the belief is about."""
     return state in target.children and state != target.root and target.inference(state).motion is not None
 
 
 def text_step(own: str, above: str) -> str:
-    """How a state that is remembered moves."""
+    """Motion of a state that is remembered."""
     state, given = text_state(own), text_state(above)
     return f"p({state} | {given}, {state}-1, {given}-1)"
 
 
 def describe_held(target: CheckedTarget, state: str) -> str:
-    """How a latent state is held, where it is not by hypotheses."""
+    """Form of a latent state that is not held by hypotheses."""
     belief = target.inference(state).belief if state in target.children else None
     if belief is None or belief.particles is not None:
         return ""
@@ -69,7 +69,7 @@ def describe_held(target: CheckedTarget, state: str) -> str:
 
 
 def place(given: Given) -> str:
-    """Where in its parent's box a part lies."""
+    """Place of a part in its parent's box."""
     if not given.is_part:
         return ""
     at, size = given.offset_box or OffsetBox(), given.size_box or SizeBox()
@@ -113,7 +113,7 @@ def latex_given_lines(given: Conditional, state: str) -> Iterator[str]:
 
 
 def measured_lines(target: CheckedTarget) -> Iterator[str]:
-    """What agents measure: ``radar: range = hypot(x, y) + noise``, with the constants used."""
+    """Measurements of agents: ``radar: range = hypot(x, y) + noise``, with the constants used."""
     for agent, functions in target.measures.items():
         for quantity, term in functions.terms.items():
             yield f"{agent}: {quantity} = {text_of(term)} + noise"

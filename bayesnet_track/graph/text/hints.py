@@ -46,7 +46,7 @@ def shape_of(annotation: Any, constraints: Iterable[Any] = ()) -> Shape:
 
 
 def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
-    """What a value of this type looks like, in words; empty for a type the language does not use.
+    """Description of a value of this type; empty for a type the language does not use.
 
     >>> from bayesnet_track.graph.settings.base import Share
     >>> expects(Share), expects(Literal["map", "best"] | None)
@@ -123,7 +123,7 @@ _FILTERS = ("kalman", "extended_kalman", "unscented_kalman", "ekf", "ukf")
 
 
 def hint_of(message: GraphMessage) -> str:
-    """How it is mended, in one line; empty where the message says it all.
+    """Hint how it is mended, in one line; empty where the message says it all.
 
     >>> hint_of(GraphMessage("a.yaml", 1, 1, (), "ball", "particles is 800", "a mapping with size, min"))
     'write particles: {size: 800}'
@@ -139,7 +139,7 @@ def hint_of(message: GraphMessage) -> str:
 
 
 def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
-    """Where an unknown key of `around`, a value of `model`, belongs: below `nodes` or a key beside it.
+    """Place where an unknown key of `around`, a value of `model`, belongs: below `nodes` or a key beside it.
 
     Empty where nothing says so.
     """
@@ -158,7 +158,7 @@ def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
 
 
 def without_nodes(target: Any) -> str:
-    """How a target without the key `nodes` is mended; empty where nothing in it looks like a node."""
+    """Hint for a target without the key `nodes`; empty where nothing in it looks like a node."""
     nodes = [name for name, value in target.items() if name not in NODE_KEYS and is_like_node(value)]
     if nodes:
         return f"`{nodes[0]}` looks like a node: write `nodes:` above it and indent the nodes under it"
@@ -166,7 +166,7 @@ def without_nodes(target: Any) -> str:
 
 
 def is_like_node(value: Any) -> bool:
-    """Whether a value has a key by which a node is known."""
+    """True if a value has a key by which a node is known."""
     return isinstance(value, Mapping) and not NODE_KEYS.isdisjoint(value)
 
 

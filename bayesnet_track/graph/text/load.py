@@ -41,7 +41,7 @@ TREE = frozenset({"parent", "agent", "factor", "fuse", "given"})
 def errors_behind(
     value: Any, first: Iterable[GraphMessage], find: Callable[[Any], object]
 ) -> list[GraphMessage]:
-    """What `find` reports of `value` (plain data) once the `first` errors are mended; it raises GraphError.
+    """Messages that `find` reports of `value` (plain data) with `first` mended; it raises GraphError.
 
     What may follow from a guess is left out: what concerns the same node, what stands below a guessed key, or
     any node of a type of target from which one was taken out.
@@ -65,7 +65,7 @@ def errors_behind(
 
 
 def _follows(message: GraphMessage, touched: set[KeyPath]) -> bool:
-    """Whether a message may be due to what was mended."""
+    """True if a message may be due to what was mended."""
     path = message.path
     return any(path[: len(place)] == place or place[: len(path)] == path for place in touched)
 
@@ -107,7 +107,7 @@ def _mend(value: Any, message: GraphMessage) -> list[KeyPath]:
 
 
 def _written(value: Any, path: KeyPath) -> KeyPath:
-    """As much of a path as leads through values that are there."""
+    """Part of a path that leads through values that are there."""
     for length, key in enumerate(path):
         try:
             value = value[key]
@@ -178,7 +178,7 @@ def _beside(path: Path | Traversable) -> str:
 
 
 def _only_in_python(document: Document) -> Iterator[GraphMessage]:
-    """What the specification takes from Python but a file does not say: None, `cue:`, `detector:`."""
+    """Values that Python may give and a file may not: None, `cue:`, `detector:`."""
     waiting: list[tuple[KeyPath, Any]] = [((), document.value)]
     while waiting:
         path, value = waiting.pop()

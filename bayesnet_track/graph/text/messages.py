@@ -87,7 +87,7 @@ def _in_order(errors: Iterable[GraphMessage]) -> list[GraphMessage]:
 
 @dataclass(frozen=True)
 class Positions:
-    """Where each key and value of a graph stands: path -> (line, column), from 1.
+    """Positions of the keys and values of a graph: path -> (line, column), from 1.
 
     Without any (a graph written in Python) messages name the path of keys. `texts` holds the texts that stand
     in the file letter for letter, and how many quotes stand before each.
