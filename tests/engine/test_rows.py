@@ -81,7 +81,7 @@ def apart(graph, found, inputs=None, frames=FRAMES):
 
 
 def assert_alike(rows, singles, unlike):
-    """Events are the same bytes, in any order in a frame; metrics differ by rounding in what is next to nothing.
+    """Events are the same bytes, in any order; metrics differ by rounding in what is next to nothing.
 
     The UD of an agent that says nothing is that around any of equal hypotheses, as rounding has it.
     """
