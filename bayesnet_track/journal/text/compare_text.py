@@ -20,26 +20,26 @@ LONGEST_SETTING = 160
 
 def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
     """Differences of the two journals' first lines, besides the graph's text."""
-    said = []
+    differences = []
     if first.graph != second.graph:
-        said.append(f"graph: {first.graph} → {second.graph}")
+        differences.append(f"graph: {first.graph} → {second.graph}")
     if first.seed != second.seed:
-        said.append(f"seed: {first.seed} → {second.seed}")
+        differences.append(f"seed: {first.seed} → {second.seed}")
     if first.smoothed != second.smoothed:
-        said.append("estimates: " + " → ".join(_estimates_of(one) for one in (first, second)))
+        differences.append("estimates: " + " → ".join(_estimates_of(run) for run in (first, second)))
     costs = dict.fromkeys([*first.costs_ms, *second.costs_ms])
-    both = [cue for cue in costs if cue in first.costs_ms and cue in second.costs_ms]
-    said += [
+    shared = [cue for cue in costs if cue in first.costs_ms and cue in second.costs_ms]
+    differences += [
         f"declared cost of {cue}: {first.costs_ms[cue]:g} → {second.costs_ms[cue]:g} ms"
-        for cue in both
+        for cue in shared
         if first.costs_ms[cue] != second.costs_ms[cue]
     ]
-    said += [
+    differences += [
         f"{library}: {first.versions.get(library, 'none')} → {second.versions.get(library, 'none')}"
         for library in dict.fromkeys([*first.versions, *second.versions])
         if first.versions.get(library) != second.versions.get(library)
     ]
-    return said
+    return differences
 
 
 def _estimates_of(started: RunStarted) -> str:
@@ -56,24 +56,28 @@ def compare_text(
 ) -> str:
     """The whole comparison as plain text; `hint` says where those are that `shown` leaves out."""
     lines = [
-        " ".join([letter, "", run.name, *(f"({one})" for one in marks_of(run))])
+        " ".join([letter, "", run.name, *(f"({line_text})" for line_text in marks_of(run))])
         for letter, run in (("A", first), ("B", second))
     ] + [""]
-    said = settings if shown > SHOWN_MOMENTS else [shortened(one) for one in settings]
-    lines += ["differ in", *(f"  {one}" for one in said)] if settings else ["the same graph and settings"]
+    setting_lines = settings if shown > SHOWN_MOMENTS else [shortened(line_text) for line_text in settings]
+    lines += (
+        ["differ in", *(f"  {line_text}" for line_text in setting_lines)]
+        if settings
+        else ["the same graph and settings"]
+    )
     # What came of it before how: the moments are many.
     lines += ["", *totals_lines(comparison.totals), "", *estimate_lines(comparison)]
     lines += ["", *parting_lines(first, second, comparison)]
-    rest = comparison.moments[1:]
-    if rest:
-        lines += ["", f"after that they diverge {plural(len(rest), 'more time')}"]
-        for moment in rest[:shown]:
+    later_moments = comparison.moments[1:]
+    if later_moments:
+        lines += ["", f"after that they diverge {plural(len(later_moments), 'more time')}"]
+        for moment in later_moments[:shown]:
             lines += [
                 f"  {place(moment, comparison)}",
-                *(f"    {one}" for one in sides(first, second, moment)),
+                *(f"    {line_text}" for line_text in sides(first, second, moment)),
             ]
-        if len(rest) > shown:
-            lines.append(f"  ... and {len(rest) - shown} more{hint}")
+        if len(later_moments) > shown:
+            lines.append(f"  ... and {len(later_moments) - shown} more{hint}")
     return name_targets("\n".join(lines), common_kinds(first, second, comparison))
 
 
@@ -87,11 +91,11 @@ def common_kinds(first: RunRecord, second: RunRecord, comparison: Comparison) ->
 
 def marks_of(run: RunRecord) -> list[str]:
     """Remarks beside the name of a run: that it was smoothed, and why it is only a part of its source."""
-    started = next((one for one in run.events if isinstance(one, RunStarted)), None)
-    ended = next((one for one in reversed(run.events) if isinstance(one, RunEnded)), None)
-    if started is None:
+    start_event = next((event for event in run.events if isinstance(event, RunStarted)), None)
+    ended = next((event for event in reversed(run.events) if isinstance(event, RunEnded)), None)
+    if start_event is None:
         return []
-    marks = ["smoothed"] if started.smoothed else []
+    marks = ["smoothed"] if start_event.smoothed else []
     if ended is None or not ended.complete:
         why = "not ended" if ended is None else ended.reason.replace("_", " ")
         marks.append(f"partial run: {why}")
@@ -106,8 +110,12 @@ def shortened(setting: str) -> str:
 def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -> list[str]:
     """The point where the runs first diverge, with both causes."""
     agreed = f"{plural(comparison.agreed, 'decision')} taken by both in the same frame"
-    apart = comparison.first_apart
-    numbers = "the estimates never differ" if apart is None else f"the estimates differ from frame {apart} on"
+    parting_frame = comparison.first_apart
+    numbers = (
+        "the estimates never differ"
+        if parting_frame is None
+        else f"the estimates differ from frame {parting_frame} on"
+    )
     a, b = comparison.last_frames
     if a != b:
         numbers += f"; {'A' if a > b else 'B'} continues after frame {min(a, b)}, which is not compared"
@@ -116,15 +124,15 @@ def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -
     moment = comparison.moments[0]
     return [
         f"they first diverge at {place(moment, comparison)}",
-        *(f"  {one}" for one in sides(first, second, moment)),
+        *(f"  {side}" for side in sides(first, second, moment)),
         f"  {agreed}; {numbers}",
     ]
 
 
 def place(moment: Moment, comparison: Comparison) -> str:
     """``frame 25, motion``, with the target where there are several."""
-    several = len(comparison.pairs) + sum(map(len, comparison.alone)) > 1
-    whose = f", {whose_text(moment.pair)}" if several else ""
+    has_several = len(comparison.pairs) + sum(map(len, comparison.alone)) > 1
+    whose = f", {whose_text(moment.pair)}" if has_several else ""
     return f"frame {moment.frame}{whose}" + (f", {moment.node}" if moment.node else "")
 
 
@@ -154,18 +162,18 @@ def _standing(run: RunRecord, moment: Moment, target: str) -> str:
     """The reason why nothing was decided, as far as the measurements tell."""
     if not target:
         return "it has no such target"
-    start = bisect_left(run.metrics, moment.frame, key=lambda one: one.frame)
-    here = takewhile(lambda one: one.frame == moment.frame, islice(run.metrics, start, None))
-    line = next((one for one in here if one.target == target), None)
+    start = bisect_left(run.metrics, moment.frame, key=lambda measured: measured.frame)
+    of_frame = takewhile(lambda measured: measured.frame == moment.frame, islice(run.metrics, start, None))
+    line = next((measured for measured in of_frame if measured.target == target), None)
     if line is None:
         return f"target {target} is not live"
     ud = f"UD {line.ud_px2:.3g} px²" if abs(line.ud_px2) < 1000 else f"UD {line.ud_px2:.0f} px²"
     if not moment.node or not _is_agent(run, moment.node):
         return f"no such decision; {ud}, {line.status}"
-    on = "on" if moment.node in line.active else "off"
+    switch = "on" if moment.node in line.active else "off"
     later = _next(run, moment, target)
-    then = f"; {explain(later)}" if later is not None else "; it stays so to the end"
-    return f"no such decision, {moment.node} is {on} at {ud}{then}"
+    continuation = f"; {explain(later)}" if later is not None else "; it stays so to the end"
+    return f"no such decision, {moment.node} is {switch} at {ud}{continuation}"
 
 
 def _is_agent(run: RunRecord, node: str) -> bool:

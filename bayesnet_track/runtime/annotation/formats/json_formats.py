@@ -82,9 +82,9 @@ def as_coco(document: Document) -> bytes:
                 "id": number,
                 "name": target,
                 "category_id": labels[label_of(target)],
-                "gone": [frame for frame in sorted(own) if own[frame].how == "gone"],
+                "gone": [frame for frame in sorted(boxes) if boxes[frame].how == "gone"],
             }
-            for number, (target, own) in enumerate(document.marks.items(), 1)
+            for number, (target, boxes) in enumerate(document.marks.items(), 1)
         ],
     }
     return (json.dumps(content, allow_nan=False) + "\n").encode()
@@ -102,18 +102,20 @@ def read_coco(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     content = needed(read_json(path), ("images", "annotations"), str(path))
     frame_of = _frames(listed(content["images"], f"{path}, images"), video, images, path)
     labels = {}
-    for n, one in enumerate(listed(content.get("categories", []), f"{path}, categories")):
+    for n, entry in enumerate(listed(content.get("categories", []), f"{path}, categories")):
         place = f"{path}, categories[{n}]"
-        category = needed(one, ("id", "name"), place)
+        category = needed(entry, ("id", "name"), place)
         labels[identity(category["id"], "id", place)] = str(category["name"])
-    given = listed(content["annotations"], f"{path}, annotations")
+    annotations = listed(content["annotations"], f"{path}, annotations")
     rows = list(
-        _rows([needed(*_placed(path, n, one)) for n, one in enumerate(given)], frame_of, labels, path)
+        _rows(
+            [needed(*_placed(path, n, entry)) for n, entry in enumerate(annotations)], frame_of, labels, path
+        )
     )
     names: dict[Hashable, str] = {}
-    for n, one in enumerate(listed(content.get("tracks", []), f"{path}, tracks")):
+    for n, entry in enumerate(listed(content.get("tracks", []), f"{path}, tracks")):
         place = f"{path}, tracks[{n}]"
-        track = needed(one, ("id",), place)
+        track = needed(entry, ("id",), place)
         key = identity(track["id"], "id", place)
         if "name" in track:
             names[key] = str(track["name"])
@@ -123,24 +125,26 @@ def read_coco(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     return answers_of(rows, video, path, names)
 
 
-def _placed(path: Path, n: int, one: object) -> tuple[object, tuple[str, ...], str]:
-    return one, ("image_id",), f"{path}, annotations[{n}]"
+def _placed(path: Path, n: int, entry: object) -> tuple[object, tuple[str, ...], str]:
+    return entry, ("image_id",), f"{path}, annotations[{n}]"
 
 
-def _frames(given: list[Any], video: Video, images: Sequence[str], path: Path) -> dict[str, int]:
+def _frames(entries: list[Any], video: Video, images: Sequence[str], path: Path) -> dict[str, int]:
     """Image id -> frame."""
-    found = [needed(one, ("id",), f"{path}, images[{n}]") for n, one in enumerate(given)]
-    for n, one in enumerate(found):
+    records = [needed(one, ("id",), f"{path}, images[{n}]") for n, one in enumerate(entries)]
+    for n, one in enumerate(records):
         if one.get("width") is not None and one.get("height") is not None:
             check_size(one["width"], one["height"], video, f"{path}, images[{n}]")
-    videos = {identity(one["video_id"], "video_id", str(path)) for one in found if "video_id" in one}
+    videos = {identity(one["video_id"], "video_id", str(path)) for one in records if "video_id" in one}
     if len(videos) > 1:
         raise MismatchError(f"{path}: images of {len(videos)} videos; those of one are needed")
-    ids = [identity(one["id"], "id", f"{path}, images[{n}]") for n, one in enumerate(found)]
+    ids = [identity(one["id"], "id", f"{path}, images[{n}]") for n, one in enumerate(records)]
     if len(set(ids)) < len(ids):
         raise MismatchError(f"{path}: two images have the same id")
-    if found and all("frame_id" in one for one in found):
-        numbers = [whole(one["frame_id"], "frame_id", f"{path}, images[{n}]") for n, one in enumerate(found)]
+    if records and all("frame_id" in one for one in records):
+        numbers = [
+            whole(one["frame_id"], "frame_id", f"{path}, images[{n}]") for n, one in enumerate(records)
+        ]
         first = first_of_numbers(numbers, video.frames)
         if first is None and all(key == str(value + 1) for key, value in zip(ids, numbers, strict=True)):
             first = 0  # ids of images count from 1
@@ -149,7 +153,7 @@ def _frames(given: list[Any], video: Video, images: Sequence[str], path: Path) -
                 notice(f"{path}: its frame_id count from 1")
             return {key: value - first for key, value in zip(ids, numbers, strict=True)}
     names = [
-        str(needed(one, ("file_name",), f"{path}, images[{n}]")["file_name"]) for n, one in enumerate(found)
+        str(needed(one, ("file_name",), f"{path}, images[{n}]")["file_name"]) for n, one in enumerate(records)
     ]
     if len(set(names)) < len(names):
         raise MismatchError(f"{path}: two images have the same file_name")
@@ -164,88 +168,92 @@ def _rows(
     path: Path,
 ) -> Iterator[Row]:
     keys = _identities(annotations, path)
-    left, given = 0, set[str]()
+    interpolated, with_box = 0, set[str]()
     box: Box | None
-    for n, (one, key) in enumerate(zip(annotations, keys, strict=True)):
+    for n, (annotation, key) in enumerate(zip(annotations, keys, strict=True)):
         place = f"{path}, annotations[{n}]"
-        image = identity(one["image_id"], "image_id", place)
+        image = identity(annotation["image_id"], "image_id", place)
         if image not in frame_of:
-            raise MismatchError(f"{place}: image_id {one['image_id']!r} is none of its images")
-        attributes = _attributes(one)
+            raise MismatchError(f"{place}: image_id {annotation['image_id']!r} is none of its images")
+        attributes = _attributes(annotation)
         if attributes.get("how", "given") != "given":
             continue
         if attributes.get("keyframe", True) is False:
-            left += 1
+            interpolated += 1
             continue
-        category = one.get("category_id")
+        category = annotation.get("category_id")
         label = labels.get(str(category), "target" if category is None else f"class {category}")
-        box, shape = (None, "") if attributes.get("outside") is True else _box(one, place)
+        box, shape = (None, "") if attributes.get("outside") is True else _box(annotation, place)
         if box is not None:
-            given.add(key)
+            with_box.add(key)
         yield Row(f"annotations[{n}]", frame_of[image], key, label, box, shape)
-    empty = [key for key in dict.fromkeys(keys) if key not in given]
+    empty = [key for key in dict.fromkeys(keys) if key not in with_box]
     if empty:
         notice(
             f"{path}: {len(empty)} of {len(set(keys))} targets give no box (outside, or between key frames): "
             f"{few(empty)}"
         )
-    if left:
+    if interpolated:
         notice(
-            f"{path}: {left} of {len(annotations)} boxes are interpolated ones (keyframe false), and are "
-            "left to the tracker"
+            f"{path}: {interpolated} of {len(annotations)} boxes are interpolated ones (keyframe false), "
+            "and are left to the tracker"
         )
 
 
-def _attributes(one: Mapping[str, Any]) -> Mapping[str, Any]:
-    found = one.get("attributes")
-    return found if isinstance(found, Mapping) else {}
+def _attributes(annotation: Mapping[str, Any]) -> Mapping[str, Any]:
+    attributes = annotation.get("attributes")
+    return attributes if isinstance(attributes, Mapping) else {}
 
 
 def _identities(annotations: Sequence[Mapping[str, Any]], path: Path) -> list[str]:
     """The identity of each annotation, all by the first key that any of them has."""
     places = {
-        (inside, key): [(one if inside is None else _attributes(one)).get(key) for one in annotations]
-        for inside, key in IDENTITIES
+        (holder, key): [
+            (annotation if holder is None else _attributes(annotation)).get(key) for annotation in annotations
+        ]
+        for holder, key in IDENTITIES
     }
-    found = {where: values for where, values in places.items() if any(value is not None for value in values)}
+    columns = {
+        source: values for source, values in places.items() if any(value is not None for value in values)
+    }
     if not annotations:
         return []
-    (inside, key), values = next(iter(found.items()), ((None, "track_id"), [None] * len(annotations)))
-    name = key if inside is None else f"{inside}.{key}"
+    (holder, key), values = next(iter(columns.items()), ((None, "track_id"), [None] * len(annotations)))
+    name = key if holder is None else f"{holder}.{key}"
     if None in values:
         n = values.index(None)
-        known = ", ".join(key if inside is None else f"{inside}.{key}" for inside, key in IDENTITIES)
+        searched = ", ".join(key if holder is None else f"{holder}.{key}" for holder, key in IDENTITIES)
         raise MismatchError(
             f"{path}, annotations[{n}] (id {annotations[n].get('id')!r}): the key {name!r} is missing, which "
-            f"says which target it is; keys that are looked for: {known}"
+            f"says which target it is; keys that are looked for: {searched}"
         )
     keys = [identity(value, name, f"{path}, annotations[{n}]") for n, value in enumerate(values)]
-    for (other, called), others in found.items():
-        if called != "id" and None not in others and _differ(keys, others):
-            shown = called if other is None else f"{other}.{called}"
+    for (second_holder, second_key), column in columns.items():
+        if second_key != "id" and None not in column and _differ(keys, column):
+            second_name = second_key if second_holder is None else f"{second_holder}.{second_key}"
             raise MismatchError(
-                f"{path}: it fits two readings: identities by {name!r}, and by {shown!r}, differ"
+                f"{path}: it fits two readings: identities by {name!r}, and by {second_name!r}, differ"
             )
     return keys
 
 
-def _differ(keys: Sequence[str], others: Sequence[object]) -> bool:
+def _differ(keys: Sequence[str], values: Sequence[object]) -> bool:
     """True if two columns of identities part the annotations otherwise."""
-    both = len({(key, str(other)) for key, other in zip(keys, others, strict=True)})
-    return both != len(set(keys)) or both != len({str(other) for other in others})
+    pairs_count = len({(key, str(value)) for key, value in zip(keys, values, strict=True)})
+    return pairs_count != len(set(keys)) or pairs_count != len({str(value) for value in values})
 
 
-def _box(one: Mapping[str, Any], place: str) -> tuple[Box, str]:
+def _box(annotation: Mapping[str, Any], place: str) -> tuple[Box, str]:
     """The box of an annotation, and what it was made of."""
-    turn = number(_attributes(one).get("rotation") or 0, "rotation", place)
-    around = one.get("segmentation")
-    if not one.get("bbox") or (turn and around):
-        if not around:
+    turn = number(_attributes(annotation).get("rotation") or 0, "rotation", place)
+    segments = annotation.get("segmentation")
+    if not annotation.get("bbox") or (turn and segments):
+        if not segments:
             raise MismatchError(
-                f"{place} (id {one.get('id')!r}): the key 'bbox' is missing, and 'segmentation'"
+                f"{place} (id {annotation.get('id')!r}): the key 'bbox' is missing, and 'segmentation'"
             )
-        return _segmented(around, place)
-    box = corner_box(one["bbox"], "bbox", place)
+        return _segmented(segments, place)
+    box = corner_box(annotation["bbox"], "bbox", place)
     return (turned_box(box, turn), "rotated box") if turn else (box, "")
 
 
@@ -357,17 +365,17 @@ def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
         needed(one, ("result",), f"{path}, annotations[{n}]")
         for n, one in enumerate(listed(task["annotations"], f"{path}, annotations"))
     ]
-    done = [one for one in annotations if one.get("was_cancelled") is not True]
-    if len(done) != 1:
-        ids = ", ".join(str(one.get("id")) for one in done)
+    finished = [one for one in annotations if one.get("was_cancelled") is not True]
+    if len(finished) != 1:
+        ids = ", ".join(str(one.get("id")) for one in finished)
         raise MismatchError(
-            f"{path}: the task has {len(done)} annotations"
-            + (f" (id {ids}); leave the one that is meant" if done else "")
+            f"{path}: the task has {len(finished)} annotations"
+            + (f" (id {ids}); leave the one that is meant" if finished else "")
         )
-    found = listed(done[0]["result"], f"{path}, result")
-    results = [needed(one, ("type", "value"), f"{path}, result[{n}]") for n, one in enumerate(found)]
-    others = Counter(str(one["type"]) for one in results if one["type"] != "videorectangle")
-    for kind, count in others.items():
+    entries = listed(finished[0]["result"], f"{path}, result")
+    results = [needed(one, ("type", "value"), f"{path}, result[{n}]") for n, one in enumerate(entries)]
+    other_kinds = Counter(str(one["type"]) for one in results if one["type"] != "videorectangle")
+    for kind, count in other_kinds.items():
         notice(f"{path}: {count} results of type {kind} are no boxes of a video, and are not used")
     return [one for one in results if one["type"] == "videorectangle"]
 
@@ -378,39 +386,46 @@ def _read_key_frames(
     video: Video,
     place: str,
     path: Path,
-    given: Collection[int] | None = None,
+    chosen_frames: Collection[int] | None = None,
 ) -> Iterator[Row]:
     """Key frames as boxes of the target, its identity and label, and where it is gone.
 
     Boxes count only in the frames `given` (from 1), if there is such a list. Raises MismatchError.
     """
     key, label = target
-    here = f"{path}, {place}"
-    frames = [needed(one, ("frame",), here) for one in listed(sequence, f"{here}, sequence")]
-    numbered = sorted(((whole(one["frame"], "frame", here) - 1, one) for one in frames), key=itemgetter(0))
-    for n, (frame, one) in enumerate(numbered):
-        where = f"{place}, frame {frame + 1} (counted from 1)"
-        needed(one, ("x", "y", "width", "height"), f"{path}, {where}")
-        x, w = (number(one[side], side, f"{path}, {where}") * video.width / 100.0 for side in ("x", "width"))
-        y, h = (
-            number(one[side], side, f"{path}, {where}") * video.height / 100.0 for side in ("y", "height")
+    origin = f"{path}, {place}"
+    frames = [needed(key_frame, ("frame",), origin) for key_frame in listed(sequence, f"{origin}, sequence")]
+    numbered = sorted(
+        ((whole(key_frame["frame"], "frame", origin) - 1, key_frame) for key_frame in frames),
+        key=itemgetter(0),
+    )
+    for n, (frame, key_frame) in enumerate(numbered):
+        position = f"{place}, frame {frame + 1} (counted from 1)"
+        needed(key_frame, ("x", "y", "width", "height"), f"{path}, {position}")
+        x, w = (
+            number(key_frame[side], side, f"{path}, {position}") * video.width / 100.0
+            for side in ("x", "width")
         )
-        turn = number(one.get("rotation") or 0, "rotation", f"{path}, {where}")
+        y, h = (
+            number(key_frame[side], side, f"{path}, {position}") * video.height / 100.0
+            for side in ("y", "height")
+        )
+        turn = number(key_frame.get("rotation") or 0, "rotation", f"{path}, {position}")
         box = turned_box((x, y, w, h), turn, corner=True) if turn else (x, y, w, h)
-        if given is None or frame + 1 in given:
-            yield Row(where, frame, key, label, box, "rotated box" if turn else "")
-        then = numbered[n + 1][0] if n + 1 < len(numbered) else None
-        if one.get("enabled", True) is False and then != frame + 1:
-            yield Row(where, frame + 1, key, label, None)
+        if chosen_frames is None or frame + 1 in chosen_frames:
+            yield Row(position, frame, key, label, box, "rotated box" if turn else "")
+        next_frame = numbered[n + 1][0] if n + 1 < len(numbered) else None
+        if key_frame.get("enabled", True) is False and next_frame != frame + 1:
+            yield Row(position, frame + 1, key, label, None)
 
 
 def _check_frames(frames: object, video: Video, place: str) -> None:
     """Refuse another number of frames; one more or less comes of rounding. Raises MismatchError."""
-    found = whole(frames, "frames", place)
-    if abs(found - video.frames) > 1:
+    count = whole(frames, "frames", place)
+    if abs(count - video.frames) > 1:
         raise MismatchError(
-            f"{place}: {found} frames; the video has {video.frames}: `frameRate` of <Video> in the labelling "
+            f"{place}: {count} frames; the video has {video.frames}: `frameRate` of <Video> in the labelling "
             "configuration has to be that of the video"
         )
-    if found != video.frames:
-        notice(f"{place}: {found} frames; the video has {video.frames}")
+    if count != video.frames:
+        notice(f"{place}: {count} frames; the video has {video.frames}")
