@@ -14,26 +14,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from bayesnet_track import CueDeclaration, CueParameters, GraphSpec
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
 from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.observation.cue import (
-    METHODS,
-    CueDeclaration,
-    CueParameters,
-    Hypotheses,
-    Measurement,
-    Reference,
-    blend_arrays,
-)
+from bayesnet_track.observation.cue import METHODS, Hypotheses, Measurement, Reference, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 
 # No property depends on how fast the machine is. Those that say no number of examples take more of them with

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import installed_cues
 
@@ -176,7 +176,7 @@ def test_a_cue_of_another_package_is_found_checked_and_run(install, tmp_path, ca
     run = tmp_path / "run"
     line = ["demo", "--graph", str(good), "--end", "5", "--quiet", "--out", str(run), *allow]
     assert main(line) == 0
-    assert [metrics.active for metrics in read_metrics(run / "frames.npy.gz")] == [("glow",)] * 5
+    assert [metrics.active for metrics in open_run(run).metrics] == [("glow",)] * 5
 
 
 @pytest.mark.parametrize(

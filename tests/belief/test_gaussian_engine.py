@@ -6,16 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import GraphSpec, Tracker, track
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.engine.step import make_engine
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import DegenerateBelief, MeasurementGated
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.observation.cue import Measurement, Reference, blend_arrays
-from bayesnet_track.runtime.session import track
-from bayesnet_track.runtime.tracker import Tracker
 
 SPEED = 2.0
 

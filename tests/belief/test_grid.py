@@ -5,13 +5,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
+from bayesnet_track import GraphSpec, Tracker
 from bayesnet_track.belief.contract import Evidence, estimate
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events.beliefs import BeliefReset
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.observation.cue import Measurement

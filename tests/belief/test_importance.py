@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
@@ -14,7 +15,6 @@ from bayesnet_track.belief.particles.fitted import Kernels, log_mixture, log_pri
 from bayesnet_track.belief.particles.importance import surprise
 from bayesnet_track.belief.particles.proposals import neighbourhoods
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.numerics.log_weights import LogWeights

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import GraphSpec, Start, load_graph
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import SecondPass
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.run import Start, run
+from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.scenes.render import ORANGE, Sprite, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.scene import assemble

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_of
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph.spec import Motion
-from bayesnet_track.graph.text.load import load_graph
 
 BOX = np.array([50.0, 60.0, 20.0, 30.0])
 DEVIATIONS = (Deviation("head.x", 5.0, 2.0), Deviation("head.y", 3.0, 3.0))

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.main import main
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import StatusChanged

@@ -7,10 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.engine.starts import Start
 from bayesnet_track.journal.reader import read_inputs
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

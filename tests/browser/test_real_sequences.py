@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.sources.scenes import make_scene
 
 pytestmark = pytest.mark.slow
@@ -61,7 +61,7 @@ def test_page_and_live_view_on_a_desk_and_on_a_phone(browser, command, sequence,
     view.process.wait(10)
 
     assert main(["report", str(run), "--truth", str(truth)]) == 0
-    frames = sum(1 for _ in read_metrics(run / "frames.npy.gz"))
+    frames = sum(1 for _ in open_run(run).metrics)
     browser.open(run / "report.html", hash=f"#frame={frames // 2}")
     assert browser.frame == frames // 2 and fits(browser)
     browser.screenshot(f"{name}.png")

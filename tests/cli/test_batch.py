@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import track
 from bayesnet_track.cli.batch import places
 from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, allow, read_list, videos_of
 from bayesnet_track.cli.batch.work import ROW, do
@@ -23,7 +24,6 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 
 

@@ -23,16 +23,15 @@ import numpy as np
 import pytest
 import yaml
 
+from bayesnet_track import load_graph, open_run
 from bayesnet_track.cli import main as commands
 from bayesnet_track.cli.commands.compare import adapts
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import EXAMPLES, EXIT_CODES, GROUPS, make_parser
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import step
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.checkpoints.standing import standing
@@ -210,7 +209,7 @@ def test_a_demo_replaces_its_default_folder_only(cli, tmp_path, monkeypatch):
 
 def test_a_demo_takes_another_graph_and_seed(cli, tmp_path):
     assert cli("demo --end 3 --quiet --graph general --seed 4 --out", tmp_path / "run")[0] == 0
-    started = next(read_events(tmp_path / "run/journal.jsonl"))
+    started = open_run(tmp_path / "run").events[0]
     assert (started.graph, started.seed, started.source) == ("general", 4, "scene:two_squares")
 
 
@@ -261,7 +260,7 @@ def test_run_on_a_folder_of_images(cli, images, tmp_path):
         progress,
     )
     assert [len(lines_of(out / name)) for name in ("tracks.txt", "timings.jsonl")] == [8] * 2
-    assert len(list(read_metrics(out / "frames.npy.gz"))) == 8
+    assert len(open_run(out).metrics) == 8
     assert [float(v) for v in lines_of(out / "tracks.txt")[0].split(",")[:6]] == [1, 1, 20, 14, 16, 12]
     # It moves by two pixels a frame; a tracker that stands still would be 14 px off in the last.
     assert abs(float(column(out, "x")[-1]) - 34) < 5
@@ -286,8 +285,8 @@ def test_gray_images_are_tracked_by_what_is_not_colour(cli, images, tmp_path):
         cv2.imwrite(str(folder / path.name), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
     out = tmp_path / "run"
     assert cli(f"run general --source {folder} --init {BOX} --quiet --out", out)[0] == 0
-    assert next(read_events(out / "journal.jsonl")).has_color is False
-    for metrics in list(read_metrics(out / "frames.npy.gz"))[1:]:
+    assert open_run(out).events[0].has_color is False
+    for metrics in open_run(out).metrics[1:]:
         assert metrics.status == "tracking" and max(metrics.strength.values()) > 0.1
     assert abs(float(column(out, "x")[-1]) - 34) < 5
 
@@ -314,7 +313,7 @@ def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
     code, _, progress = cli(f"{line} --out", out)
     assert code == 0 and progress.startswith("frame 8/8 | ")
     assert column(out, "target") == ["1", "2", "3"] * 8
-    started = [event for event in read_events(out / "journal.jsonl") if hasattr(event, "template")]
+    started = [event for event in open_run(out).events if hasattr(event, "template")]
     assert [(event.target, event.template) for event in started] == [
         ("1", "ball"),
         ("2", "bat"),
@@ -337,7 +336,7 @@ def test_start_end_and_the_start_box_from_a_file(cli, images, tmp_path):
     assert cli(f"run general --source {images} {init} --start 3 --end 6 --quiet --out", out)[0] == 0
     assert column(out, "frame") == ["3", "4", "5"]
     assert float(column(out, "x")[0]) == 26
-    events = list(read_events(out / "journal.jsonl"))
+    events = open_run(out).events
     assert (events[0].declared_frames, events[-1].frames, events[-1].complete) == (3, 3, True)
 
 
@@ -782,7 +781,7 @@ def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_pat
     assert code == 5 and 1 < read < 8
     assert f"the file is truncated: read {read} of 8 frames" in err
     assert said.endswith(", the source is truncated\n")
-    ended = list(read_events(out / "journal.jsonl"))[-1]
+    ended = open_run(out).events[-1]
     assert (ended.frames, ended.complete, ended.reason) == (read, False, "source_truncated")
 
 
@@ -805,7 +804,7 @@ def test_a_run_in_which_no_agent_can_start_is_an_error_that_names_the_cause(cli,
         "bayesnet-track run: no agent can start, so that nothing can be tracked; "
         f"target 1: {why}; target 2: {why}\n"
     )
-    ended = list(read_events(tmp_path / "run/journal.jsonl"))[-1]
+    ended = open_run(tmp_path / "run").events[-1]
     assert (ended.frames, ended.complete, ended.reason) == (0, False, "error")
     code, said, _ = cli("log", tmp_path / "run")
     assert code == 0 and "color failed: needs colour, and the source is gray" in said
@@ -933,11 +932,11 @@ def test_log_tells_the_run_as_sentences(cli, demo_run):
     )
     assert lines[1].startswith("frame 0: square 1 starts, centre")
     assert re.match(r"frame \d+: UD \S+ px² < \d+ for \d+ frames → motion off \(largest KL ", lines[2])
-    assert len(lines) == len(list(read_events(demo_run / "journal.jsonl")))
+    assert len(lines) == len(open_run(demo_run).events)
 
 
 def test_log_filters(cli, demo_run):
-    events = [e for e in read_events(demo_run / "journal.jsonl") if type(e) in (Activated, Deactivated)]
+    events = [e for e in open_run(demo_run).events if type(e) in (Activated, Deactivated)]
     on = [event.frame for event in events if type(event) is Activated]
     first = on[0]
     assert type(events[0]) is Deactivated and events[0].frame < first
@@ -967,7 +966,7 @@ def test_log_of_a_target_takes_the_other_filters(cli, demo_run):
 
 
 def test_log_explains_a_frame(cli, demo_run):
-    on = next(e for e in read_events(demo_run / "journal.jsonl") if type(e) is Activated)
+    on = next(e for e in open_run(demo_run).events if type(e) is Activated)
     before, after = (cli(f"log {demo_run} --why {on.frame + late}")[1] for late in (0, 1))
     assert re.search(r"^  motion     off  gave no evidence$", before, re.MULTILINE)
     assert re.search(r"^  from here  UD .* → motion on; ", before, re.MULTILINE)

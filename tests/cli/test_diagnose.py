@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.commands import diagnose
 from bayesnet_track.cli.commands.diagnose import advise, find_all, names_of
 from bayesnet_track.cli.findings import FEW_FRAMES, REMEDIES, Finding, find, until_lost
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.arguments import UsageError
 from bayesnet_track.cli.commands.fit import check_count
 from bayesnet_track.cli.commands.fit_text import further_features, used_features
 from bayesnet_track.cli.main import main
-from bayesnet_track.graph.text.load import load_graph
 
 GRAPH = """# my graph
 bayesnet: 1

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.main import main
-from bayesnet_track.graph.text.load import load_graph
 
 GRAPH = """# my graph
 bayesnet: 1

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.main import main
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph, graph_names
 
 

@@ -5,6 +5,7 @@ import shlex
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.arguments import (
     UsageError,
     add_plugins,
@@ -20,7 +21,6 @@ from bayesnet_track.cli.commands.calibrate import parse_board
 from bayesnet_track.cli.commands.detect import read_parameters
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.options import add_depth_options, add_window_options, open_given
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.detector import installed_detectors
 

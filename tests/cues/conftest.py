@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pydantic import Field, create_model
 
+from bayesnet_track import CueDeclaration
 from bayesnet_track.observation.cue import (
     Cue,
-    CueDeclaration,
     Hypotheses,
     LocallyAdaptable,
     MeasuringCue,

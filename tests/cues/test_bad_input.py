@@ -11,10 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import track
+from bayesnet_track import GraphSpec, load_graph, track
 from bayesnet_track.engine.starts import StartError
-from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import installed_cues

@@ -8,12 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track import GraphSpec, Tracker
 from bayesnet_track.cues.correlation_filter import CUE, LEAST_ANSWER, REACH, TURN_STEP, CorrelationFilter
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
-from bayesnet_track.runtime.tracker import Tracker
 from bayesnet_track.vision.correlation import (
     CHANNELS,
     equations,

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track import GrayPlane, floored
 from bayesnet_track.cues.intensity import CUE, IntensityCue
-from bayesnet_track.observation.cue import Hypotheses, floored, log_size_penalty
+from bayesnet_track.observation.cue import Hypotheses, log_size_penalty
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.vision.kernels.patch_kernels import MOMENTS, patch_means, patch_moments
-from bayesnet_track.vision.planes import GrayPlane
 
 FORMS = ("correlation", "difference")
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.cue import CueParameters, Measurement, MeasuringCue, context_of
+from bayesnet_track import CueParameters
+from bayesnet_track.observation.cue import Measurement, MeasuringCue, context_of
 from bayesnet_track.observation.planes import PlaneCache, Region, region_of_boxes
 
 

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track import floored
 from bayesnet_track.cues.motion import CUE, MotionCue
-from bayesnet_track.observation.cue import Hypotheses, floored, log_size_penalty
+from bayesnet_track.observation.cue import Hypotheses, log_size_penalty
 from bayesnet_track.observation.planes import Frame, FramePair, Planes, Region, for_reading
 from bayesnet_track.vision.kernels.flow_kernels import RIM, corner_scores
 from bayesnet_track.vision.motion_planes import FlowPlane

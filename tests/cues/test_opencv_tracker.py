@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import GraphSpec, load_graph
 from bayesnet_track.cli.arguments import OK
 from bayesnet_track.cli.commands.graphs import validate
 from bayesnet_track.cues.opencv_tracker import missing_tracker, present_trackers
 from bayesnet_track.engine.step import State, make_engine, start_target, step
-from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair

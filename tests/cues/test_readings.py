@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, Tracker, track
+from bayesnet_track import Start, Tracker, load_graph, track
 from bayesnet_track.cues.readings import CUE, ReadingsError, read_readings
 from bayesnet_track.graph.text.change import change_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.checkpoints.origins import file_sha256
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.sources.entrances.notices import InputNotice

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import floored, load_graph
 from bayesnet_track.cues import shape
 from bayesnet_track.cues.shape import CUE, MODES, ShapeCue
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.observation.cue import Hypotheses, floored
+from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.vision.kernels.shape_kernels import shape_energy
 from bayesnet_track.vision.shape import contours, learn_model, save_model, vectors

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
-from bayesnet_track.graph.text.load import GraphError, load_graph
+from bayesnet_track import Tracker, load_graph
+from bayesnet_track.graph.text.load import GraphError
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.siamese_crops import Memory

@@ -7,10 +7,10 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.cues import color_blobs, motion
 from bayesnet_track.evaluate.cue_parameters import cue_residuals, fit_sd, fit_sds, shares_inside
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.cue import Residual
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import random_geometry, two_squares

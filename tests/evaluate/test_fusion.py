@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from bayesnet_track import CueDeclaration, CueParameters, GrayPlane
 from bayesnet_track.cues.intensity import CUE as INTENSITY
 from bayesnet_track.evaluate.cue_parameters import (
     fit_correlation,
@@ -16,9 +17,8 @@ from bayesnet_track.evaluate.cue_parameters import (
     pool_errors,
 )
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses
+from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.vision.planes import GrayPlane
 
 
 def drawn(rng, frames, correlation, children=2):

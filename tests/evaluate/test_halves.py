@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import load_graph
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import strategies as st
 from pydantic import Field
 
-from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.observation.cue import Cue, CueDeclaration, CueParameters
+from bayesnet_track import CueDeclaration, CueParameters, GraphSpec
+from bayesnet_track.observation.cue import Cue
 
 
 class HueParameters(CueParameters):

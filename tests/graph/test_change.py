@@ -2,8 +2,8 @@
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.text.change import ChangeError, change_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graph.text.write import differences
 

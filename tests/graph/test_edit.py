@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import yaml
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.text.change import set_value
-from bayesnet_track.graph.text.load import load_graph, read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graphs import find_graph, graph_names
 
 TEXT = """# a graph

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.text.explain import WIDTH, describe_error
 from bayesnet_track.graph.text.hints import A_NODE, RULES, hint_of
-from bayesnet_track.graph.text.load import load_graph, read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.observation.settings import by_command_line

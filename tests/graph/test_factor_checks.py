@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import GraphSpec
 from bayesnet_track.graph.checks.factors import names_at
 from bayesnet_track.graph.checks.plates import Plate
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.messages import GraphError, Positions
 
 BOX = ("x", "y", "w", "h")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import GraphSpec, load_graph
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.formula import (
     Integral,
     Likelihood,
@@ -21,7 +21,6 @@ from bayesnet_track.graph.text.formula_parts import (
     motion_lines,
     moves,
 )
-from bayesnet_track.graph.text.load import load_graph
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
 PREDICTED = "p(s_t | e_1:t-1)"

@@ -2,12 +2,13 @@
 
 import pytest
 
+from bayesnet_track import GraphSpec
 from bayesnet_track.graph.checks.factors import names_at
 from bayesnet_track.graph.checks.motion import drift_of, sds_of
 from bayesnet_track.graph.checks.plates import Plate
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.expressions.parse import text_of
-from bayesnet_track.graph.spec import ByExpressions, GraphSpec
+from bayesnet_track.graph.spec import ByExpressions
 from bayesnet_track.graph.text.messages import GraphError, Positions
 
 MOTION = {"fields": {"speed": {"sd": 2}}, "drift": {"x": "x + speed*dt"}, "sd": {"x": 1.5, "speed": "-w"}}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.checks.factors import MEASURE_CHECKS, is_drawn
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.formula_parts import given_lines, latex_given_lines
-from bayesnet_track.graph.text.load import load_graph
 
 
 def test_a_distribution_is_read_with_the_constants_that_it_uses(cues):

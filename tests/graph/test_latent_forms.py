@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.checks.latent import form_of
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.text.load import load_graph
 
 XY = {"sd_px": {"x": 3, "y": 3}}
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import GraphSpec, load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graphs import find_graph, graph_names
 

@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.checks.factors import masks_of
 from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.graph.text.formula import formula_text
-from bayesnet_track.graph.text.load import load_graph, read_graph
+from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graphs import graph_folder
 from bayesnet_track.observation.image_files import AnyMask

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.graph.text.explain import MOST_SHOWN, describe_error
-from bayesnet_track.graph.text.load import errors_behind, load_graph
+from bayesnet_track.graph.text.load import errors_behind
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.cue import installed_cues
 

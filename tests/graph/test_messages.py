@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from bayesnet_track import GraphSpec
 from bayesnet_track.graph.checks.run import check, check_graph
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, Positions, listed, nearest, shown
 from bayesnet_track.observation.cue import installed_cues

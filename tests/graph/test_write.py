@@ -5,8 +5,9 @@ from __future__ import annotations
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track import GraphSpec
 from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
-from bayesnet_track.graph.spec import AgentChoice, Fuse, GraphSpec, Motion, Moving, Noise
+from bayesnet_track.graph.spec import AgentChoice, Fuse, Motion, Moving, Noise
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import as_plain, graph_sha256, write_graph
 

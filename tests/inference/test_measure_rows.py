@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import load_graph
 from bayesnet_track.inference.measure_rows import is_flat
 
 

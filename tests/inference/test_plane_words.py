@@ -2,8 +2,8 @@
 
 import re
 
+from bayesnet_track import load_graph
 from bayesnet_track.cli.commands.graphs import _active, _plan
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import graphs_about
 
 

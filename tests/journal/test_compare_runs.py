@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
+from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.recording.run_reader import open_run
 
 
 @pytest.fixture(scope="module")

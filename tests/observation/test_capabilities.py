@@ -9,16 +9,8 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from bayesnet_track.observation.cue import (
-    METHODS,
-    CueDeclaration,
-    CueError,
-    CueParameters,
-    Making,
-    blend_arrays,
-    installed_cues,
-    make_cue,
-)
+from bayesnet_track import CueDeclaration, CueParameters
+from bayesnet_track.observation.cue import METHODS, CueError, Making, blend_arrays, installed_cues, make_cue
 from bayesnet_track.observation.protocols import Cue
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track import box_means
 from bayesnet_track.observation.geometry import (
     box_integral,
-    box_means,
     box_pixels,
     crop_of,
     distinct_pixels,

@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.observation.likelihoods import (
-    blend_arrays,
-    blend_sizes,
-    floored,
-    log_logistic,
-    log_size_penalty,
-)
+from bayesnet_track import floored
+from bayesnet_track.observation.likelihoods import blend_arrays, blend_sizes, log_logistic, log_size_penalty
 
 ratios = st.floats(0.1, 10.0)
 

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker, track
+from bayesnet_track import CueDeclaration, CueParameters, Tracker, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation import plugins
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters, installed_cues
+from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.detector import installed_detectors
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 

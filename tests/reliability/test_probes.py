@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.sources.sources import SourceError, open_source
 

@@ -5,9 +5,9 @@ import re
 import av
 import pytest
 
+from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import RunEnded, SourceDamaged
-from bayesnet_track.journal.reader import read_events
 
 pytestmark = pytest.mark.reliability
 FRAMES, POINTS = 40, 50
@@ -36,7 +36,7 @@ def test_a_cut_video_ends_with_its_exit_code_and_how_far_it_came(videos, graph, 
             assert "not a readable video" in said or "no frame can be read" in said
             refused.append(cut)
             continue
-        events = list(read_events(out / "journal.jsonl"))
+        events = open_run(out).events
         ended = events[-1]
         assert isinstance(ended, RunEnded)
         assert (code, ended.complete, ended.reason) == (5, False, "source_truncated")

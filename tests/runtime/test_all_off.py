@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import Start, load_graph, track
 from bayesnet_track.journal.events.load import Toggled
-from bayesnet_track.runtime.run import Start
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes.library import SceneSource
 
 OFF, FRAMES = 12, 33

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.belief import GridFilter
@@ -15,7 +16,6 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.moving.predicting import MotionContext
 from bayesnet_track.engine.step import TargetState
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.encoder import JournalError
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter, check_kept, read_beliefs

@@ -8,16 +8,14 @@ import json
 import numpy as np
 import pytest
 
+from bayesnet_track import Tracker, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import write_graph
 from bayesnet_track.journal.events.lives import CandidateConfirmed
 from bayesnet_track.journal.events.runs import RunStarted
-from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.detector import DetectorError
-from bayesnet_track.runtime.session import track
-from bayesnet_track.runtime.tracker import Tracker
 
 
 def graph_by(detector, **birth):
@@ -58,7 +56,7 @@ def test_a_run_by_detections_from_a_file(pictures, found, tmp_path):
     results = list(track(graph, str(pictures), out=out, detections=found, video=True))
     assert [len(result.targets) for result in results] == [0, 0, 0, 1, 1, 1, 1, 1]
     assert results[-1].targets[0].centre_box[0] == pytest.approx(20 + 21 + 9.5, abs=4)
-    events = list(read_events(out / "journal.jsonl"))
+    events = open_run(out).events
     assert isinstance(events[0], RunStarted)
     assert events[0].inputs == {str(found): hashlib.sha256(found.read_bytes()).hexdigest()}
     (confirmed,) = [event for event in events if isinstance(event, CandidateConfirmed)]

@@ -11,16 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Result, Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import RunEnded
-from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime import session
 from bayesnet_track.runtime.checkpoints.origins import file_sha256
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.recording.record import Recorder
-from bayesnet_track.runtime.results import Result, Summary
+from bayesnet_track.runtime.results import Summary
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.scenes.library import SceneSource
@@ -58,7 +57,7 @@ def test_an_image_that_is_changed_during_the_run_is_damage_of_the_source(
     blackened(folder / f"{number:03}.png")
     assert len(list(results)) == FRAMES - 1
     assert not summary.complete and summary.reason == "source_damaged"
-    *_, damaged, ended = read_events(tmp_path / "run" / "journal.jsonl")
+    *_, damaged, ended = open_run(tmp_path / "run").events
     assert damaged.frame == FRAMES and damaged.reason == f"changed while it was read: {number:03}.png"
     assert isinstance(ended, RunEnded) and not ended.complete
 

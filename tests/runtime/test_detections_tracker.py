@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from bayesnet_track import DetectionsTracker
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import DetectionsTracker, load_graph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.runtime.detections_tracker import NO_TARGET, owners
 from bayesnet_track.runtime.updates.frame_clock import image_users

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Start, load_graph, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.sources.scenes.library import SceneSource

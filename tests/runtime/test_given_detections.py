@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track import DetectionsTracker
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import DetectionsTracker, load_graph
 from bayesnet_track.runtime.detections_tracker import NO_TARGET
 from bayesnet_track.sources.entrances.notices import InputNotice
 

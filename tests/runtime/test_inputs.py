@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import open_run, track
 from bayesnet_track.journal.events.load import InputRefused, Released, Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import replay
-from bayesnet_track.journal.reader import read_events, read_inputs
+from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.results import Switchboard
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 
@@ -49,7 +49,7 @@ def test_a_person_switches_and_the_journal_tells(live):
     asked = [Toggled(3, "1", "motion", True), Toggled(3, "1", "color", False)]
     assert [d for d in results[3].decisions if isinstance(d, Toggled)] == asked
     assert "motion" in results[4].targets[0].active and "color" not in results[4].targets[0].active
-    events = list(read_events(out / "journal.jsonl"))
+    events = open_run(out).events
     assert InputRefused(3, "2", "motion", "there is no target 2") in events
     # It stays as it was set: no rule switches either while they are held.
     switched = [e for e in events if isinstance(e, Activated | Deactivated) and 3 <= e.frame < 8]
@@ -82,7 +82,7 @@ def test_the_journal_rebuilds_what_a_person_holds(live):
     _, out = live
     from bayesnet_track.journal.net.net import Decision
 
-    decisions = [e for e in read_events(out / "journal.jsonl") if isinstance(e, Decision)]
+    decisions = [e for e in open_run(out).events if isinstance(e, Decision)]
     assert replay(decisions, 3).targets["1"].by_hand == {}
     assert replay(decisions, 4).targets["1"].by_hand == {"motion": True, "color": False}
     assert replay(decisions, 9).targets["1"].by_hand == {"motion": True}

@@ -9,9 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from bayesnet_track import Detections, Tracker, open_run, track
+from bayesnet_track import Detections, Start, Tracker, open_run, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.engine.starts import Start
 from bayesnet_track.runtime.recording.exports import as_coco, as_csv, as_jsonl, as_mot
 from bayesnet_track.runtime.recording.tables import AGENT_COLUMNS, TRACK_COLUMNS
 from bayesnet_track.sources.entrances.notices import InputNotice

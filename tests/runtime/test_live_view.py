@@ -7,13 +7,10 @@ import time
 
 import pytest
 
-from bayesnet_track.engine.starts import Start
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import Start, load_graph, open_run, track
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.live_view.controls import Controls, Refused
 from bayesnet_track.runtime.live_view.view import LiveView
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.view.page_data import read_timings
@@ -113,10 +110,10 @@ def test_the_page_is_told_every_event_and_every_frame_in_order(watched):
     assert list(lines[0]) == ["header"] and lines[0]["header"]["plates"]
     frames = [line["frames"] for line in lines if "frames" in line]
     assert [one[0]["frame"] for one in frames] == list(range(FRAMES))
-    on_disk = [json.loads(to_json(line)) for line in read_metrics(out / "frames.npy.gz")]
+    on_disk = [json.loads(to_json(line)) for line in open_run(out).metrics]
     assert alike([one for each in frames for one in each], on_disk)
     events = [line["event"] for line in lines if "event" in line]
-    journal = list(read_events(out / "journal.jsonl"))
+    journal = open_run(out).events
     assert len(events) == len(journal) - 2
     assert list(lines[-1]) == ["ended"] and lines[-1]["ended"]["complete"]
     assert (status["phase"], status["frames"], status["trouble"]) == ("ended", FRAMES, "")
@@ -131,7 +128,7 @@ def test_the_page_is_told_every_event_and_every_frame_in_order(watched):
 def test_a_run_that_goes_on_tells_the_page_what_was_before(watched):
     out, lines, _, _ = watched
     timings = read_timings(out / "timings.jsonl")
-    events, metrics = list(read_events(out / "journal.jsonl")), list(read_metrics(out / "frames.npy.gz"))
+    events, metrics = open_run(out).events, open_run(out).metrics
     with LiveView() as view:
         view.shows(load_graph("two_squares"))
         view.recall(events[:-1], metrics, timings)
@@ -166,7 +163,7 @@ def test_a_stopped_run_is_closed_in_order(tmp_path):
                 break
         results.close()
         assert page_state(view)[0][-1] == {"ended": {"complete": False, "reason": "interrupted"}}
-    assert list(read_events(tmp_path / "run" / "journal.jsonl"))[-1].frames == 5
+    assert open_run(tmp_path / "run").events[-1].frames == 5
 
 
 def test_a_page_that_reads_nothing_does_not_slow_the_run():

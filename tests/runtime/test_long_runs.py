@@ -2,11 +2,10 @@
 
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Start, open_run, track
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.reader import Measurements
 from bayesnet_track.runtime.recording import run_reader
-from bayesnet_track.runtime.recording.run_reader import open_run
 from bayesnet_track.sources.scenes.library import SceneSource
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track import track
+from bayesnet_track import Result, Start, load_graph, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.resume import resume
@@ -19,8 +18,7 @@ from bayesnet_track.runtime.recording.manifest import FOREIGN
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.runtime.results import Result
-from bayesnet_track.runtime.run import Start, run
+from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

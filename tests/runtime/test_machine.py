@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import MachineChanged, RunEnded
-from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.scenes.library import SceneSource
@@ -76,7 +75,7 @@ def test_where_it_is_allowed_it_goes_on_and_the_journal_says_so(
     results.close()
     # What is done from now on is done on one machine.
     assert main(["resume", str(run), "--quiet"]) == 0
-    events = list(read_events(run / "journal.jsonl"))
+    events = open_run(run).events
     moved = [event for event in events if isinstance(event, MachineChanged)]
     assert [event.frame for event in moved] == [3]
     assert len(moved[0].changes) == 1 and "now 1.0" in moved[0].changes[0]
@@ -123,5 +122,5 @@ def test_a_processor_with_fewer_instruction_sets_is_noticed(run: Path) -> None:
     assert content(run) == before
     allowed = resumed(less, "--allow-other-machine")
     assert allowed.returncode == 0, allowed.stderr
-    (moved,) = [e for e in read_events(run / "journal.jsonl") if isinstance(e, MachineChanged)]
+    (moved,) = [e for e in open_run(run).events if isinstance(e, MachineChanged)]
     assert any(change.startswith("OpenCV CPU: without") and "AVX2" in change for change in moved.changes)

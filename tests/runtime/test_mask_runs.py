@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from bayesnet_track import Start, Tracker, track
+from bayesnet_track import CueDeclaration, CueParameters, Start, Tracker, load_graph, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import StartError
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import graph_folder
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters, installed_cues
+from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.checkpoints.standing import ResumeError, check_files

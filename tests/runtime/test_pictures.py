@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.recording.pictures import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.sources import open_source
@@ -33,7 +33,7 @@ def tracked(tmp_path):
 
 def found(run):
     directory = RunDirectory.open(run)
-    started = next(iter(read_events(directory.journal)))
+    started = open_run(directory.path).events[0]
     with pictures_of(directory, started, 2, 7) as (pictures, missing):
         if pictures is None:
             return None, missing

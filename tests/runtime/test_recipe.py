@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, track
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import Start, load_graph, track
 from bayesnet_track.runtime.checkpoints.recipe import VIDEO_FORMAT, Recipe, RecipeError, make_recipe
 from bayesnet_track.sources.origin import Origin, fingerprint
 from bayesnet_track.sources.paths import SourceError

@@ -17,17 +17,15 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, Tracker, open_run, track
+from bayesnet_track import Start, Tracker, load_graph, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.options import add_size_option
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.evaluate.runs import score_run
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Recognition, TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
-from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.observation.planes import Frame, RightEye
 from bayesnet_track.runtime.annotation.asking import TrackerRuns
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
@@ -172,7 +170,7 @@ def test_the_command_says_which_pixels_are_meant(
     assert f"frames of {TWICE * WIDTH}x{TWICE * HEIGHT} px are tracked at {WIDTH}x{HEIGHT} px" in said
     video = cv2.VideoCapture(str(tmp_path / "run/video.mkv"))
     assert video.get(cv2.CAP_PROP_FRAME_WIDTH) == TWICE * WIDTH
-    lines = [list(read_metrics(path / "frames.npy.gz"))[:3] for path in (tmp_path / "run", large)]
+    lines = [open_run(path).metrics[:3] for path in (tmp_path / "run", large)]
     assert lines[0] == lines[1]
 
 

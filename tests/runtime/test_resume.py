@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Result, Start, track
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime import preparation
 from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
@@ -22,7 +22,7 @@ from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.checkpoints.standing import Standing, standing
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.results import Result, Summary, Switchboard
+from bayesnet_track.runtime.results import Summary, Switchboard
 from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 10

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import Start, Tracker, load_graph, open_run, track
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import (
     FrameSizeChanged,
@@ -23,12 +22,10 @@ from bayesnet_track.journal.events.runs import (
 )
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import Decision, replay
-from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.results import Summary
-from bayesnet_track.runtime.run import Start, StartError, run
-from bayesnet_track.runtime.session import track
+from bayesnet_track.runtime.run import StartError, run
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import open_source
@@ -196,8 +193,8 @@ def test_a_source_that_says_so_may_turn_gray(general):
 
 def test_folding_the_journal_rebuilds_the_net_of_every_frame(recorded):
     out, results = recorded
-    events = list(read_events(out / "journal.jsonl"))
-    metrics = list(read_metrics(out / "frames.npy.gz"))
+    events = open_run(out).events
+    metrics = open_run(out).metrics
     assert len(metrics) == len(results) == 45
     decisions = [event for event in events if isinstance(event, Decision)]
     assert {TargetStarted, Activated, Deactivated} <= {type(event) for event in decisions}
@@ -208,7 +205,7 @@ def test_folding_the_journal_rebuilds_the_net_of_every_frame(recorded):
 
 
 def test_the_journal_begins_and_ends_as_documented(recorded):
-    events = list(read_events(recorded[0] / "journal.jsonl"))
+    events = open_run(recorded[0]).events
     started, target, ended = events[0], events[1], events[-1]
     assert isinstance(started, RunStarted) and isinstance(target, TargetStarted)
     assert (started.width, started.height, started.has_color, started.declared_frames) == (320, 240, True, 45)
@@ -241,8 +238,8 @@ def test_a_caller_may_stop_early(tmp_path):
         if result.frame.index == 4:
             break
     assert (summary.frames, summary.complete, summary.reason) == (5, False, "interrupted")
-    assert list(read_events(tmp_path / "run/journal.jsonl"))[-1] == RunEnded(5, 200, False, "interrupted")
-    assert len(list(read_metrics(tmp_path / "run/frames.npy.gz"))) == 5
+    assert open_run(tmp_path / "run").events[-1] == RunEnded(5, 200, False, "interrupted")
+    assert len(open_run(tmp_path / "run").metrics) == 5
 
 
 def test_an_error_of_a_sink_ends_the_run_and_the_journal_says_so(general):
@@ -277,7 +274,7 @@ def test_the_source_decides_whether_it_was_whole(general):
 def test_the_summary_counts_reconfigurations_and_lost_frames(recorded):
     scene, summary = make_scene("two_squares"), Summary()
     list(track("two_squares", SceneSource(scene, "scene", 45), scene.start_box, summary=summary))
-    switched = [e for e in read_events(recorded[0] / "journal.jsonl") if type(e) in (Activated, Deactivated)]
+    switched = [e for e in open_run(recorded[0]).events if type(e) in (Activated, Deactivated)]
     assert summary.reconfigurations == len(switched) > 2
     assert summary.lost_frames == 0 and summary.seconds > 0
 
@@ -309,7 +306,7 @@ def test_a_truncated_video_saves_what_was_read(make_video, tmp_path):
     assert (summary.complete, summary.reason) == (False, "source_truncated")
     (notice,) = summary.notices
     assert notice.reason.startswith(f"the file is truncated: read {read} of 40 frames")
-    events = list(read_events(tmp_path / "run/journal.jsonl"))
+    events = open_run(tmp_path / "run").events
     assert notice in events and events[-1] == RunEnded(read, 40, False, "source_truncated")
     assert len((tmp_path / "run/tracks.txt").read_text().splitlines()) == read
 
@@ -378,4 +375,4 @@ def test_a_change_of_size_in_the_stream(make_video, tmp_path, on_resize, frames,
     with open_source(str(path), on_resize=on_resize) as source:
         list(track("general", source, SQUARE, out=tmp_path / "run", summary=summary))
     assert (summary.frames, summary.complete) == (frames, complete)
-    assert FrameSizeChanged(20, 96, 80, on_resize) in list(read_events(tmp_path / "run/journal.jsonl"))
+    assert FrameSizeChanged(20, 96, 80, on_resize) in open_run(tmp_path / "run").events

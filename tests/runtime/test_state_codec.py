@@ -9,8 +9,8 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import pytest
 
-from bayesnet_track import load_graph
-from bayesnet_track.engine.starts import Start, has_births, start_targets
+from bayesnet_track import Start, load_graph
+from bayesnet_track.engine.starts import has_births, start_targets
 from bayesnet_track.engine.step import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graphs import graph_names

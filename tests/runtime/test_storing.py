@@ -13,9 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track import CueDeclaration, DetectionsTracker, Tracker, load_graph
+from bayesnet_track import CueDeclaration, DetectionsTracker, Start, Tracker, load_graph
 from bayesnet_track.belief.motion.formulas import FunctionMotion
-from bayesnet_track.engine.starts import Start, has_births
+from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.runtime.updates import storing

@@ -8,12 +8,11 @@ from pathlib import Path
 import cv2
 import pytest
 
-from bayesnet_track import track
+from bayesnet_track import open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.evaluate.mot import score_mot_files
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.journal.events.runs import RunStarted
-from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.recording.pictures import pictures_of
@@ -54,9 +53,9 @@ def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_only_these_frames_are_tracked_with_the_numbers_of_the_source(whole: Path) -> None:
-    assert [line.frame for line in read_metrics(whole / "frames.npy.gz")] == TRACKED
+    assert [line.frame for line in open_run(whole).metrics] == TRACKED
     assert Recipe.read(whole).origin.stride == STRIDE
-    kinds = [type(event).__name__ for event in read_events(whole / "journal.jsonl")]
+    kinds = [type(event).__name__ for event in open_run(whole).events]
     assert "FramesMissing" not in kinds
 
 
@@ -73,7 +72,7 @@ def test_a_run_that_was_broken_off_goes_on_to_the_same_bytes(
 def test_what_if_reads_the_same_frames(whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     assert main(["what-if", str(whole), "--seed", "1", "--out", str(out), "--quiet"]) == 0
-    assert [line.frame for line in read_metrics(out / "frames.npy.gz")] == TRACKED
+    assert [line.frame for line in open_run(out).metrics] == TRACKED
 
 
 def test_scores_are_those_of_the_tracked_frames(
@@ -96,7 +95,7 @@ def test_its_own_video_has_the_numbers_of_the_source(whole: Path, tmp_path: Path
         (tmp_path / name).write_bytes((whole / name).read_bytes())
     gone = (whole / "run.json").read_text().replace("img", "gone")
     run.recipe.write_text(gone)
-    started = next(event for event in read_events(whole / "journal.jsonl") if isinstance(event, RunStarted))
+    started = next(event for event in open_run(whole).events if isinstance(event, RunStarted))
     with pictures_of(run, started, 0, 10) as (found, _):
         assert found is not None and found.annotated
         assert [index for index, _ in found.images] == [0, 3, 6, 9]

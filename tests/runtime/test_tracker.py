@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from bayesnet_track import Tracker
+from bayesnet_track import Tracker, load_graph
 from bayesnet_track.engine.metrics import Lines
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.lives import TargetDied
 from bayesnet_track.runtime import tracker as module

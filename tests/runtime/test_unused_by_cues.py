@@ -7,9 +7,8 @@ from pathlib import Path
 import cv2
 import pytest
 
-from bayesnet_track import track
+from bayesnet_track import load_graph, track
 from bayesnet_track.graph.text.change import change_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scenes.library import SceneSource

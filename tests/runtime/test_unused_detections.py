@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import load_graph
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.runtime.arguments import explain_unused
 

@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 
+from bayesnet_track import track
 from bayesnet_track.journal.events.runs import (
     FramesDropped,
     FrameSizeChanged,
@@ -19,7 +20,6 @@ from bayesnet_track.journal.events.runs import (
     SourceStalled,
 )
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.sources import SourceError, open_source
 from tests.sources.network import camera, hanging, image, jpeg, multipart, number_of, part

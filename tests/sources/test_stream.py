@@ -12,10 +12,9 @@ import av
 import numpy as np
 import pytest
 
+from bayesnet_track import open_run, track
 from bayesnet_track.journal.events.runs import FramesMissing, SourceStalled
-from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import SourceError, open_source
 
@@ -102,7 +101,7 @@ def test_a_stream_that_stalls_and_breaks_is_taken_up_again(server, tmp_path):
     assert (steps > 0).all() and steps.max() > 1.8, "the stall stands in them"
     assert np.diff(arrived)[steps.argmax()] == pytest.approx(steps.max(), abs=0.6)
     assert times[-1] - times[0] == pytest.approx(arrived[-1] - arrived[0], abs=0.6)
-    events = list(read_events(tmp_path / "run" / "journal.jsonl"))
+    events = open_run(tmp_path / "run").events
     stalls = [event for event in events if isinstance(event, SourceStalled)]
     assert len(connections) >= 4 and len(stalls) >= 3
     assert [event.attempt for event in stalls][:2] == [1, 2] and stalls[-1].attempt == 1

@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import GraphSpec, Start, load_graph, track
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.events.beliefs import ParticlesResized, SecondPass
 from bayesnet_track.journal.events.switches import Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.runtime.run import Start
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import track
 from bayesnet_track.journal.events.lives import Reacquired, TargetStarted
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

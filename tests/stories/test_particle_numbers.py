@@ -8,11 +8,10 @@ from typing import Any, get_args
 
 import pytest
 
-from bayesnet_track import GraphSpec, Start, track
+from bayesnet_track import GraphSpec, Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.beliefs import ParticlesResized
 from bayesnet_track.journal.net.net import Decision, replay
-from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import explain, why
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
@@ -53,12 +52,12 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def resizings(directory: Path) -> list[ParticlesResized]:
-    events = read_events(directory / "journal.jsonl")
+    events = open_run(directory).events
     return [event for event in events if isinstance(event, ParticlesResized)]
 
 
 def test_the_number_rises_during_the_flight(directory: Path) -> None:
-    sizes = {line.frame: line.particles for line in read_metrics(directory / "frames.npy.gz")}
+    sizes = {line.frame: line.particles for line in open_run(directory).metrics}
     assert {sizes[frame] for frame in range(FLIGHT[0])} == {300}
     assert sizes[FLIGHT[0]] > 2 * 300  # in the frame of the throw itself
     assert max(sizes[frame] for frame in FLIGHT) > 4 * 300
@@ -66,7 +65,7 @@ def test_the_number_rises_during_the_flight(directory: Path) -> None:
 
 
 def test_the_journal_says_why(directory: Path) -> None:
-    sizes = {line.frame: line.particles for line in read_metrics(directory / "frames.npy.gz")}
+    sizes = {line.frame: line.particles for line in open_run(directory).metrics}
     first = resizings(directory)[0]
     assert (first.frame, first.target, first.before) == (FLIGHT[0], "1", 300)
     assert first.early and first.particles == sizes[first.frame]
@@ -102,9 +101,9 @@ def test_commands_tell_it(directory: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_folding_the_decisions_passes_over_it(directory: Path) -> None:
-    events = list(read_events(directory / "journal.jsonl"))
+    events = open_run(directory).events
     decisions = [event for event in events if isinstance(event, get_args(Decision))]
     assert not any(isinstance(decision, ParticlesResized) for decision in decisions)
     assert replay(decisions).targets["1"].active == {"color"}
-    lines = list(read_metrics(directory / "frames.npy.gz"))
+    lines = open_run(directory).metrics
     assert f"{resizings(directory)[0].particles}" in why(events, lines, FLIGHT[0])

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Result, Start, track
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

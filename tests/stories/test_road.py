@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track import Start, track
+from bayesnet_track import Start, load_graph, track
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.sources.scenes.library import SceneSource
 

@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, Tracker, track
+from bayesnet_track import Start, Tracker, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import PointMap
 from bayesnet_track.sources.paths import SourceError
@@ -80,7 +79,7 @@ def test_both_ways_of_giving_a_pair_give_the_same(files, tmp_path):
     assert run(files, tmp_path, *both, out="halves") == 0
     one, other = ((tmp_path / name / "frames.npy.gz").read_bytes() for name in ("run", "halves"))
     assert one == other
-    assert all("stereo" in m.active for m in read_metrics(tmp_path / "run" / "frames.npy.gz"))
+    assert all("stereo" in m.active for m in open_run(tmp_path / "run").metrics)
     first = json.loads((tmp_path / "run" / "journal.jsonl").read_text().splitlines()[0])
     assert first["source"] == f"{files / 'left'} + {files / 'right'}"
 

@@ -4,10 +4,9 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from bayesnet_track import load_graph, open_run
+from bayesnet_track import GraphSpec, load_graph, open_run
 from bayesnet_track.cli.main import main
 from bayesnet_track.engine.step import make_engine
-from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.view.notebook import run_html, table
 

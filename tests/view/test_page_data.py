@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import load_graph
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed, TakenBack, Toggled

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from bayesnet_track import GrayPlane
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes import GrayPlane, Hue, HueBins, TextureCodes, WholeFrame, gray
+from bayesnet_track.vision.planes import Hue, HueBins, TextureCodes, WholeFrame, gray
 
 PLANES = [GrayPlane(), Hue(), Hue(median_px=5), HueBins(bins=16), TextureCodes(), TextureCodes("patterns")]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import load_graph
 from bayesnet_track.runtime.annotation import asking
 from bayesnet_track.runtime.annotation.answers import (
     UNDO,

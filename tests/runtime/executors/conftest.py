@@ -12,13 +12,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bayesnet_track import Start
 from bayesnet_track.engine.step import State, make_engine, start_target, step
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.run import run as run_loop
 
 

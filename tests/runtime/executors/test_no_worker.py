@@ -7,10 +7,10 @@ import os
 
 import pytest
 
+from bayesnet_track import track
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors import PlacingError
 from bayesnet_track.runtime.executors.workers import ForkServer
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes.library import SceneSource
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.engine.step import make_engine
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.executors import PlacingError, make_executor, parse_places
 from bayesnet_track.runtime.executors.placing import agent_specs, places_of

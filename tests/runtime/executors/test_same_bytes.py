@@ -7,12 +7,11 @@ import signal
 
 import pytest
 
+from bayesnet_track import Start, load_graph, track
 from bayesnet_track.cli.commands.runs import SCENE_GRAPHS
-from bayesnet_track.engine.starts import Start, has_births
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.runtime.executors import make_executor
-from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

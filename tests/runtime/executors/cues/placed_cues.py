@@ -14,7 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Measurement, blend_arrays
+from bayesnet_track import CueDeclaration, CueParameters
+from bayesnet_track.observation.cue import Measurement, blend_arrays
 
 ENGINE = os.getpid()
 """Where this was first imported: what is done to a worker only is not done there."""
