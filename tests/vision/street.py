@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Image
-from bayesnet_track.sources.scenes.people import PARTS
+from bayesnet_track.sources.scenes.people import BODY_PARTS
 from bayesnet_track.sources.scenes.render import Movie, Sprite, flat, shaded_cells
 from bayesnet_track.sources.scenes.scene import Scene, assemble
 
@@ -87,5 +87,5 @@ def _dress(path: Floats, jacket: tuple[float, float, float]) -> tuple[Sprite, ..
             ),
             is_round,
         )
-        for colour, (x, y, w, h, is_round) in zip(colours, PARTS, strict=True)
+        for colour, (x, y, w, h, is_round) in zip(colours, BODY_PARTS, strict=True)
     )
