@@ -15,14 +15,14 @@ import threading
 import time
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Protocol
 
 from bayesnet_track.cli.batch.jobs import Job, allow
-from bayesnet_track.cli.batch.work import Row, failed_row, timed_out_row
+from bayesnet_track.cli.batch.work import FINISHED, Row, failed_row, timed_out_row
 from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.runtime.executors.processes import PlacingError
 
@@ -54,6 +54,8 @@ def explained(error: Exception) -> str:
 
 
 WAIT_S = 0.2
+MOST_JOBS = 100
+"""Jobs after which a process is renewed."""
 ENDING_S = 5.0
 """Seconds after which a process that was asked to end is ended."""
 
@@ -91,7 +93,10 @@ class Place(Protocol):
 
 @dataclass(frozen=True)
 class Processes:
-    """A process for each job, so many at a time: one that dies takes no other with it.
+    """So many processes, each for one job after the other: one that dies takes no other with it.
+
+    A process keeps what it has loaded for the next job. It is renewed after `MOST_JOBS`, and after a job that
+    did not finish.
 
     Attributes:
         at_a_time: how many.
@@ -104,12 +109,11 @@ class Processes:
     def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
         """As of a `Place`."""
         reports: SimpleQueue[Progress] = SimpleQueue()
-        running: set[subprocess.Popen[str]] = set()
-        is_over = threading.Event()
+        workers = _Workers()
         pool = ThreadPoolExecutor(self.at_a_time)
         try:
             for job in jobs:
-                pool.submit(_supervise, job, self.timeout_s, reports, running, is_over)
+                pool.submit(_supervise, job, self.timeout_s, reports, workers)
             left = len(jobs)
             while left:
                 try:
@@ -120,27 +124,23 @@ class Processes:
                 left -= report.row is not None
                 yield report
         finally:
-            is_over.set()
-            for process in tuple(running):
-                with suppress(OSError):
-                    process.terminate()
+            workers.end()
             pool.shutdown(cancel_futures=True)
+            workers.close()
 
 
-def _supervise(
-    job: Job,
-    timeout_s: float | None,
-    reports: SimpleQueue[Progress],
-    running: set[subprocess.Popen[str]],
-    is_over: threading.Event,
-) -> None:
+def _supervise(job: Job, timeout_s: float | None, reports: SimpleQueue[Progress], workers: _Workers) -> None:
     """Do a job in a process; its row is reported, whatever happens: the batch waits for it."""
-    if is_over.is_set():
+    if workers.is_over.is_set():
         return
     row = failed_row(job, "its supervision ended")
     try:
         reports.put(Progress(job))
-        row = _done(job, timeout_s, reports, running, is_over)
+        worker = workers.take()
+        try:
+            row = worker.do(job, timeout_s, reports)
+        finally:
+            workers.give_back(worker, is_good=row["status"] == FINISHED)
     except (OSError, ValueError) as error:
         row = failed_row(job, explained(error))
     except RuntimeError as error:  # no thread can be started
@@ -149,70 +149,139 @@ def _supervise(
         reports.put(Progress(job, row=row))
 
 
-def _done(
-    job: Job,
-    timeout_s: float | None,
-    reports: SimpleQueue[Progress],
-    running: set[subprocess.Popen[str]],
-    is_over: threading.Event,
-) -> Row:
-    pipe = subprocess.PIPE
-    held, lifeline = tie()
-    command = python("from bayesnet_track.cli.batch.work import main; sys.exit(main())", held=held)
-    files = () if held < 0 else (held,)
-    try:
-        with (
-            tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
-            subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=complaints, text=True, pass_fds=files
-            ) as process,
-        ):
-            running.add(process)
-            if is_over.is_set():  # it was not among those that were ended
-                process.terminate()
-            late = threading.Event()
-            alarm = threading.Timer(timeout_s or 0.0, _end, (process, late))
-            alarm.daemon = True
-            if timeout_s is not None:
-                alarm.start()
-            try:
-                row = _told(job, process, reports)
-                code = process.wait()
-            finally:
-                alarm.cancel()
-                running.discard(process)
-            if row is not None:
-                return row
-            if late.is_set() and timeout_s is not None:
-                return timed_out_row(job, timeout_s)
-            complaints.seek(0)
-            said = complaints.read().strip().splitlines()
-            return failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
-    finally:
-        cut(held, lifeline)
+class _Workers:
+    """The processes of a batch: those that wait for a job, and those that are at one."""
 
+    def __init__(self) -> None:
+        self.is_over = threading.Event()
+        self._idle: SimpleQueue[_Worker] = SimpleQueue()
+        self._running: set[_Worker] = set()
 
-def _told(job: Job, process: subprocess.Popen[str], reports: SimpleQueue[Progress]) -> Row | None:
-    """Give a process its job and report what it says; its row, or None where it ends without one."""
-    assert process.stdin is not None and process.stdout is not None
-    row: Row | None = None
-    with suppress(BrokenPipeError):  # it has ended already: its exit code says how
-        process.stdin.write(job.to_json() + "\n")
-        process.stdin.close()
-    for line in process.stdout:
-        what = json.loads(line)
-        if "row" in what:
-            row = what["row"]
-        elif "notice" in what:
-            reports.put(Progress(job, notice=what["notice"]))
+    def take(self) -> _Worker:
+        """One that waits, or a new one."""
+        with suppress(Empty):
+            while True:
+                worker = self._idle.get_nowait()
+                if worker.is_alive:
+                    return worker
+                self._drop(worker)
+        worker = _Worker()
+        self._running.add(worker)
+        if self.is_over.is_set():  # it was not among those that were ended
+            worker.terminate()
+        return worker
+
+    def give_back(self, worker: _Worker, is_good: bool) -> None:
+        """Keep one for the next job, or close it."""
+        if is_good and worker.jobs < MOST_JOBS and not self.is_over.is_set():
+            self._idle.put(worker)
         else:
-            reports.put(Progress(job, what["done"], what["expected"]))
-    return row
+            self._drop(worker)
+
+    def end(self) -> None:
+        """Ask all of them to end."""
+        self.is_over.set()
+        for worker in tuple(self._running):
+            worker.terminate()
+
+    def close(self) -> None:
+        """Wait until those without a job have ended."""
+        with suppress(Empty):
+            while True:
+                self._drop(self._idle.get_nowait())
+
+    def _drop(self, worker: _Worker) -> None:
+        self._running.discard(worker)
+        worker.close()
 
 
-def _end(process: subprocess.Popen[str], late: threading.Event) -> None:
-    """Ask a process to end, and end it where it does not."""
-    late.set()
+class _Worker:
+    """A process that does one job after the other.
+
+    Attributes:
+        jobs: how many it was given.
+    """
+
+    def __init__(self) -> None:
+        pipe, self.jobs = subprocess.PIPE, 0
+        with ExitStack() as stack:
+            held, lifeline = tie()
+            stack.callback(cut, lifeline)
+            command = python("from bayesnet_track.cli.batch.work import main; sys.exit(main())", held=held)
+            files = () if held < 0 else (held,)
+            try:
+                self._complaints = stack.enter_context(
+                    tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
+                )
+                self._process = subprocess.Popen(
+                    command, stdin=pipe, stdout=pipe, stderr=self._complaints, text=True, pass_fds=files
+                )
+            finally:
+                cut(held)
+            self._files = stack.pop_all()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process has not ended."""
+        return self._process.poll() is None
+
+    def do(self, job: Job, timeout_s: float | None, reports: SimpleQueue[Progress]) -> Row:
+        """Have a job done; its row, also where the process ends without one."""
+        self.jobs += 1
+        late = threading.Event()
+        alarm = threading.Timer(timeout_s or 0.0, _end, (self._process, late))
+        alarm.daemon = True
+        if timeout_s is not None:
+            alarm.start()
+        try:
+            row = self._told(job, reports)
+            code = self._process.wait() if row is None else 0
+        finally:
+            alarm.cancel()
+        if row is not None:
+            return row
+        if late.is_set() and timeout_s is not None:
+            return timed_out_row(job, timeout_s)
+        self._complaints.seek(0)
+        said = self._complaints.read().strip().splitlines()
+        return failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
+
+    def _told(self, job: Job, reports: SimpleQueue[Progress]) -> Row | None:
+        """Give the process the job and report what it says; the row, or None where it ends without one."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with suppress(BrokenPipeError):  # it has ended already: its exit code says how
+            self._process.stdin.write(job.to_json() + "\n")
+            self._process.stdin.flush()
+        for line in self._process.stdout:
+            what = json.loads(line)
+            if "row" in what:
+                row: Row = what["row"]
+                return row
+            if "notice" in what:
+                reports.put(Progress(job, notice=what["notice"]))
+            else:
+                reports.put(Progress(job, what["done"], what["expected"]))
+        return None
+
+    def terminate(self) -> None:
+        """Ask it to end now; what it is at can be gone on with."""
+        with suppress(OSError):
+            self._process.terminate()
+
+    def close(self) -> None:
+        """Let it end, and end it where it does not."""
+        try:
+            with suppress(subprocess.TimeoutExpired, ValueError):
+                self._process.communicate(timeout=ENDING_S)  # closes its input
+            _end(self._process)
+        finally:
+            self._files.close()
+
+
+def _end(process: subprocess.Popen[str], late: threading.Event | None = None) -> None:
+    """Ask a process to end, and end it where it does not; `late` says that it was asked."""
+    if late is not None:
+        late.set()
     with suppress(OSError):
         process.terminate()
         try:

@@ -215,7 +215,7 @@ EVERY_S = 0.5
 
 
 def main() -> int:
-    """Do one job; the exit code."""
+    """Do jobs, a line of the input each, until it ends; the exit code."""
     from bayesnet_track.cli.arguments import words
     from bayesnet_track.observation.settings import by_command_line
     from bayesnet_track.sources.entrances.notices import heard
@@ -227,7 +227,20 @@ def main() -> int:
     def send(what: object) -> None:
         os.write(answers, json.dumps(what).encode() + b"\n")
 
-    job = Job.from_json(sys.stdin.readline())
+    for line in sys.stdin:
+        job = Job.from_json(line)
+        try:
+            with heard(lambda text: send({"notice": text})), by_command_line():
+                allow(job)
+                row = do(job, _progress(send))
+        except (OSError, ValueError) as error:
+            row = failed_row(job, " ".join(words(error).split()))
+        send({"row": row})
+    return 0
+
+
+def _progress(send: Callable[[object], None]) -> Callable[[int, int | None], None]:
+    """Tell how far a job is, now and then."""
     shown = 0.0
 
     def progress(done: int, expected: int | None) -> None:
@@ -236,11 +249,4 @@ def main() -> int:
             shown = time.monotonic()
             send({"done": done, "expected": expected})
 
-    try:
-        with heard(lambda text: send({"notice": text})), by_command_line():
-            allow(job)
-            row = do(job, progress)
-        send({"row": row})
-    except (OSError, ValueError) as error:
-        send({"row": failed_row(job, " ".join(words(error).split()))})
-    return 0
+    return progress
