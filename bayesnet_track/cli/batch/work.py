@@ -215,7 +215,7 @@ EVERY_S = 0.5
 
 
 def main() -> int:
-    """Do jobs, a line of the input each, until it ends; the exit code."""
+    """Do jobs until the input ends; the exit code."""
     from bayesnet_track.cli.arguments import words
     from bayesnet_track.observation.settings import by_command_line
     from bayesnet_track.sources.entrances.notices import heard

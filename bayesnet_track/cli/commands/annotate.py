@@ -150,11 +150,11 @@ def describe(folder: Path, session: Session) -> str:
 def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> bool:
     """Open the page until the person leaves; whether every answer is tracked then."""
     from bayesnet_track.cli.following import announce
-    from bayesnet_track.runtime.annotation.desk import Desk
+    from bayesnet_track.runtime.annotation.desk import AnnotationServer
 
     stop: StopRequest = options.stop
     try:
-        desk = Desk(session, store, runs, options.out, options.view_host, options.port)
+        desk = AnnotationServer(session, store, runs, options.out, options.view_host, options.port)
     except OSError as error:
         raise UsageError(f"--port: {options.view_host}: {words(error)}; choose another, or none") from error
     with desk:

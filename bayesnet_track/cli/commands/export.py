@@ -130,14 +130,14 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
 
 
 def _write_folder(out: Path, data: Data, found: Found) -> None:
-    from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, whole, with_folder
+    from bayesnet_track.view.run_page import FRAMES_FOLDER, full_pictures, picture_name, with_folder
 
     frames = []
     if not out.exists():  # what is killed before the page is there leaves a folder that is known for its own
         _write(out, [UNFINISHED])
     with writing(out.parent):
         (out.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
-        for frame, picture in whole(found.images):
+        for frame, picture in full_pictures(found.images):
             (out.parent / picture_name(frame)).write_bytes(picture)
             frames.append(frame)
     _write(out, with_folder(*data, tuple(frames), found.annotated))
