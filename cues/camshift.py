@@ -83,7 +83,7 @@ class CamShiftParameters(CueParameters):
 
 @dataclass(frozen=True)
 class Found:
-    """Where the window came to rest.
+    """Window at rest.
 
     Attributes:
         box: (4,) centre box, px.

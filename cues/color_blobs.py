@@ -161,7 +161,7 @@ class ColorBlobs:
         return floored(size - cost, p.floor)
 
     def residuals(self, planes: Planes, box: Floats, reference: Reference) -> dict[str, Floats]:
-        """What eq. 3.4 compares: the reference's blobs and those of the centre box (4,), nearest pairs.
+        """Differences of eq. 3.4: the reference's blobs and those of the centre box (4,), nearest pairs.
 
         Offsets of their centres in both axes (widths and heights of the box), differences of hue (degrees).
         """

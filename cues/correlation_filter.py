@@ -127,7 +127,7 @@ class CorrelationFilter:
         return {**found, "kernel": kernel, "usual": np.array(usual)}
 
     def _equations(self, planes: Planes, box: Floats, angle: float) -> dict[str, NDArray[Any]]:
-        """What is learnt of the patch alone: all of a reference but `kernel` and `usual`."""
+        """Equations learnt of the patch alone: all of a reference but `kernel` and `usual`."""
         p = self.parameters
         size = np.array(box[2:], dtype=np.float64)
         cell, mean = self._cell(size), np.sqrt(size[0] * size[1])

@@ -116,7 +116,7 @@ class Detection:
 
     @property
     def rule(self) -> AssociationRule:
-        """Which detection is the target's."""
+        """Rule by which a detection is the target's."""
         p = self.parameters
         return AssociationRule(
             p.sd_place,

@@ -45,7 +45,7 @@ class EmbeddingError(ValueError):
 
 @dataclass(frozen=True)
 class Input:
-    """What the network gets.
+    """Input of the network.
 
     Attributes:
         width: of its input, px; likewise `height`.
@@ -62,7 +62,7 @@ class Input:
 
 
 def missing_model(model: str) -> str | None:
-    """Why there is no such model, in words; None when there is, or none is wanted."""
+    """Reason why there is no such model, in words; None if there is, or none is needed."""
     if model and not Path(model).is_file():
         return f"{model}: no such model file; the path of an ONNX file is needed"
     return None

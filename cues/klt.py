@@ -170,7 +170,7 @@ class Klt:
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
-        """Where the points carry the box, with w and h when they say anything of size; None when not seen.
+        """Box that the points carry, with w and h when they say anything of size; None when not seen.
 
         It is not seen when fewer than `min_seen` of its points agree. The covariance is that of the least
         squares fit at the box's centre, variance (1 / n + d^2 / spread), and what always remains.
@@ -196,7 +196,7 @@ class Klt:
         return Measurement(("x", "y", "w", "h"), box, covariance, p.floor)
 
     def _velocity(self, planes: Planes, reference: Reference, motion: PointMotion) -> Measurement | None:
-        """How fast the points went since the last look: the variance of their mean over the time squared."""
+        """Velocity of the points since the last look: the variance of their mean over the time squared."""
         p, dt = self.parameters, float(planes.frame.time - reference["time"])
         if dt <= 0.0:
             return None
@@ -205,13 +205,13 @@ class Klt:
         return Measurement(("vx", "vy"), speed, np.eye(2) * variance / dt**2, p.floor)
 
     def followed(self, planes: Planes, box: Floats, reference: Reference) -> PointMotion | None:
-        """How the points moved, looked for around a predicted centre box (4,); None when too few agree."""
+        """Motion of the points, looked for around a predicted centre box (4,); None when too few agree."""
         return self._motion(reference, planes[WholeFrame()], None, box)
 
     def _motion(
         self, reference: Reference, image: Image, origin: tuple[int, int] | None, box: Floats
     ) -> PointMotion | None:
-        """As `followed`, in a picture of which `origin` is the first pixel; None for a whole frame."""
+        """Motion as of `followed`, in an image whose first pixel is `origin`; None for a whole frame."""
         p, at, mix = self.parameters, reference["at"], reference["mix"]
         if len(at) == 0 or image.size == 0:
             return None

@@ -197,7 +197,7 @@ class MotionCue:
         return floored(settings.sharpness * log + penalty, settings.floor)
 
     def residuals(self, planes: Planes, box: Floats, reference: Reference) -> dict[str, Floats]:
-        """What eq. 3.9 compares: the flow of the centre box (4,) less the target's, px per frame interval."""
+        """Differences of eq. 3.9: flow of the centre box (4,) less the target's, px per frame interval."""
         found = self.vectors(planes)
         if self.parameters.compare == "each":
             flows = found[(np.abs(found[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1), 2:4]

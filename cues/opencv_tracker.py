@@ -63,7 +63,7 @@ def present_trackers() -> tuple[str, ...]:
 
 
 def missing_tracker(name: str, models: Mapping[str, str]) -> str | None:
-    """What keeps a tracker from being made here, in words; None when nothing does."""
+    """Obstacle to making a tracker here, in words; None if there is none."""
     present = present_trackers()
     if name not in present:
         return (
@@ -297,7 +297,7 @@ class OpencvTracker:
         return (WholeFrame(),)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
-        """Where a tracker can start; it does when it is first asked."""
+        """Reference at which a tracker can start; it does when it is first asked."""
         image = planes[WholeFrame()]
         arrays = {
             "image": image,

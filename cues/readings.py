@@ -56,7 +56,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class ReadingsFile:
-    """What a file holds.
+    """Contents of a file of readings.
 
     Attributes:
         rows: frame -> quantity -> value.
@@ -151,7 +151,7 @@ def _text(path: str) -> list[str]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """What separates the cells of the header: what is in it most often."""
+    """Separator of the cells of the header: what is in it most often."""
     return max(",;\t", key=lines[0].count) if lines else ","
 
 
@@ -191,7 +191,7 @@ def describe_unused(path: str, file: ReadingsFile, frames: range) -> Iterator[st
 
 
 def _describe_rest(path: str, used: Sequence[int], frames: range) -> Iterator[str]:
-    """Where the readings end long before the frames do, by twice the largest gap between two of them."""
+    """Notice of readings that end long before the frames do, by twice the largest gap between two of them."""
     if not used or frames.stop == maxsize:
         return
     gap = max((after - before for before, after in pairwise(used)), default=frames.step)

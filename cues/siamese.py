@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class NetworkParameters(CueParameters):
-    """Where the network is."""
+    """Files of the network."""
 
     backbone: str = Field(
         default="",
@@ -150,7 +150,7 @@ def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)
 
 
 def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)) -> str | None:
-    """What is wrong with the files, in words; None when they can be used, or none are named."""
+    """Fault of the files, in words; None if they can be used, or none are named."""
     if not parameters.backbone and not parameters.head:
         return None
     from bayesnet_track.vision.siamese_networks import SiameseError

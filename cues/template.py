@@ -96,7 +96,7 @@ class Template:
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
-        """Where the template correlates best, sds over the correlation; None below `min_correlation`."""
+        """Best place of the template, sds over the correlation; None below `min_correlation`."""
         p = self.parameters
         expected = (weights @ hypotheses.boxes)[:2]
         found = self.find(planes[WholeFrame()], expected, reference)
@@ -179,7 +179,7 @@ def preferred(shape: tuple[int, ...], side: float) -> NDArray[np.float32]:
 
 
 def between(line: NDArray[np.float32], at: int) -> float:
-    """How far from cell `at` the top of the parabola through it and its neighbours is, -1..1.
+    """Offset from cell `at` of the top of the parabola through it and its neighbours, -1..1.
 
     >>> between(np.array([0.0, 1.0, 0.5], np.float32), 1)
     0.16666666666666666

@@ -129,6 +129,24 @@ def test_no_file_has_more_than_450_lines():
     assert too_long == {}
 
 
+READMES = sorted([*(ROOT / PACKAGE).glob("*/README.md"), *(ROOT / top / "README.md" for top in MAPPED)])
+
+
+@pytest.mark.parametrize(
+    "readme", [path for path in READMES if path.exists()], ids=lambda path: path.parent.name
+)
+def test_the_readme_of_a_room_names_each_of_its_files_and_no_other(readme):
+    """A folder of a room may be named as a whole."""
+    text, folder = readme.read_text("utf-8"), readme.parent
+    named = set(re.findall(r"`(?:\w+/)*(\w+(?:\.py|/))`", text))
+    files = [path.relative_to(folder) for path in folder.rglob("*.py") if path.name != "__init__.py"]
+    unnamed = [
+        str(file) for file in sorted(files) if not {file.name, *(f"{part}/" for part in file.parts)} & named
+    ]
+    unknown = {name for name in named if name.endswith(".py")} - {file.name for file in files}
+    assert (unnamed, unknown) == ([], set()), readme
+
+
 def test_tests_stand_in_the_folder_of_a_room():
     others = {"browser", "docs", "reliability", "stories", "typing"}
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("**/test_*.py"))}

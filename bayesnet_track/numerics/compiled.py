@@ -76,7 +76,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _globals(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """What a function finds by names, directly or in a module that it names."""
+    """Objects that a function refers to by name, directly or in a module that it names."""
     names = sorted(set(_names(function.__code__)))
     for name in names:
         if name not in function.__globals__:
@@ -110,7 +110,7 @@ def compiled(function: Kernel) -> Kernel:
 
 
 def compiled_summing(function: Kernel) -> Kernel:
-    """As `compiled`, with leave to add up in another order: sums of floats may use vector instructions.
+    """Compile with leave to add up in another order: sums of floats may use vector instructions.
 
     The order is fixed when it is compiled, so that results are the same bits on the same type of machine.
     Nothing else is relaxed: NaN and infinities keep their meaning.
@@ -119,7 +119,7 @@ def compiled_summing(function: Kernel) -> Kernel:
 
 
 def compiled_fusing(function: Kernel) -> Kernel:
-    """As `compiled`, with leave to round a product and a sum once instead of twice."""
+    """Compile with leave to round a product and a sum once instead of twice."""
     return _compiled(function, {"contract"})
 
 
@@ -216,12 +216,12 @@ class SealedFiles(IndexDataCacheFile):  # type: ignore[misc,unused-ignore]
 
 
 def seal(data: bytes) -> bytes:
-    """What follows `data` in a file."""
+    """Seal that follows `data` in a file."""
     return MARK + sha256(data).digest()
 
 
 def unsealed(data: bytes) -> bytes | None:
-    """What stands before the seal; None where it is not what was sealed.
+    """Content before the seal; None if it is not what was sealed.
 
     >>> unsealed(b"code" + seal(b"code")), unsealed(b"c0de" + seal(b"code")), unsealed(b"code")
     (b'code', None, None)
@@ -231,7 +231,7 @@ def unsealed(data: bytes) -> bytes | None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether an index or data file is what was sealed, or was never sealed; raises OSError."""
+    """True if an index or data file is what was sealed, or was never sealed; raises OSError."""
     data, version = path.read_bytes(), pickle.dumps(numba.__version__, protocol=-1)
     if path.suffix == ".nbi":
         data = data.removeprefix(version)
@@ -239,7 +239,7 @@ def is_whole(path: Path) -> bool:
 
 
 def _is_numbas(data: bytes) -> bool:
-    """Whether Numba alone has written it: such a file ends in its pickle."""
+    """True if Numba alone has written it: such a file ends in its pickle."""
     return MARK not in data and data.endswith(STOP)
 
 

@@ -129,7 +129,7 @@ def kl(log_f: Floats, log_g: Floats) -> float:
 
 
 def select(columns: Sequence[int]) -> slice | list[int]:
-    """What selects these columns: a slice, which copies nothing, where they stand side by side."""
+    """Index of these columns: a slice, which copies nothing, where they stand side by side."""
     side_by_side = _slice_of(tuple(columns))
     return list(columns) if side_by_side is None else side_by_side
 

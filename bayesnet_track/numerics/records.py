@@ -25,13 +25,16 @@ def changed(record: Record, **fields: Any) -> Record:
     """
     kind: Any = type(record)
     names, own = kind.__dataclass_fields__, record.__dict__
-    if not fields.keys() <= names.keys():
-        raise TypeError(f"{kind.__name__} has no field {', '.join(sorted(fields.keys() - names.keys()))}")
     after: Record = object.__new__(kind)
-    if len(own) == len(names):
-        after.__dict__.update(own, **fields)
-    else:
-        after.__dict__.update({name: own[name] for name in names}, **fields)
+    values = after.__dict__
+    values.update(own)
+    values.update(fields)
+    if len(values) != len(names):  # something was cached, or is no field
+        if not fields.keys() <= names.keys():
+            unknown = ", ".join(sorted(fields.keys() - names.keys()))
+            raise TypeError(f"{kind.__name__} has no field {unknown}")
+        for name in values.keys() - names.keys():
+            del values[name]
     return after
 
 

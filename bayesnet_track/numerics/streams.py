@@ -90,7 +90,7 @@ class Streams:
     def uniforms(
         self, owners: Iterable[str], node: str, moment: int, purpose: str, counts: Sequence[int] | None = None
     ) -> NDArray[np.float64]:
-        """What `of(owner, node, moment, purpose).random()` gives for each of T owners, or `random(count)`.
+        """Draws of `of(owner, node, moment, purpose).random()`, or `random(count)`, for each of T owners.
 
         >>> streams = Streams(seed=7)
         >>> one = streams.of("2", "square", 3, "shift").random()

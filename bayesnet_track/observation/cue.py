@@ -53,13 +53,13 @@ ENTRY_POINT_GROUP = "bayesnet_track.cues"
 
 
 class NoParameters(BaseModel):
-    """What a cue without parameters takes: unknown keys refused, values immutable."""
+    """Parameters of a cue that has none: unknown keys are refused, values immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
 
 
 class AnyParameters(NoParameters):
-    """What a cue takes of which nothing is known."""
+    """Parameters of a cue of which nothing is known."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -100,7 +100,7 @@ def _not_given(parameters: Any) -> AnyCue:
 
 @dataclass(frozen=True)
 class Making:
-    """How a declared cue is made: what its author wrote, and what it may leave out filled in.
+    """Function that makes a declared cue; parameters that its author left out are filled in.
 
     Attributes:
         make: what the author wrote.
@@ -121,7 +121,7 @@ class Making:
 
 @dataclass(frozen=True)
 class CueDeclaration:
-    """What the engine knows of a cue without loading it.
+    """Properties of a cue that are known without loading it.
 
     Attributes:
         name: the word used in graph files.
@@ -180,11 +180,11 @@ class CueDeclaration:
     is_confident: Callable[[Any], bool] | None = None
 
     def is_sure(self, parameters: Any) -> bool:
-        """Whether its measurements have a `confidence`."""
+        """True if its measurements have a `confidence`."""
         return self.is_confident is not None and self.is_confident(parameters)
 
     def can_search(self, parameters: Any) -> bool:
-        """Whether it says how sure it is at any place of a frame, however often it is asked."""
+        """True if it says how sure it is at any place of a frame, however often it is asked."""
         return self.is_sure(parameters) and not self.opaque
 
     def __post_init__(self) -> None:
@@ -280,7 +280,7 @@ def real_numbers(returned: Any) -> NDArray[np.float64] | str:
 
 
 def foreign_part(measured: Measurement) -> str:
-    """Which part of a measurement is not of real numbers; empty when all are."""
+    """Name of the part of a measurement that is not of real numbers; empty if all are."""
     for name in ("mean", "covariance", "floor", "confidence"):
         value = getattr(measured, name)
         if name == "confidence" and value is None:
@@ -351,5 +351,5 @@ def _differences(declaration: CueDeclaration, cue: AnyCue) -> Iterator[str]:
 
 
 def _has(cue: AnyCue, name: str) -> bool:
-    """Whether the cue has it; a property is not asked for its value."""
+    """True if the cue has the attribute; a property is not asked for its value."""
     return getattr_static(cue, name, None) is not None

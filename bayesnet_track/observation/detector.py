@@ -67,7 +67,7 @@ class GivenParameters(DetectorParameters):
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What was found in one frame, the best first.
+    """Detections of one frame, the best first.
 
     Attributes:
         boxes: (N, 4) float64 centre boxes x, y, w, h in pixels.
@@ -120,7 +120,7 @@ class Detector(Protocol):
         """The state before the first frame."""
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
-        """What is found in the current frame, and the state for the next one.
+        """Detections in the current frame, and the state for the next one.
 
         Arrays of `state` are not written to. Frames come in order, and may be left out; a frame of another
         size than the last one starts the detector anew.
@@ -144,7 +144,7 @@ class LearningDetector(Detector, Protocol):
 
 @dataclass(frozen=True)
 class DetectorDeclaration:
-    """What is known of a detector without loading it.
+    """Properties of a detector that are known without loading it.
 
     Attributes:
         name: the word that names it.
@@ -184,7 +184,7 @@ def installed_detectors(named: Iterable[str] = ()) -> Mapping[str, DetectorDecla
 
 
 def detectors_of_graphs(named: Iterable[str] = ()) -> Mapping[str, DetectorDeclaration]:
-    """What a graph may name: the detectors as `installed_detectors` gives them, and `GIVEN`."""
+    """Detectors that a graph may name: those of `installed_detectors`, and `GIVEN`."""
     given = DetectorDeclaration(
         name=GIVEN,
         summary="What a file of detections holds.",

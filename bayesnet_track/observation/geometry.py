@@ -24,7 +24,7 @@ HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 
 @dataclass(frozen=True, eq=False)
 class BoxPixels:
-    """Which pixels of a plane lie in each of N boxes.
+    """Ranges of pixels of a plane in each of N boxes.
 
     A pixel is in a box when low edge <= its centre < high edge; every box has at least the nearest one.
 
@@ -138,7 +138,7 @@ def share_inside(boxes: Floats, frame: Frame) -> Floats:
 
 
 def box_integral(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Floats, Floats, Ints, Ints]:
-    """What kernels take that resample a plane (rows, columns) of uint8 in centre boxes (N, 4).
+    """Arguments of kernels that resample a plane (rows, columns) of uint8 in centre boxes (N, 4).
 
     Its integral (rows + 1, columns + 1), the boxes as contiguous float64, column and row of the frame at the
     plane's first pixel, and the frame's width and height.

@@ -54,7 +54,7 @@ def declared_size(data: bytes | bytearray) -> Size | None:
 
 
 def is_cut_off(data: bytes) -> bool:
-    """Whether the end of a JPEG or PNG is missing: OpenCV fills it with gray or black and says nothing."""
+    """True if the end of a JPEG or PNG is missing, which OpenCV fills with gray or black without a word."""
     if data.startswith(b"\xff\xd8"):
         return data.rfind(b"\xff\xd9") < max(data.rfind(b"\xff\xda"), 2)
     return data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]
@@ -176,12 +176,12 @@ class Pages:
     places: tuple[int, ...]
 
     def __len__(self) -> int:
-        """How many."""
+        """Number of images."""
         return len(self.places)
 
 
 def may_hold_several(head: bytes) -> bool:
-    """Whether a file that begins so is of a format in which several images are pages or WebP frames."""
+    """True if a file that begins so is of a format in which several images are pages or WebP frames."""
     return head[:4] in _TIFF or head[:2] in _NETPBM_KINDS or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
 
 
@@ -291,7 +291,7 @@ def _riff_chunks(data: Bytes) -> Iterator[bytes]:
 
 
 def _netpbm(data: Bytes) -> Iterator[int]:
-    """Where each image begins; an image whose header is none ends the file."""
+    """Offsets at which images begin; an image without a valid header ends the file."""
     at = 0
     while at < len(data):
         head = bytes(data[at : at + 4096])

@@ -137,7 +137,7 @@ class ReferenceRows(Sequence[Reference]):
         )
 
     def take(self, rows: NDArray[np.intp]) -> ReferenceRows:
-        """Those of some targets."""
+        """Rows of some targets."""
         return ReferenceRows({name: array[rows] for name, array in self.columns.items()})
 
     def replaced(self, rows: NDArray[np.intp], others: ReferenceRows) -> ReferenceRows | None:

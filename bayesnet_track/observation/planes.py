@@ -132,7 +132,7 @@ class RightEye:
 
 @dataclass(frozen=True, eq=False)
 class PointMap:
-    """What another sensor measured, one point per pixel of the frame. Read-only, as the frame.
+    """Points that another sensor measured, one per pixel of the frame. Read-only, as the frame.
 
     Attributes:
         points: (H, W, 3) float32 X, Y, Z in m; NaN where nothing was measured.
@@ -196,7 +196,7 @@ class Frame:
         return self.index // self.stride
 
     def since(self, index: int) -> int:
-        """How many tracked frames after frame `index` of the source it is."""
+        """Number of tracked frames since frame `index` of the source."""
         return (self.index - index) // self.stride
 
     @property

@@ -42,7 +42,7 @@ def allow(names: Iterable[str]) -> None:
 
 
 def allowed() -> frozenset[str]:
-    """What has been allowed: a process that works for this one has to be told."""
+    """Names that have been allowed: a process that works for this one has to be told."""
     return frozenset(_allowed)
 
 
@@ -88,7 +88,7 @@ def others(group: str) -> dict[str, str]:
 
 
 def why_absent(group: str, name: str) -> tuple[str, str] | None:
-    """Why a plug-in of another package is not there, and what to do; None when no package has it."""
+    """Reason why a plug-in of another package is absent, and its remedy; None if no package has it."""
     points = _others(group).get(name, ())
     if not points:
         return None

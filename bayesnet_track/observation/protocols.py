@@ -20,7 +20,7 @@ from bayesnet_track.observation.planes import Plane, Planes
 
 @dataclass(frozen=True)
 class AssociationRule:
-    """Which detection a target is given as its own, and how far off detections are.
+    """Rule of association: the detection that a target is given, and the errors of detections.
 
     Attributes:
         sd_place: sd of a detection's centre, as a share of its sides.
@@ -58,21 +58,23 @@ class AssociationRule:
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
-        shares = np.array([self.sd_place, self.sd_place, self.sd_size, self.sd_size])
-        variances = (shares * boxes[..., [2, 3, 2, 3]]) ** 2
+        variances, sides = np.empty(boxes.shape), boxes[..., 2:4]
+        np.multiply(sides, self.sd_place, out=variances[..., :2])
+        np.multiply(sides, self.sd_size, out=variances[..., 2:])
+        variances *= variances
         if self.sd_place_px or self.sd_size_px:
             variances += np.square([self.sd_place_px, self.sd_place_px, self.sd_size_px, self.sd_size_px])
-        return np.ascontiguousarray(variances)  # kernels have one compiled version only
+        return variances
 
     @property
     def remembers(self) -> bool:
-        """Whether a target's former detections say anything of which one is its own, or of its belief."""
+        """True if a target's former detections bear on its association or its belief."""
         return self.direction > 0.0 or self.recover or self.re_update
 
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Where the target might be.
+    """Hypotheses of the target's box.
 
     Attributes:
         boxes: (N, 4) float64 centre boxes x, y, w, h in pixels.
@@ -90,7 +92,7 @@ class Hypotheses:
         return Hypotheses(self.boxes.copy(), {name: values.copy() for name, values in self.fields.items()})
 
     def part(self, first: int, end: int) -> Hypotheses:
-        """Those from `first` to before `end`, in the same arrays."""
+        """Hypotheses from `first` to before `end`, in the same arrays."""
         return Hypotheses(
             self.boxes[first:end], {name: values[first:end] for name, values in self.fields.items()}
         )
@@ -147,7 +149,7 @@ BOX = ("x", "y", "w", "h")
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What the quantities of a measurement would be of states, where they are no fields of them.
+    """Quantities of a measurement as functions of states, where they are no fields of them.
 
     Attributes:
         function: state field -> (N,), to (N, K) values; NaN where there is none.
@@ -217,15 +219,15 @@ class MeasuringCue(Protocol):
         """The planes that `learn` and `measure` read."""
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
-        """As of a `Cue`."""
+        """Learn as a `Cue` does."""
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """As of a `Cue`."""
+        """Blend as a `Cue` does."""
 
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
-        """Where the target is; None when it is not seen, which says nothing about any hypothesis.
+        """Measurement of the target; None if it is not seen, which says nothing about any hypothesis.
 
         `hypotheses` and their (N,) `weights`, which sum to 1, say where to look: `planes` covers their boxes
         as far as these lie inside the frame.
@@ -251,7 +253,7 @@ class AssociatingCue(MeasuringCue, Protocol):
 
     @property
     def rule(self) -> AssociationRule:
-        """Which detection is the target's."""
+        """Rule by which a detection is the target's."""
 
 
 AnyCue = Cue | MeasuringCue
@@ -300,7 +302,7 @@ class Turnable(Protocol):
     """A cue that follows the target's rotation: it reads the hypotheses' field `ANGLE` where they have it."""
 
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
-        """As `learn`, for a target turned by `angle` degrees: the reference is of the upright target."""
+        """Learn a target turned by `angle` degrees: the reference is of the upright target."""
 
 
 @runtime_checkable
@@ -315,5 +317,5 @@ class Residual(Protocol):
 
 
 def context_of(cue: AnyCue) -> float:
-    """How many box sizes beyond each side of the box the cue looks when it learns."""
+    """Box sizes beyond each side of the box that the cue reads when it learns."""
     return float(getattr(cue, "context", CONTEXT))

@@ -47,7 +47,7 @@ def by_command_line() -> Iterator[None]:
 
 
 def setting(option: str, value: str = "", in_python: str | None = None) -> str:
-    """How a setting is given: as an option with its value, or as a parameter, whose value is `in_python`.
+    """Words for a setting: an option with its value, or a parameter, whose value is `in_python`.
 
     >>> setting("--range", "0,255", "(0, 255)")
     'value_range=(0, 255)'

@@ -105,7 +105,7 @@ Rectifier = RectifiedPair | Rectification
 
 
 def rectification(cameras: Cameras) -> Rectification:
-    """How the pictures of `cameras` become a rectified pair of the same size (`cv2.stereoRectify`, alpha 0).
+    """Maps from the images of `cameras` to a rectified pair of the same size (`cv2.stereoRectify`, alpha 0).
 
     Raises:
         CalibrationError: the right camera is not on the right of the left one.
@@ -148,7 +148,7 @@ def rectification(cameras: Cameras) -> Rectification:
 
 
 def read_calibration(path: Path) -> Rectifier:
-    """How to rectify, from an OpenCV YAML file.
+    """Rectification of an OpenCV YAML file.
 
     Raises:
         CalibrationError: no such file, not OpenCV YAML, or an entry is missing or makes no sense.

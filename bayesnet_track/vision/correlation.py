@@ -86,7 +86,7 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: 
 def turned_patch_at(
     image: Bytes, x: float, y: float, cell: float, cells: int, signed: bool, angle: float
 ) -> Patch:
-    """As `patch_at`, of a square that is turned by `angle` degrees, clockwise: it shows what was upright."""
+    """Patch of a square turned by `angle` degrees, clockwise: it shows the target upright."""
     import cv2
 
     from bayesnet_track.vision.kernels.correlation_kernels import CELL
@@ -391,7 +391,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Asked:
-    """Where a tile is, and for which filters.
+    """Key of an answer: the tile and the filters.
 
     Attributes:
         x: column of its centre, frame px; likewise `y`.

@@ -182,7 +182,7 @@ class FlowPlane:
 
 @dataclass(frozen=True)
 class CameraPlane:
-    """How the whole picture moved since the previous frame: (2, 3) float64 M.
+    """Motion of the whole image since the previous frame: (2, 3) float64 M.
 
     The flow of the background at (x, y) is M @ (x, y, 1), pixels per nominal frame interval. Corners all over
     the picture, made smaller until no side exceeds LONGEST_PX, and the similarity that most of them follow.
@@ -244,7 +244,7 @@ def _flow_at(points: Array, camera: Array) -> Array:
 
 
 def _explains(matrix: Array, now: Array, then: Array) -> bool:
-    """Whether the motion explains the gray picture `now` better than rest, nearly wherever the two differ.
+    """True if the motion explains the gray image `now` better than rest, nearly wherever the two differ.
 
     Corners alone do not tell: on a plain ground that rests, all of them may be on things that move.
     """
@@ -342,7 +342,7 @@ LEAST_RESPONSE = 0.1
 
 @dataclass(frozen=True)
 class PanPlane:
-    """Where most of the picture moved since the previous frame: (2,) float64 x, y, px.
+    """Shift of most of the image since the previous frame: (2,) float64 x, y, px.
 
     The peak of the phase correlation of the whole frames in gray, halved until no side exceeds 160 px. It
     follows moves of up to half the picture, which points that are tracked do not, and no turn or zoom. 0

@@ -98,7 +98,7 @@ def _say(**what: object) -> None:
 
 
 def _try(asked: str) -> tuple[str | None, str]:
-    """How the other process came to its end, in words, None where it went well; the last file it named."""
+    """End of the other process in words, None where it went well; the last file it named."""
     environment = {**os.environ, "MALLOC_PERTURB_": "165"}  # what is read after it was freed is seen
     held, lifeline = tie()
     try:
@@ -144,7 +144,7 @@ def _versions() -> list[str]:
 
 
 def _folder() -> Path:
-    """Where compiled kernels are, too."""
+    """Folder of the compiled kernels, too."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     return Path(given) if given else Path(__file__).parent / "__pycache__"
 

@@ -285,7 +285,7 @@ MOST_BRIGHT = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a frame shows, in a few numbers.
+    """Description of a frame in a few numbers.
 
     Attributes:
         colors: (216,) square roots of the shares of colours, brought to a common brightness.
@@ -298,7 +298,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneChange:
-    """How much two frames differ.
+    """Difference of two frames.
 
     Attributes:
         colors: Hellinger distance of their colours, 0 to 1.
@@ -315,7 +315,7 @@ class SceneChange:
 
 
 def describe_scene(image: Image) -> Scene | None:
-    """What an image (H, W, 3) uint8 shows; None if that is nothing: a black frame, a flash."""
+    """Description of an image (H, W, 3) uint8; None if it shows nothing: a black frame, a flash."""
     import cv2
 
     samples = cv2.resize(image, SAMPLES, interpolation=cv2.INTER_NEAREST)
@@ -330,7 +330,7 @@ def describe_scene(image: Image) -> Scene | None:
 
 
 def compare_scenes(before: Scene, after: Scene) -> SceneChange:
-    """How much the two differ."""
+    """Difference of the two."""
     import cv2
 
     across, down = SHIFT

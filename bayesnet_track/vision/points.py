@@ -31,7 +31,7 @@ FEW = 3
 
 @dataclass(frozen=True)
 class Following:
-    """How points are followed.
+    """Settings by which points are followed.
 
     Attributes:
         half_window_px: the matched patch reaches this far around a point, on each pyramid level.
@@ -50,13 +50,13 @@ class Following:
 
     @property
     def margin(self) -> int:
-        """How far beyond the target a picture must reach."""
+        """Margin around the target that an image must show."""
         return self.reach_px + COARSEST * (self.half_window_px + 6)
 
 
 @dataclass(frozen=True, eq=False)
 class PointMotion:
-    """How a set of points moved: z -> target + factor (z - source), z = x + iy.
+    """Motion of a set of points: z -> target + factor (z - source), z = x + iy.
 
     Attributes:
         kept: (N,) True for the points that moved so.
@@ -76,7 +76,7 @@ class PointMotion:
     spread: float
 
     def of(self, place: Floats) -> Floats:
-        """Where the motion takes x, y."""
+        """Place to which the motion takes x, y."""
         moved = self.target + self.factor * (complex(place[0], place[1]) - self.source)
         return np.array([moved.real, moved.imag])
 
@@ -236,7 +236,7 @@ CONTRAST = 0.3
 
 @dataclass(frozen=True)
 class Matching:
-    """How points are matched and filtered.
+    """Settings by which points are matched and filtered.
 
     Attributes:
         reach: largest displacement from the matrix' centre, px per frame in x and in y.
@@ -280,7 +280,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Displaced:
-    """What one picture says of an object's motion.
+    """Evidence of one image on an object's motion.
 
     Attributes:
         points: the points where they are now, with filtered matrices; their patches are the old ones.

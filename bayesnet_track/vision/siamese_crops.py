@@ -93,17 +93,17 @@ def context_side(size: Floats) -> float:
 
 
 def template_crop(box: Floats) -> Crop:
-    """What the template shows of a target in a centre box (4,)."""
+    """Crop of the template of a target in a centre box (4,)."""
     return _around(box[0], box[1], context_side(box[2:]), TEMPLATE)
 
 
 def search_crop(x: float, y: float, size: Floats, shown: int = SEARCH) -> Crop:
-    """What is searched around a place for a target of this size, at the template's scale, in `shown` px."""
+    """Crop to search around a place for a target of this size, at the template's scale, in `shown` px."""
     return _around(x, y, context_side(size), shown)
 
 
 def wide_crop(x: float, y: float, size: Floats) -> Crop:
-    """What is searched if a target of this size may be far from the place: SEARCH px of a coarser scale."""
+    """Crop to search if a target of this size may be far from the place: SEARCH px of a coarser scale."""
     return _around(x, y, context_side(size), SEARCH, WIDE)
 
 
@@ -199,7 +199,7 @@ class Memory:
         self._lock = Lock()
 
     def proposals(self, image: Bytes, crop: Crop, template: Bytes, size: Floats) -> Proposals:
-        """What the network proposes in a crop of a frame for a target of w, h `size` px."""
+        """Proposals of the network in a crop of a frame for a target of w, h `size` px."""
         shown = template.tobytes()
         key = (crop, shown, size.tobytes())
         with self._lock:

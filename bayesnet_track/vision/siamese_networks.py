@@ -118,7 +118,7 @@ class SiameseError(CueError):
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What the network says of a search crop.
+    """Answer of the network to a search crop.
 
     Attributes:
         probabilities: (S, S) that the target covers the cell, 0..1.
@@ -146,7 +146,7 @@ class Networks:
 
 
 def missing_file(key: str, path: str) -> str | None:
-    """Why a model file cannot be there, in words; None when it is."""
+    """Reason why a model file cannot be used, in words; None if it can."""
     if not path:
         return f"{key}: no path; the path of an ONNX file is needed, as for the other half of the network"
     if not Path(path).is_file():
@@ -169,7 +169,7 @@ def load_networks(
 
 
 def try_networks(backbone: str, head: str, sides: Sequence[int], runtime: Runtime) -> Networks:
-    """As `load_networks`, in this process whatever the files do to it."""
+    """Load networks as `load_networks` does, in this process whatever the files do to it."""
     import cv2
 
     body, usual = _open("backbone", backbone, runtime), _open("head", head, runtime)
@@ -219,7 +219,7 @@ def _of_cells(head: bytes, cells: int) -> bytes | None:
 
 
 def _dimension(size: int, length: int) -> bytes:
-    """How a file declares a dimension: dim {dim_value: size}, the number in so many bytes of 7 bits."""
+    """Declaration of a dimension in a file: dim {dim_value: size}, the number in so many bytes of 7 bits."""
     groups = [size >> 7 * k & 0x7F for k in range(length)]
     return bytes([0x0A, 1 + length, 0x08, *(group | 0x80 for group in groups[:-1]), groups[-1]])
 

@@ -143,7 +143,7 @@ class SemiGlobal:
 
 @dataclass(frozen=True)
 class Range:
-    """Which points can belong to a target (the region filter of thesis 3.2).
+    """Limits of points that can belong to a target (the region filter of thesis 3.2).
 
     Attributes:
         min_depth_m, max_depth_m: nearest and furthest.

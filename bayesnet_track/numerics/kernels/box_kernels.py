@@ -146,7 +146,7 @@ def extent_of_boxes(boxes: Floats, half: float) -> tuple[float, float, float, fl
 
 @compiled
 def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, normals: Floats) -> Floats:
-    """As `drifted`, of `states[parents]`, with noise root z added to each chain: `root` (n, n) is triangular.
+    """Move `states[parents]` as `drifted` does, noise root z on each chain: `root` (n, n) is triangular.
 
     A row of `normals` (M, 2 n) has the first z of x, the first of y, the second of x and so on.
     """
@@ -232,7 +232,7 @@ def find_fitting(
     areas_px2: tuple[float, float],
     min_score: float,
 ) -> Corners:
-    """Which of the boxes (N, 4) are finite, on an image of this width and height at least in part, and fit.
+    """Indices of the boxes (N, 4) that are finite, fit, and lie partly on an image of this size.
 
     Those fit whose area is within the limits and whose score is `min_score` or more.
     """
@@ -253,7 +253,7 @@ def find_fitting(
 
 @compiled
 def keep_best(boxes: Floats, most_overlap: float, most: int) -> Corners:
-    """Which of the boxes (N, 4), the best first, are kept: `most` of them, none too alike a better one kept.
+    """Indices of the kept boxes (N, 4), the best first: `most` of them, none too alike a better one.
 
     Greedy non-maximum suppression: of two whose intersection over union (`numerics.boxes.overlap`) is above
     `most_overlap` the first stays.

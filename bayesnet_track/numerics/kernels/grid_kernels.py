@@ -31,7 +31,7 @@ def spread_columns(mass: Floats, taps: Floats, first: Ints, out: Floats) -> None
 
 @compiled
 def spread_rows(mass: Floats, taps: Floats, first: Ints, out: Floats) -> None:
-    """As `spread_columns` along Y: add to `out` (A, B, Y', X), with the kernel `taps[a]` of A."""
+    """Spread mass along Y: add to `out` (A, B, Y', X), with the kernel `taps[a]` of A."""
     a_size, b_size, rows, columns = mass.shape
     for a in range(a_size):
         for b in range(b_size):

@@ -143,7 +143,7 @@ def pair_sums(
     in_front: float,
     nats: float,
 ) -> Floats:
-    """What the partners of each hypothesis say of it, by order; see `inference.joint`.
+    """Messages of the partners of each hypothesis, by order; see `inference.joint`.
 
     Args:
         boxes: (N, 4) hypotheses that hear.

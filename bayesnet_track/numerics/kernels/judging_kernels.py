@@ -127,7 +127,7 @@ def append_detections(
     heading: Floats,
     elapsed: float,
 ) -> None:
-    """What is remembered (T, H) after a frame in which rows were given the detections `own` (T, 4), in place.
+    """Update the memory (T, H) in place after a frame in which rows were given the detections `own` (T, 4).
 
     The frame is `elapsed` frame intervals after the last one.
 

@@ -27,7 +27,7 @@ def gate_rows(
     limit: float,
     min_overlap: float,
 ) -> tuple[Ints, Ints, Floats]:
-    """Which of the detections (N, 4) may be whose, of targets predicted with (T, D) and (T, D, D).
+    """Pairs of detections (N, 4) and targets, predicted with (T, D) and (T, D, D), that pass the gate.
 
     Rows, columns and gains (P,) of the pairs within the gate d^2 <= `limit` that overlap enough: the numbers
     of `adapt.association.gated_gains`. Looked at are the detections `order[starts[t]:ends[t]]`.
@@ -316,7 +316,7 @@ def measure_and_mix_rows(
     counts: Bools,
     alone: float,
 ) -> Floats:
-    """As `mix_rows`, with (T, 8) of each row as `row_kernels.update_rows` has them."""
+    """Mix as `mix_rows` does, with (T, 8) measures of each row as of `row_kernels.update_rows`."""
     count, size = mean.shape
     found = np.zeros((count, 8))
     lower, rest, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)

@@ -28,7 +28,7 @@ def weigh_members(
     agents: Indices,
     limits: tuple[float, float, float],
 ) -> tuple[Floats, Floats]:
-    """What is known of each hypothesis, and of each target.
+    """Weights of each hypothesis and measures of each target.
 
     Args:
         log: (S,) log-likelihoods L.
@@ -180,7 +180,7 @@ def speak(
 def conclude(
     log: Floats, seen: Floats, starts: Indices, at: Indices, heard: Heard, said: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """What follows for each target from all that is said of it.
+    """Combine for each target all messages that it receives.
 
     Args:
         log: (S,) log-likelihoods.

@@ -77,7 +77,7 @@ def uniforms_of_each(keys: Words, starts: Ints) -> Floats:
 
 @compiled
 def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, Ints]:
-    """As `uniforms_of_each`, and then permutations.
+    """Draw as `uniforms_of_each` does, and then permutations.
 
     Generator t has as many numbers as `rounds[t]` permutations of equal length. These are the rows that its
     `permuted` of 0, 1, ... gives after its `random`, by the shuffle of Fisher and Yates.

@@ -152,7 +152,7 @@ class Background:
 
 
 def gain_of(image: NDArray[np.uint8], mean: NDArray[np.float32]) -> float:
-    """How much brighter a picture (H, W, 3) is than the background (H, W, 3): the median over pixels.
+    """Brightness of an image (H, W, 3) over that of the background (H, W, 3): the median over pixels.
 
     Of each pixel, I . B / B . B: the brightness distortion of Horprasert et al. (1999) with equal variances.
     """

@@ -84,7 +84,7 @@ class ColorBackprojection:
         return {"shares": np.array(self.shares)}
 
     def knows_target(self, state: DetectorState) -> bool:
-        """Whether it has hues to look for."""
+        """True if it has hues to look for."""
         return bool(state["shares"][:-1].sum() > 0)
 
     def learn(self, frames: FramePair, box: Floats, state: DetectorState) -> DetectorState:

@@ -65,7 +65,7 @@ class MotionParameters(BlobParameters):
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """What moves between two frames against the rest.
+    """Regions that move between two frames against the rest.
 
     Attributes:
         flow: (H, W, 2) from the current frame back to the previous one, the camera's motion taken off, px.
@@ -106,7 +106,7 @@ class MotionDetector:
 
 
 def moving(now: Bytes, then: Bytes, interval: float, settings: MotionParameters) -> Moved:
-    """What moves between two gray pictures (H, W), `interval` frame intervals apart."""
+    """Mask of what moves between two gray images (H, W), `interval` frame intervals apart."""
     import cv2
 
     now, then = (cv2.GaussianBlur(picture, (3, 3), 0) for picture in (now, then))

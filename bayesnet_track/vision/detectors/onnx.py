@@ -116,7 +116,7 @@ LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
 
 
 def fitting(outputs: Sequence[Floats], layout: str) -> Found:
-    """What the one output says that is of the layout; raises LayoutError where none or several are."""
+    """Detections of the one output that is of the layout; raises LayoutError where none or several are."""
     found, refused = [], []
     for output in outputs:
         try:
@@ -209,7 +209,7 @@ class Onnx:
         return {}
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
-        """What the network finds; raises DetectorError where its output is not of the layout."""
+        """Detections of the network; raises DetectorError where its output is not of the layout."""
         frame, settings = frames.current, self.parameters
         shrink, rim, blob = self._input(frame.image)
         found = self._found(self.forward(blob))

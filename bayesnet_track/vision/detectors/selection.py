@@ -180,7 +180,7 @@ def left_out(
     size: tuple[int, int],
     labels: Collection[str] = (),
 ) -> dict[str, int]:
-    """How many detections are not used, by the reason, which names the key; the first reason that holds.
+    """Numbers of detections that are not used by reason, the first that holds; it names the key.
 
     Args:
         found: index of a frame -> its detections.

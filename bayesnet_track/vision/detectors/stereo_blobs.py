@@ -44,7 +44,7 @@ class StereoBlobs:
 
 @dataclass(frozen=True)
 class StereoBlobSettings:
-    """What counts as a blob.
+    """Limits of a blob.
 
     Attributes:
         matcher: how the two eyes are matched.

@@ -83,7 +83,7 @@ def valid_vectors(field: Singles, left: int, top: int, found: Floats) -> int:
 def dense_in_boxes(
     points: Floats, left: int, top: int, width: int, height: int, boxes: Floats, counts: Floats, means: Floats
 ) -> None:
-    """As `flow_in_boxes`, for points (P, 4) at whole pixels of a region: by integral images, P may be large.
+    """Mean flow of points (P, 4) at whole pixels of a region: by integral images, P may be large.
 
     Flow is rounded to 1 / FLOW_UNITS pixel, so that sums are exact whatever the region.
     """

@@ -226,7 +226,7 @@ def _count_rivals(scores: Singles, place: Ints32, limit: Singles, separation: in
 
 @compiled
 def _fraction(scores: Singles, i: int, best: int) -> float:
-    """Where a parabola through the best score and its neighbours is highest, in steps from the best."""
+    """Peak of a parabola through the best score and its neighbours, in steps from the best."""
     before, top, after = float(scores[best - 1, i]), float(scores[best, i]), float(scores[best + 1, i])
     bend = before - 2.0 * top + after
     return 0.5 * (before - after) / bend if bend < 0.0 else 0.0

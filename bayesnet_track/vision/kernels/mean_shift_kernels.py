@@ -31,7 +31,7 @@ UNSEEN = 0.0005
 
 @dataclass(frozen=True)
 class CellLayout:
-    """How pixels fall into cells.
+    """Layout of the cells into which pixels fall.
 
     Attributes:
         levels: of each channel, or of gray.
@@ -121,7 +121,7 @@ Cells = NDArray[np.uint16]
 
 @compiled
 def _step(box: Floats, most: int) -> int:
-    """Which rows and columns are taken of a box: every one, second, ... Radii below 1 px are taken as 1."""
+    """Step between the rows and columns that are taken of a box: 1, 2, ... Radii below 1 px count as 1."""
     return max(int(np.ceil(np.sqrt(4.0 * max(box[2] / 2, 1.0) * max(box[3] / 2, 1.0) / most))), 1)
 
 

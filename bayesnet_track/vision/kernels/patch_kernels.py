@@ -338,7 +338,7 @@ def gradient_directions(gray: Bytes, noise: int, codes: Bytes) -> None:
 
 @compiled
 def integral_histogram(codes: Bytes, integral: Ints32) -> None:
-    """How often each code occurs above and left: `integral` (H + 1, W + 1, B), first row and column 0."""
+    """Counts of each code above and left: `integral` (H + 1, W + 1, B), first row and column 0."""
     bins = integral.shape[2]
     row = np.zeros(bins, np.int32)
     integral[0] = 0
@@ -386,7 +386,7 @@ def cell_shares(integral: Ints32, boxes: Floats, x0: int, y0: int, cells: int, s
 
 @compiled
 def counted_shares(codes: Bytes, boxes: Floats, x0: int, y0: int, cells: int, shares: Floats) -> None:
-    """As `cell_shares`, from the codes (H, W) themselves: in less time where there are few boxes."""
+    """Shares as of `cell_shares`, from the codes (H, W) themselves: faster where there are few boxes."""
     rows, columns = codes.shape
     counts = np.empty(shares.shape[3], np.int64)
     for k in range(boxes.shape[0]):
