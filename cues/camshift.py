@@ -129,19 +129,19 @@ class CamShift:
 
         cells, origin = self._cells(planes, (box * [1, 1, 2, 2])[None])
         x, y = box[:2] - origin
-        inside, around = (
+        box_counts, ring_counts = (
             np.array(
                 [
-                    window_moments(cells, one, x, y, side * box[2] / 2, side * box[3] / 2)[0]
-                    for one in np.eye(self.parameters.bins + 1)
+                    window_moments(cells, indicator, x, y, side * box[2] / 2, side * box[3] / 2)[0]
+                    for indicator in np.eye(self.parameters.bins + 1)
                 ]
             )
             for side in (1.0, RING)
         )
-        around = around - inside
+        ring_counts = ring_counts - box_counts
         reference = {
-            "inside": inside / max(float(inside.sum()), 1.0),
-            "around": around / max(float(around.sum()), 1.0),
+            "inside": box_counts / max(float(box_counts.sum()), 1.0),
+            "around": ring_counts / max(float(ring_counts.sum()), 1.0),
         }
         probability = back_projection(reference)
         density = window_moments(cells, probability, x, y, box[2] / 2, box[3] / 2)[0] / (box[2] * box[3])
@@ -162,16 +162,16 @@ class CamShift:
         hidden on either side: errors grow by (1 - share) of half a side, those of the sides by a whole one.
         """
         p = self.parameters
-        found = self.climb(planes, hypotheses, weights, reference)
-        if found is None or float(reference["density"]) <= 0.0:
+        window = self.climb(planes, hypotheses, weights, reference)
+        if window is None or float(reference["density"]) <= 0.0:
             return None
-        share = min(found.mass / (float(reference["density"]) * float(np.prod(found.path[0, 2:]))), 1.0)
-        if share < p.seen_above or found.density < p.contrast_above * found.ring:
+        share = min(window.mass / (float(reference["density"]) * float(np.prod(window.path[0, 2:]))), 1.0)
+        if share < p.seen_above or window.density < p.contrast_above * window.ring:
             return None
-        sides, lost = found.box[2:], (1.0 - share) * found.path[0, 2:]
+        sides, lost = window.box[2:], (1.0 - share) * window.path[0, 2:]
         place = np.maximum(p.sd_box * sides, 0.5) ** 2 + (lost / 2) ** 2
         size = np.maximum(p.sd_size * sides, 1.0) ** 2 + lost**2
-        return Measurement(("x", "y", "w", "h"), found.box, np.diag([*place, *size]), p.floor)
+        return Measurement(("x", "y", "w", "h"), window.box, np.diag([*place, *size]), p.floor)
 
     def climb(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
@@ -200,9 +200,9 @@ class CamShift:
             if shift @ shift < p.tolerance_px**2 and np.allclose(path[-1], path[-2], atol=p.tolerance_px):
                 break
         sides = np.minimum(sides, high)
-        inside, wide, inner, outer = (
-            window_moments(cells, what, centre[0], centre[1], *(side * sides / 2))[0]
-            for what in (probability, np.ones_like(probability))
+        window_sums, wide, inner, outer = (
+            window_moments(cells, image, centre[0], centre[1], *(side * sides / 2))[0]
+            for image in (probability, np.ones_like(probability))
             for side in (1.0, RING)
         )
         windows = np.array(path)
@@ -210,9 +210,9 @@ class CamShift:
         return Found(
             np.concatenate([centre + origin, sides]),
             0.5 * float(np.arctan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])),
-            inside,
-            inside / float(np.prod(sides)),
-            (wide - inside) / max(outer - inner, 1.0),
+            window_sums,
+            window_sums / float(np.prod(sides)),
+            (wide - window_sums) / max(outer - inner, 1.0),
             windows,
         )
 
@@ -223,8 +223,8 @@ class CamShift:
 
 def back_projection(reference: Reference) -> Floats:
     """(bins + 1,) max(0, q - b) / (q + b + RARE), q inside the box and b around it; 0 without a hue."""
-    inside, around = reference["inside"], reference["around"]
-    contrast = np.maximum(inside - around, 0.0) / (inside + around + RARE)
+    box_shares, ring_shares = reference["inside"], reference["around"]
+    contrast = np.maximum(box_shares - ring_shares, 0.0) / (box_shares + ring_shares + RARE)
     contrast[-1] = 0.0
     return np.asarray(contrast)
 

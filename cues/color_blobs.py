@@ -100,9 +100,9 @@ class ColorBlobs:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The blobs inside `box`."""
-        blobs, found = self._blobs(planes, box[None])
+        blobs, counts = self._blobs(planes, box[None])
         return {
-            "blobs": blobs[0, : found[0]],
+            "blobs": blobs[0, : counts[0]],
             "size": np.array(box[2:], dtype=np.float64),
             SHARPER: np.array(1.0),
             **start(2, self.parameters.sd_memory_frames),
@@ -116,21 +116,21 @@ class ColorBlobs:
         from bayesnet_track.vision.kernels.blob_kernels import match_blobs
 
         p = self.parameters
-        before, after = np.ascontiguousarray(old["blobs"]), np.ascontiguousarray(new["blobs"])
-        match, _ = match_blobs(before, after, p.sd_offset, p.sd_hue_deg, p.unmatched)
+        old_blobs, new_blobs = np.ascontiguousarray(old["blobs"]), np.ascontiguousarray(new["blobs"])
+        match, _ = match_blobs(old_blobs, new_blobs, p.sd_offset, p.sd_hue_deg, p.unmatched)
         matched = match >= 0
-        target = np.concatenate([before[:, :SHARE], np.zeros((len(before), 1))], axis=1)
-        target[matched] = after[match[matched]]
-        step = target - before
+        target = np.concatenate([old_blobs[:, :SHARE], np.zeros((len(old_blobs), 1))], axis=1)
+        target[matched] = new_blobs[match[matched]]
+        step = target - old_blobs
         step[:, 2] = (step[:, 2] + 180.0) % 360.0 - 180.0
-        blended = before + rate * step
+        blended = old_blobs + rate * step
         blended[:, 2] %= 360.0
-        arrived = np.delete(after, match[matched], axis=0)
+        arrived = np.delete(new_blobs, match[matched], axis=0)
         arrived[:, SHARE] *= rate
         blobs = np.concatenate([blended, arrived])
         largest = np.argsort(-blobs[:, SHARE], kind="stable")[: 2 * p.max_blobs]
         blobs = blobs[largest]
-        compared = after if rate and p.sd_memory_frames else after[:0]
+        compared = new_blobs if rate and p.sd_memory_frames else new_blobs[:0]
         errors = self._differences(self._wanted(old), compared)
         return {
             "blobs": blobs[blobs[:, SHARE] > 0],
@@ -153,9 +153,11 @@ class ColorBlobs:
         from bayesnet_track.vision.kernels.blob_kernels import blob_costs
 
         p, boxes = self.parameters, hypotheses.boxes
-        wanted, wider = self._wanted(reference), factor_of(reference) * spread_of(reference, 2)
-        blobs, found = self._blobs(planes, boxes)
-        cost = blob_costs(blobs, found, wanted, wider[0] * p.sd_offset, wider[1] * p.sd_hue_deg, p.unmatched)
+        expected, wider = self._wanted(reference), factor_of(reference) * spread_of(reference, 2)
+        blobs, counts = self._blobs(planes, boxes)
+        cost = blob_costs(
+            blobs, counts, expected, wider[0] * p.sd_offset, wider[1] * p.sd_hue_deg, p.unmatched
+        )
         cost += p.unmatched * _share_outside(boxes, planes.frame)
         size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(size - cost, p.floor)
@@ -165,18 +167,18 @@ class ColorBlobs:
 
         Offsets of their centres in both axes (widths and heights of the box), differences of hue (degrees).
         """
-        blobs, found = self._blobs(planes, np.asarray(box, dtype=np.float64)[None])
-        offsets, hues = self._differences(self._wanted(reference), blobs[0, : found[0]])
+        blobs, counts = self._blobs(planes, np.asarray(box, dtype=np.float64)[None])
+        offsets, hues = self._differences(self._wanted(reference), blobs[0, : counts[0]])
         return {"sd_offset": offsets, "sd_hue_deg": hues}
 
-    def _differences(self, wanted: Floats, seen: Floats) -> tuple[Floats, Floats]:
+    def _differences(self, expected: Floats, blobs: Floats) -> tuple[Floats, Floats]:
         """Offsets in both axes, and differences of hue, of nearest pairs, however far apart."""
         from bayesnet_track.vision.kernels.blob_kernels import match_blobs
 
         p = self.parameters
-        match, _ = match_blobs(wanted, seen, p.sd_offset, p.sd_hue_deg, np.inf)
-        off = seen[match[match >= 0]] - wanted[match >= 0]
-        return off[:, :2].ravel(), np.asarray((off[:, 2] + 180.0) % 360.0 - 180.0)
+        match, _ = match_blobs(expected, blobs, p.sd_offset, p.sd_hue_deg, np.inf)
+        differences = blobs[match[match >= 0]] - expected[match >= 0]
+        return differences[:, :2].ravel(), np.asarray((differences[:, 2] + 180.0) % 360.0 - 180.0)
 
     def _wanted(self, reference: Reference) -> Floats:
         """(K, 4) blobs that are compared."""
@@ -201,9 +203,9 @@ class ColorBlobs:
 def _share_outside(boxes: Floats, frame: Frame) -> Floats:
     """(N,) share of each box's area outside the frame."""
     x, y, w, h = boxes.T  # column by column: NumPy is slow on rows of two
-    across = _inside(x, w, frame.width) / w
-    down = _inside(y, h, frame.height) / h
-    return np.asarray(np.clip(1.0 - across * down, 0.0, 1.0))
+    share_x = _inside(x, w, frame.width) / w
+    share_y = _inside(y, h, frame.height) / h
+    return np.asarray(np.clip(1.0 - share_x * share_y, 0.0, 1.0))
 
 
 def _inside(centre: Floats, size: Floats, extent: int) -> Floats:

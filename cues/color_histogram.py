@@ -101,15 +101,15 @@ class ColorHistogram:
         boxes[:] = box
         boxes[1:, :2] += HALF_OVERLAP * box[2:]
         counts, visible, nominal = self._count(planes, boxes)
-        bins, seen = self.parameters.bins, max(int(visible[0]), 1)
+        bins, pixel_count = self.parameters.bins, max(int(visible[0]), 1)
         shares = np.zeros(bins + 1)
-        shares[:bins] = counts[0] / seen
+        shares[:bins] = counts[0] / pixel_count
         shares[bins] = 1.0 - shares[:bins].sum()
-        distances, outside = color_distances(
+        distances, outside_shares = color_distances(
             counts[1:], visible[1:], nominal[1:], shares, self.parameters.achromatic_distance
         )
-        inside = outside == 0
-        alpha = 0.5 * float(distances[inside if inside.any() else slice(None)].mean())
+        is_inside = outside_shares == 0
+        alpha = 0.5 * float(distances[is_inside if is_inside.any() else slice(None)].mean())
         return {
             "shares": shares,
             "alpha": np.array(max(alpha, self.parameters.alpha_min)),
@@ -159,14 +159,14 @@ class ColorHistogram:
     ) -> Sequence[Reference]:
         """`learn` and `blend` of several targets at once."""
         shares, alphas = self._learn_each(planes, boxes)
-        old, old_alphas = column(references, "shares"), column(references, "alpha")
-        factors, known = column(references, SHARPER, 1.0), np.ones(len(references))
+        old_shares, old_alphas = column(references, "shares"), column(references, "alpha")
+        factors, unit_factors = column(references, SHARPER, 1.0), np.ones(len(references))
         sizes = {"size": column(references, "size")}
         columns = {
-            "shares": rates[:, None] * shares + (1.0 - rates)[:, None] * old,
+            "shares": rates[:, None] * shares + (1.0 - rates)[:, None] * old_shares,
             "alpha": rates * alphas + (1.0 - rates) * old_alphas,
             "size": blend_sizes(sizes, {"size": boxes[:, 2:]}, np.repeat(rates, 2).reshape(-1, 2)),
-            SHARPER: relax_all(factors, known, rates),
+            SHARPER: relax_all(factors, unit_factors, rates),
         }
         return ReferenceRows(columns)
 
@@ -175,22 +175,25 @@ class ColorHistogram:
         from bayesnet_track.vision.kernels.histogram_kernels import color_distances_of_each
 
         count, bins = len(boxes), self.parameters.bins
-        around = np.repeat(boxes[:, None], 5, axis=1)
-        around[:, 1:, :2] += HALF_OVERLAP * boxes[:, None, 2:]
+        neighbours = np.repeat(boxes[:, None], 5, axis=1)
+        neighbours[:, 1:, :2] += HALF_OVERLAP * boxes[:, None, 2:]
         starts = np.arange(0, 5 * count + 1, 5)
-        counts, visible, nominal, _, places = self._count_of_each(planes, around.reshape(-1, 4), starts)
+        counts, visible, nominal, _, places = self._count_of_each(planes, neighbours.reshape(-1, 4), starts)
         counts, visible, nominal = counts[places], visible[places], nominal[places]
-        seen = np.maximum(visible[::5].astype(np.int64), 1)
+        pixel_counts = np.maximum(visible[::5].astype(np.int64), 1)
         shares = np.zeros((count, bins + 1))
-        shares[:, :bins] = counts[::5] / seen[:, None]
+        shares[:, :bins] = counts[::5] / pixel_counts[:, None]
         shares[:, bins] = 1.0 - shares[:, :bins].sum(axis=1)
-        distances, outside = color_distances_of_each(
+        distances, outside_shares = color_distances_of_each(
             counts, visible, nominal, starts, shares, self.parameters.achromatic_distance
         )
-        near, inside = distances.reshape(-1, 5)[:, 1:], outside.reshape(-1, 5)[:, 1:] == 0
-        means = near.mean(axis=1)
-        for t in np.flatnonzero(inside.any(axis=1) & ~inside.all(axis=1)).tolist():
-            means[t] = near[t, inside[t]].mean()
+        neighbour_distances, is_inside = (
+            distances.reshape(-1, 5)[:, 1:],
+            outside_shares.reshape(-1, 5)[:, 1:] == 0,
+        )
+        means = neighbour_distances.mean(axis=1)
+        for t in np.flatnonzero(is_inside.any(axis=1) & ~is_inside.all(axis=1)).tolist():
+            means[t] = neighbour_distances[t, is_inside[t]].mean()
         return shares, np.maximum(0.5 * means, self.parameters.alpha_min)
 
     def _count_of_each(
@@ -219,10 +222,10 @@ class ColorHistogram:
 
         pixels, place = distinct_pixels(box_pixels(planes, boxes))
         counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
-        distances, outside = color_distances(
+        distances, outside_shares = color_distances(
             counts, pixels.visible, pixels.nominal, shares, self.parameters.achromatic_distance
         )
-        return (distances, outside) if place is None else (distances[place], outside[place])
+        return (distances, outside_shares) if place is None else (distances[place], outside_shares[place])
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""

@@ -121,10 +121,10 @@ class CorrelationFilter:
 
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
         """The same for a target turned by `angle` degrees: the patch is cut out as turned, and so upright."""
-        found = self._equations(planes, box, angle)
-        kernel = self._kernel(found["numerator"], found["denominator"], found["size"])
-        usual = max(USUAL * _answer(kernel, found["patch"]), LEAST_ANSWER)
-        return {**found, "kernel": kernel, "usual": np.array(usual)}
+        equations = self._equations(planes, box, angle)
+        kernel = self._kernel(equations["numerator"], equations["denominator"], equations["size"])
+        usual_answer = max(USUAL * _answer(kernel, equations["patch"]), LEAST_ANSWER)
+        return {**equations, "kernel": kernel, "usual": np.array(usual_answer)}
 
     def _equations(self, planes: Planes, box: Floats, angle: float) -> dict[str, NDArray[Any]]:
         """Equations learnt of the patch alone: all of a reference but `kernel` and `usual`."""
@@ -136,8 +136,8 @@ class CorrelationFilter:
             patch = patch_at(image, x, y, cell, p.cells, p.signed)
         else:
             patch = turned_patch_at(image, x, y, cell, p.cells, p.signed, angle)
-        off = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
-        label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *off)
+        offset = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
+        label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *offset)
         numerator, denominator = equations(patch.features * self._window(size), label)
         return {
             "numerator": numerator,
@@ -162,14 +162,14 @@ class CorrelationFilter:
         names = ("numerator", "denominator")
         mixed = blend_arrays({name: old[name] for name in names}, new, rate)
         numerator = mixed["numerator"].astype(np.complex64, copy=False)
-        seen, usual = _answer(old["kernel"], new["patch"]), float(old["usual"])
-        share = 1.0 if seen > usual else min(1.0, FOLLOW * rate)
+        answer, usual_answer = _answer(old["kernel"], new["patch"]), float(old["usual"])
+        share = 1.0 if answer > usual_answer else min(1.0, FOLLOW * rate)
         return {
             **new,
             "numerator": numerator,
             "denominator": mixed["denominator"],
             "kernel": self._kernel(numerator, mixed["denominator"], new["size"]),
-            "usual": np.array(max(usual + share * (seen - usual), LEAST_ANSWER)),
+            "usual": np.array(max(usual_answer + share * (answer - usual_answer), LEAST_ANSWER)),
         }
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
@@ -203,27 +203,27 @@ class CorrelationFilter:
         size, place, kernel = reference["size"], reference["place"], reference["kernel"]
         cell = self._cell(size)
         step = (REACH - 4) * cell  # between tiles; a column of boxes at a time is several times faster
-        across, down = (np.floor((boxes[:, k] - place[k]) / step + 0.5) for k in (0, 1))
-        tile_of = across + down * 2.0**20  # one number is sorted faster than two
+        columns, rows = (np.floor((boxes[:, k] - place[k]) / step + 0.5) for k in (0, 1))
+        tile_of = columns + rows * 2.0**20  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
         turns = {0: np.ones(len(boxes))} if angles is None else _turns_of(angles)
         parts: dict[int, NDArray[np.float32]] = {}
         for number in _different(tile_of[asked]):
-            which = np.flatnonzero(asked & (tile_of == number))
-            at = np.array([across[which[0]], down[which[0]]])
-            x, y = (place + at * (REACH - 4) * cell).tolist()
+            indices = np.flatnonzero(asked & (tile_of == number))
+            tile_place = np.array([columns[indices[0]], rows[indices[0]]])
+            x, y = (place + tile_place * (REACH - 4) * cell).tolist()
             tile = find_tile(planes.frame, image, Asked(x, y, cell, p.cells + REACH, p.cells, p.signed))
-            levels = (log_scale[which] + np.log(cell / tile.cell)) / SCALE_STEP
+            levels = (log_scale[indices] + np.log(cell / tile.cell)) / SCALE_STEP
             levels = np.minimum(np.maximum(levels, -LEVELS), LEVELS)
             for turn, share in turns.items():
-                part = share[which]
+                part = share[indices]
                 of_turn = levels[part > 0.0]
                 if not len(of_turn):
                     continue
                 lowest, highest = math.floor(of_turn.min()), math.ceil(of_turn.max())
                 maps = find_maps(tile, kernel, turn, range(lowest, highest + 1), parts)
                 at_tile = (tile.x, tile.y, tile.cell)
-                read_answers(maps, lowest, boxes, at_tile, which, levels, part, values)
+                read_answers(maps, lowest, boxes, at_tile, indices, levels, part, values)
         return values
 
     def _cell(self, size: Floats) -> float:
@@ -234,8 +234,8 @@ class CorrelationFilter:
 
     def _window(self, size: Floats) -> NDArray[np.float32]:
         (width, height), cell = size.tolist(), self._cell(size)
-        around = self.parameters.context * math.sqrt(width * height)
-        spans = ((side + around) / cell for side in (width, height))
+        context = self.parameters.context * math.sqrt(width * height)
+        spans = ((side + context) / cell for side in (width, height))
         return hann(self.parameters.cells, *(max(span, 4.0) for span in spans))
 
     def _kernel(
@@ -252,22 +252,22 @@ def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:
 
 def _different(numbers: Floats) -> Floats:
     """The different ones among the numbers, sorted; mostly they are all the same."""
-    alike = not len(numbers) or (numbers == numbers[0]).all()
-    return numbers[:1] if alike else np.unique(numbers)
+    all_equal = not len(numbers) or (numbers == numbers[0]).all()
+    return numbers[:1] if all_equal else np.unique(numbers)
 
 
 def _turns_of(angles: Floats) -> dict[int, Floats]:
     """Level of turn -> (N,) share of it in the answer at each angle: linear between the two nearest."""
     steps = np.asarray(angles) / TURN_STEP
-    below = np.floor(steps)
-    part, around = steps - below, round(360.0 / TURN_STEP)
+    lower_levels = np.floor(steps)
+    part, level_count = steps - lower_levels, round(360.0 / TURN_STEP)
     shares: dict[int, Floats] = {}
-    for above in (0, 1):
-        turns = (below.astype(np.int64) + above) % around
-        weights = part if above else 1.0 - part
+    for offset in (0, 1):
+        turns = (lower_levels.astype(np.int64) + offset) % level_count
+        weights = part if offset else 1.0 - part
         for turn in np.unique(turns).tolist():
-            own = shares.setdefault(turn, np.zeros(len(steps)))
-            own += np.where(turns == turn, weights, 0.0)
+            angle_shares = shares.setdefault(turn, np.zeros(len(steps)))
+            angle_shares += np.where(turns == turn, weights, 0.0)
     return shares
 
 

@@ -141,8 +141,8 @@ class Detection:
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Nothing to blend; what is remembered of former detections stays."""
-        kept = {OBSERVED: old[OBSERVED]} if OBSERVED in old else {}
-        return {**new, **kept} if rate > 0 else old
+        memory = {OBSERVED: old[OBSERVED]} if OBSERVED in old else {}
+        return {**new, **memory} if rate > 0 else old
 
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
@@ -151,21 +151,22 @@ class Detection:
 
         Where several may be the target's, each is a choice with its probability.
         """
-        own = reference.get(OWN_DETECTION)
-        if own is None or len(own) == 0:
+        detections = reference.get(OWN_DETECTION)
+        if detections is None or len(detections) == 0:
             return None
-        if own.shape[1] == 5:
-            return self._measured(own[0, :4])
-        weights = own[:, 5]
+        if detections.shape[1] == 5:
+            return self._measured(detections[0, :4])
+        weights = detections[:, 5]
         choices = tuple(
-            (float(weight), self._measured(box)) for weight, box in zip(weights, own[:, :4], strict=True)
+            (float(weight), self._measured(box))
+            for weight, box in zip(weights, detections[:, :4], strict=True)
         )
-        middle = self._measured(weights @ own[:, :4] / weights.sum())
+        middle = self._measured(weights @ detections[:, :4] / weights.sum())
         return replace(middle, choices=choices)
 
     def _measured(self, box: Floats) -> Measurement:
-        at = np.array(box, dtype=np.float64)
-        return Measurement(FIELDS, at, np.diag(self.rule.variances(at)), self.parameters.floor)
+        mean = np.array(box, dtype=np.float64)
+        return Measurement(FIELDS, mean, np.diag(self.rule.variances(mean)), self.parameters.floor)
 
 
 CUE = CueDeclaration(

@@ -115,13 +115,13 @@ class DisplacementCue:
         region = region_of_boxes(np.asarray(box)[None], self.context).within(planes.frame)
         image, origin = _crop(planes, self.gray, region)
         side = 2 * (self.parameters.patch_px // 2) + 1
-        at = self._corners(image, origin, np.asarray(box, dtype=np.float64))
-        patches, whole = cut_patches(image, origin, at, side)
-        whole &= patches.var(axis=(1, 2)) > 0
+        corners = self._corners(image, origin, np.asarray(box, dtype=np.float64))
+        patches, is_valid = cut_patches(image, origin, corners, side)
+        is_valid &= patches.var(axis=(1, 2)) > 0
         return {
-            "at": at[whole],
-            "patches": patches[whole],
-            "motion": flat_motion(int(whole.sum()), self.matching),
+            "at": corners[is_valid],
+            "patches": patches[is_valid],
+            "motion": flat_motion(int(is_valid.sum()), self.matching),
             "centre": np.zeros(2, dtype=np.int64),
             "box": np.array(box, dtype=np.float64),
             "time": np.array(float(planes.frame.time)),
@@ -172,14 +172,14 @@ class DisplacementCue:
         dt = dt if dt > 0 else 1.0
         region = region_of_boxes(hypotheses.boxes).within(planes.frame)
         image, origin = _crop(planes, self.gray, region)
-        found = self._displaced(reference, image, origin, dt, weights @ hypotheses.boxes)
-        if found is None or found.seen.mean() < self.parameters.min_seen:
+        displaced = self._displaced(reference, image, origin, dt, weights @ hypotheses.boxes)
+        if displaced is None or displaced.seen.mean() < self.parameters.min_seen:
             return None
-        count = int(found.seen.sum())
+        count = int(displaced.seen.sum())
         shared = (1.0 + (count - 1) * self.parameters.correlation) / count
-        covariance = dt**2 * (found.covariance * shared + np.eye(2) / 12.0)
+        covariance = dt**2 * (displaced.covariance * shared + np.eye(2) / 12.0)
         return Measurement(
-            ("x", "y"), reference["box"][:2] + dt * found.motion, covariance, self.parameters.floor
+            ("x", "y"), reference["box"][:2] + dt * displaced.motion, covariance, self.parameters.floor
         )
 
     def _displaced(
@@ -205,8 +205,8 @@ class DisplacementCue:
         inner = box[2:] / 2 - np.minimum(settings.patch_px // 2, box[2:] / 4)
         low, high = np.ceil(box[:2] - inner), np.floor(box[:2] + inner)
         x, y = (np.arange(n) + origin[k] for k, n in ((0, image.shape[1]), (1, image.shape[0])))
-        outside = ~np.outer((y >= low[1]) & (y <= high[1]), (x >= low[0]) & (x <= high[0]))
-        scores[outside] = 0.0
+        is_outside = ~np.outer((y >= low[1]) & (y <= high[1]), (x >= low[0]) & (x <= high[0]))
+        scores[is_outside] = 0.0
         rows, columns = np.nonzero(scores > 0)
         order = np.argsort(-scores[rows, columns], kind="stable")
         places = np.column_stack([columns, rows])[order] + np.array(origin)
@@ -226,12 +226,12 @@ def _origin(reference: Reference) -> tuple[int, int]:
     return int(reference["origin"][0]), int(reference["origin"][1])
 
 
-def _far_from(places: NDArray[Any], others: NDArray[Any], least: float) -> NDArray[np.intp]:
-    """Indices of the places at least `least` px from all others."""
-    if len(others) == 0:
+def _far_from(places: NDArray[Any], obstacles: NDArray[Any], min_distance: float) -> NDArray[np.intp]:
+    """Indices of the places at least `min_distance` px from all others."""
+    if len(obstacles) == 0:
         return np.arange(len(places))
-    away = np.abs(places[:, None] - others[None]).max(axis=2).min(axis=1)
-    return np.flatnonzero(away >= least)
+    distances = np.abs(places[:, None] - obstacles[None]).max(axis=2).min(axis=1)
+    return np.flatnonzero(distances >= min_distance)
 
 
 def _make(parameters: DisplacementParameters) -> DisplacementCue:

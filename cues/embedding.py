@@ -262,8 +262,8 @@ class Embedding:
         if not len(boxes) or not reference["vector"].any():
             return np.zeros(len(boxes))
         alpha = float(reference["alpha"]) * factor_of(reference)
-        asked, which = representatives(boxes, size, p.step, p.max_crops)
-        distances = self._distances(planes, asked, reference["vector"])[which]
+        crop_boxes, indices = representatives(boxes, size, p.step, p.max_crops)
+        distances = self._distances(planes, crop_boxes, reference["vector"])[indices]
         similarity = log_logistic(distances, alpha)
         penalty = log_size_penalty(boxes, size, p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + penalty, p.floor)
@@ -280,16 +280,16 @@ class Embedding:
     def _distances(self, planes: Planes, boxes: Floats, vector: Floats) -> Floats:
         """(N,) 1 - s cos, 0..1, s the share of the box inside the frame; 1 outside it."""
         share = share_inside(boxes, planes.frame)
-        seen = share > 0.0
+        is_visible = share > 0.0
         distances = np.ones(len(boxes))
-        if seen.any():
-            found = self._vectors(planes, boxes[seen])
-            lengths = np.sqrt((found**2).sum(axis=1) * float(vector @ vector))
-            dots = (found * vector).sum(
+        if is_visible.any():
+            vectors = self._vectors(planes, boxes[is_visible])
+            lengths = np.sqrt((vectors**2).sum(axis=1) * float(vector @ vector))
+            dots = (vectors * vector).sum(
                 axis=1
             )  # not `@`, which adds up differently for other numbers of rows
             cosine = np.divide(dots, lengths, out=np.zeros_like(dots), where=lengths > 0)
-            distances[seen] = np.clip(1.0 - share[seen] * cosine, 0.0, 1.0)
+            distances[is_visible] = np.clip(1.0 - share[is_visible] * cosine, 0.0, 1.0)
         return distances
 
 
@@ -299,8 +299,8 @@ def _make(parameters: EmbeddingParameters) -> Cue:
     p = parameters
     if not p.model:
         return Embedding(p, plain)
-    wanted = Input(p.input_width, p.input_height, p.scale, p.mean, p.channels == "rgb")
-    return Embedding(p, network(p.model, wanted))
+    shape = Input(p.input_width, p.input_height, p.scale, p.mean, p.channels == "rgb")
+    return Embedding(p, network(p.model, shape))
 
 
 def _missing(parameters: EmbeddingParameters) -> str | None:

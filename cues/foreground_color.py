@@ -116,8 +116,12 @@ class ForegroundColor:
         p, frame = self.parameters, planes.frame
         box = np.asarray(box, dtype=np.float64)
         x, y, w, h = box.tolist()
-        around = [ring * (w + h) for ring in sorted((p.surround, p.wide), reverse=True)]
-        sizes = *((w + more, h + more) for more in around), (w, h), (p.inner * w, p.inner * h)
+        ring_sizes = [ring * (w + h) for ring in sorted((p.surround, p.wide), reverse=True)]
+        sizes = (
+            *((w + ring_size, h + ring_size) for ring_size in ring_sizes),
+            (w, h),
+            (p.inner * w, p.inner * h),
+        )
         boxes = np.array([(x, y, *size) for size in sizes])
         counts = f.count_pixels(frame, self._cells(frame), boxes)
         *of_rings, mean_shift_kernels = f.shares_of(counts)
@@ -145,14 +149,14 @@ class ForegroundColor:
 
         A contrast is the mean posterior inside the box less that in the ring. A box counts with all of its
         area: what lies outside the frame is not the target's. All 0 when the target has no contrast of its
-        own: then its colours say nothing.
+        target_contrast: then its colours say nothing.
         """
         p = self.parameters
-        own = float(reference["contrast"])
-        if own <= 0.0:
+        target_contrast = float(reference["contrast"])
+        if target_contrast <= 0.0:
             return np.zeros(len(hypotheses))
         contrast = self.contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
-        log = p.gain * factor_of(reference) * np.minimum(contrast - own, 0.0)
+        log = p.gain * factor_of(reference) * np.minimum(contrast - target_contrast, 0.0)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(log + size, p.floor)
 
@@ -175,8 +179,8 @@ class ForegroundColor:
         """(N,) mean posterior inside the box less that in the ring."""
         from bayesnet_track.vision.kernels.mean_shift_kernels import means
 
-        inside, around = means(frame, self._cells(frame), levels, boxes, self.parameters.ring).T
-        return np.asarray(inside - around)
+        box_means, ring_means = means(frame, self._cells(frame), levels, boxes, self.parameters.ring).T
+        return np.asarray(box_means - ring_means)
 
 
 def _make(parameters: ForegroundColorParameters) -> Cue:

@@ -128,22 +128,22 @@ class IntensityCue:
         from bayesnet_track.vision.kernels.patch_kernels import patch_means
 
         learnt: dict[str, Floats] = {}
-        for cells, (grid, known) in zip(self._cells, LOOKS, strict=False):
+        for cells, (grid, share_name) in zip(self._cells, LOOKS, strict=False):
             means, shares = np.zeros((cells, cells)), np.zeros((cells, cells))
             if not planes.region.is_empty:
                 sampling = box_integral(planes, self.gray, np.asarray(box, dtype=np.float64))
                 patch_means(*sampling, means, shares)
-            learnt |= {grid: means, known: shares}
+            learnt |= {grid: means, share_name: shares}
         return {**learnt, "size": np.array(box[2:], dtype=np.float64), SHARPER: np.array(1.0)}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen."""
         blended: dict[str, Floats] = {}
-        for _, (grid, known) in zip(self._cells, LOOKS, strict=False):
-            weight_old, weight_new = (1.0 - rate) * old[known], rate * new[known]
-            total, seen = weight_old * old[grid] + weight_new * new[grid], weight_old + weight_new
-            blended[grid] = np.divide(total, seen, out=np.array(old[grid]), where=seen > 0)
-            blended[known] = seen
+        for _, (grid, share_name) in zip(self._cells, LOOKS, strict=False):
+            weight_old, weight_new = (1.0 - rate) * old[share_name], rate * new[share_name]
+            total, total_weight = weight_old * old[grid] + weight_new * new[grid], weight_old + weight_new
+            blended[grid] = np.divide(total, total_weight, out=np.array(old[grid]), where=total_weight > 0)
+            blended[share_name] = total_weight
         size = (1.0 - rate) * old["size"] + rate * new["size"]
         return {**blended, **relax(old, new, rate), "size": size}
 
@@ -168,14 +168,14 @@ class IntensityCue:
         sizes = np.repeat(column(references, "size"), counts, axis=0).T
         penalty = log_size_penalty(boxes, sizes, settings.sd_log_area, settings.sd_log_aspect)
         sharpness = np.repeat(settings.sharpness * column(references, SHARPER, 1.0), counts)
-        *first, whole = [LOOKS[k] for k in range(len(self._cells))][::-1]
+        *first, last_look = [LOOKS[k] for k in range(len(self._cells))][::-1]
         if first:
             log = self._look(planes, boxes, starts, references, first[0])
             fine = sharpness * log + penalty >= np.log(settings.coarse_below)
             begins = np.concatenate([[0], np.cumsum(fine)])[starts]
-            log[fine] = self._look(planes, boxes[fine], begins, references, whole)
+            log[fine] = self._look(planes, boxes[fine], begins, references, last_look)
         else:
-            log = self._look(planes, boxes, starts, references, whole)
+            log = self._look(planes, boxes, starts, references, last_look)
         log = floored(sharpness * log + penalty, settings.floor)
         for t, reference in enumerate(references):
             if self._weights(reference["known"]).sum() <= 0.0:
@@ -195,14 +195,14 @@ class IntensityCue:
 
         grids, shares = (column(references, name) for name in names)
         moments = np.zeros((len(boxes), MOMENTS))
-        sampled, on = None, None
-        for t, (grid, known) in enumerate(zip(grids, shares, strict=True)):
-            part, weights = slice(starts[t], starts[t + 1]), self._weights(known)
+        sampled, sampled_planes = None, None
+        for t, (grid, share) in enumerate(zip(grids, shares, strict=True)):
+            part, weights = slice(starts[t], starts[t + 1]), self._weights(share)
             total = weights.sum()
             if starts[t] == starts[t + 1] or planes[t].region.is_empty or total <= 0.0:
                 continue
-            if planes[t] is not on:
-                on, sampled = planes[t], box_integral(planes[t], self.gray, boxes)
+            if planes[t] is not sampled_planes:
+                sampled_planes, sampled = planes[t], box_integral(planes[t], self.gray, boxes)
             assert sampled is not None
             integral, _, origin, frame = sampled
             patch_moments(
@@ -213,8 +213,8 @@ class IntensityCue:
         )
         return np.where(moments[:, 0] > 0, np.minimum(log, 0.0), -np.inf)
 
-    def _weights(self, known: Floats) -> Floats:
-        return _mask(len(known), self.parameters.sd_mask) * known
+    def _weights(self, shares: Floats) -> Floats:
+        return _mask(len(shares), self.parameters.sd_mask) * shares
 
     def _correlation(self, moments: Floats) -> Floats:
         """-(1 - s rho) / sd^2 - (difference of means)^2 / (2 sd_level^2), s the share inside the frame.

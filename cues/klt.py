@@ -12,6 +12,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     CueParameters,
@@ -27,7 +28,6 @@ from bayesnet_track.vision.points import (
     COARSEST,
     FEW,
     Following,
-    Image,
     PointMotion,
     clearest_mix,
     corners_in,
@@ -119,15 +119,15 @@ class Klt:
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """New points on the corners inside the centre box (4,)."""
         p = self.parameters
-        near = region_of_boxes(box[None]).within(planes.frame)
-        region = near if near.is_empty else _aligned(near.grown(self.how.margin))
+        nearby = region_of_boxes(box[None]).within(planes.frame)
+        region = nearby if nearby.is_empty else _aligned(nearby.grown(self.how.margin))
         image, origin = cut(planes[WholeFrame()], region), (region.x0, region.y0)
         mix = clearest_mix(image, origin, self._inner(box), p.min_gradient_gray)
-        at, patches = self._chosen(image, origin, box, mix)
+        corners, patches = self._chosen(image, origin, box, mix)
         return {
-            "at": at,
+            "at": corners,
             "patches": patches,
-            "turns": np.ones(len(at), dtype=np.complex128),
+            "turns": np.ones(len(corners), dtype=np.complex128),
             "box": np.array(box, dtype=np.float64),
             "time": np.array(float(planes.frame.time)),
             "image": image,
@@ -212,8 +212,8 @@ class Klt:
         self, reference: Reference, image: Image, origin: tuple[int, int] | None, box: Floats
     ) -> PointMotion | None:
         """Motion as of `followed`, in an image whose first pixel is `origin`; None for a whole frame."""
-        p, at, mix = self.parameters, reference["at"], reference["mix"]
-        if len(at) == 0 or image.size == 0:
+        p, points, mix = self.parameters, reference["at"], reference["mix"]
+        if len(points) == 0 or image.size == 0:
             return None
         rows, columns = reference["image"].shape[:2]
         step = np.rint((box[:2] - reference["box"][:2]) / COARSEST).astype(int) * COARSEST
@@ -222,23 +222,23 @@ class Klt:
         view = cut(image, Region(x, y, x + columns, y + rows))
         if view.size == 0:
             return None
-        now = mix_channels(view, mix)
-        there, clear = followed(
-            mix_channels(reference["image"], mix), now, _origin(reference), guess, at, self.how
+        mixed_image = mix_channels(view, mix)
+        new_points, clear = followed(
+            mix_channels(reference["image"], mix), mixed_image, _origin(reference), guess, points, self.how
         )
-        motion = find_agreement(at, there, clear, self.how)
+        motion = find_agreement(points, new_points, clear, self.how)
         if motion is None:
             return None
         first = (_origin(reference)[0] + guess[0], _origin(reference)[1] + guess[1])
-        looks = patches_at(now, first, there, reference["turns"] * motion.factor, _side(p))
-        alike = motion.kept & (correlations(reference["patches"], looks) >= p.min_correlation)
-        if alike.sum() < max(p.min_seen * len(at), 1.0):
+        looks = patches_at(mixed_image, first, new_points, reference["turns"] * motion.factor, _side(p))
+        correlations_alike = motion.kept & (correlations(reference["patches"], looks) >= p.min_correlation)
+        if correlations_alike.sum() < max(p.min_seen * len(points), 1.0):
             return None
-        return find_agreement(at, there, alike, self.how)
+        return find_agreement(points, new_points, correlations_alike, self.how)
 
     def _carried(self, reference: Reference, motion: PointMotion) -> Floats:
-        old = reference["box"]
-        return np.concatenate([motion.of(old[:2]), old[2:] * abs(motion.factor)])
+        old_box = reference["box"]
+        return np.concatenate([motion.of(old_box[:2]), old_box[2:] * abs(motion.factor)])
 
     def _inner(self, box: Floats) -> Floats:
         return np.concatenate([box[:2], self.parameters.inner * box[2:]])
@@ -247,8 +247,10 @@ class Klt:
         self, image: Image, origin: tuple[int, int], box: Floats, mix: Floats
     ) -> tuple[Floats, Floats]:
         p, gray = self.parameters, mix_channels(image, mix)
-        at = corners_in(gray, origin, self._inner(box), p.min_gradient_gray, p.spacing_px, p.points)
-        return at, patches_at(gray, origin, at, np.ones(len(at), dtype=np.complex128), _side(p))
+        corners = corners_in(gray, origin, self._inner(box), p.min_gradient_gray, p.spacing_px, p.points)
+        return corners, patches_at(
+            gray, origin, corners, np.ones(len(corners), dtype=np.complex128), _side(p)
+        )
 
 
 def _side(parameters: KltParameters) -> int:

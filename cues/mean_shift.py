@@ -116,15 +116,15 @@ class MeanShift:
             return None
         x, y, rx, ry = path[-1]
         cells, origin = seen_cells(planes, self._plane, hypotheses.boxes)
-        at = np.array([x, y]) - origin
+        peak = np.array([x, y]) - origin
         step = np.maximum(np.array([rx, ry]) / 2, 1.0)
 
-        def rho(across: float, down: float) -> float:
-            place = at + step * [across, down]
+        def rho(x_steps: float, y_steps: float) -> float:
+            place = peak + step * [x_steps, y_steps]
             return bhattacharyya(cells, model, place[0], place[1], rx, ry)
 
-        here = kernel_histogram(cells, at[0], at[1], rx, ry, len(model))
-        share = float(np.minimum(here, model).sum())
+        histogram = kernel_histogram(cells, peak[0], peak[1], rx, ry, len(model))
+        share = float(np.minimum(histogram, model).sum())
         if share < p.seen_above:
             return None
         covariance = _curvature(rho, step, p.variance)
@@ -143,17 +143,17 @@ class MeanShift:
         box = weights @ hypotheses.boxes
         sd = np.sqrt(weights @ (hypotheses.boxes[:, :2] - box[:2]) ** 2)
         cells, origin = seen_cells(planes, self._plane, hypotheses.boxes)
-        (x, y), least = box[:2] - origin, np.maximum(box[2:] / 2, 1.0)
-        radii = least + p.reach_sd * sd
+        (x, y), radii_at_rest = box[:2] - origin, np.maximum(box[2:] / 2, 1.0)
+        radii = radii_at_rest + p.reach_sd * sd
         path = [(x, y, *radii)]
         while True:
             x, y, steps = shift(cells, model, x, y, radii[0], radii[1], p.tolerance_px, p.max_steps)
             if steps == 0:
                 return None
             path.append((x, y, *radii))
-            if (radii <= least).all():
+            if (radii <= radii_at_rest).all():
                 return np.array(path) + [*origin, 0.0, 0.0]
-            radii = np.maximum(radii * SHRINK, least)
+            radii = np.maximum(radii * SHRINK, radii_at_rest)
 
 
 def _curvature(rho: Callable[[float, float], float], step: Floats, variance: float) -> Floats | None:

@@ -140,12 +140,12 @@ class MotionCue:
         """
         vectors = self.vectors(planes)
         counts, means = self._inside(vectors, np.asarray(box, dtype=np.float64)[None], planes)
-        known = counts[0] > 0 and self._agrees(vectors, box, means[0])
+        is_known = counts[0] > 0 and self._agrees(vectors, box, means[0])
         return {
             "flow": means[0],
             "valid": np.array(counts[0]),
             "size": np.array(box[2:], dtype=np.float64),
-            "known": np.array(float(known)),
+            "known": np.array(float(is_known)),
             SHARPER: np.array(1.0),
             **start(2, self.parameters.sd_memory_frames),
         }
@@ -154,8 +154,8 @@ class MotionCue:
         """Linear (eq. 2.15); an unknown reference gives way to a known one whole."""
         if not new["known"]:
             return old
-        p, seen = self.parameters, rate and old["known"]
-        changes = list((new["flow"] - old["flow"])[:, None]) if seen else [np.empty(0)] * 2
+        p, both_known = self.parameters, rate and old["known"]
+        changes = list((new["flow"] - old["flow"])[:, None]) if both_known else [np.empty(0)] * 2
         spread = follow(old, changes, (p.sd_x_px, p.sd_y_px), p.sd_memory_frames)
         blended = blend_arrays(old, new, rate) if old["known"] else new
         return {**blended, **relax(old, new, rate), **spread}
@@ -175,21 +175,21 @@ class MotionCue:
         that have none.
         """
         settings = self.parameters
-        own = _velocities(hypotheses) if settings.against == "velocity" else reference["flow"]
-        if not reference["known"] or own is None:
+        velocity = _velocities(hypotheses) if settings.against == "velocity" else reference["flow"]
+        if not reference["known"] or velocity is None:
             return np.zeros(len(hypotheses))
         vectors = self.vectors(planes)
         with np.errstate(divide="ignore"):
             if settings.compare == "each" and settings.against == "velocity":
-                counts, log = self._log_share(vectors, hypotheses.boxes, own, reference)
+                counts, log = self._log_share(vectors, hypotheses.boxes, velocity, reference)
             elif settings.compare == "each":
-                agreement = np.exp(self._log_agreement(vectors[:, 2:4], own, reference))
+                agreement = np.exp(self._log_agreement(vectors[:, 2:4], velocity, reference))
                 points = np.column_stack([vectors[:, :2], agreement, agreement])
                 counts, means = self._inside(points, hypotheses.boxes, planes)
                 log = np.log(means[:, 0])
             else:
                 counts, means = self._inside(vectors, hypotheses.boxes, planes)
-                log = self._log_agreement(means, own, reference)
+                log = self._log_agreement(means, velocity, reference)
             log = np.log(np.minimum(counts / reference["valid"], 1.0)) + log
         penalty = log_size_penalty(
             hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
@@ -198,14 +198,14 @@ class MotionCue:
 
     def residuals(self, planes: Planes, box: Floats, reference: Reference) -> dict[str, Floats]:
         """Differences of eq. 3.9: flow of the centre box (4,) less the target's, px per frame interval."""
-        found = self.vectors(planes)
+        vectors = self.vectors(planes)
         if self.parameters.compare == "each":
-            flows = found[(np.abs(found[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1), 2:4]
+            flows = vectors[(np.abs(vectors[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1), 2:4]
         else:
-            counts, means = self._inside(found, np.asarray(box, dtype=np.float64)[None], planes)
+            counts, means = self._inside(vectors, np.asarray(box, dtype=np.float64)[None], planes)
             flows = means[counts > 0]
-        off = flows - reference["flow"] if reference["known"] else np.empty((0, 2))
-        return {"sd_x_px": off[:, 0], "sd_y_px": off[:, 1]}
+        differences = flows - reference["flow"] if reference["known"] else np.empty((0, 2))
+        return {"sd_x_px": differences[:, 0], "sd_y_px": differences[:, 1]}
 
     def vectors(self, planes: Planes) -> Floats:
         """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
@@ -219,26 +219,28 @@ class MotionCue:
         limit = self.parameters.coherent_px
         if limit is None:
             return True
-        inside = (np.abs(vectors[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1)
-        return bool(np.mean(np.sum((vectors[inside, 2:4] - mean) ** 2, axis=1)) <= limit**2)
+        is_inside = (np.abs(vectors[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1)
+        return bool(np.mean(np.sum((vectors[is_inside, 2:4] - mean) ** 2, axis=1)) <= limit**2)
 
     def _log_share(
-        self, vectors: Floats, boxes: Floats, own: Floats, reference: Reference
+        self, vectors: Floats, boxes: Floats, velocities: Floats, reference: Reference
     ) -> tuple[Floats, Floats]:
         """(N,) vectors inside each box, and the log of their mean agreement with the velocities (N, 2)."""
         counts, log = np.zeros(len(boxes)), np.full(len(boxes), -np.inf)
         for some in np.array_split(np.arange(len(boxes)), max(1, len(boxes) * len(vectors) // BLOCK)):
             half = boxes[some, None, 2:4] / 2
-            inside = (np.abs(vectors[:, :2] - boxes[some, None, :2]) <= half).all(axis=2)
-            counts[some] = inside.sum(axis=1)
-            share = np.exp(self._log_agreement(vectors[:, 2:4], own[some, None], reference)) * inside
+            is_inside = (np.abs(vectors[:, :2] - boxes[some, None, :2]) <= half).all(axis=2)
+            counts[some] = is_inside.sum(axis=1)
+            share = (
+                np.exp(self._log_agreement(vectors[:, 2:4], velocities[some, None], reference)) * is_inside
+            )
             log[some] = np.log(share.sum(axis=1) / np.maximum(counts[some], 1.0))
         return counts, log
 
-    def _log_agreement(self, flows: Floats, own: Floats, reference: Reference) -> Floats:
+    def _log_agreement(self, flows: Floats, velocity: Floats, reference: Reference) -> Floats:
         sd = np.array([self.parameters.sd_x_px, self.parameters.sd_y_px]) * factor_of(reference)
-        off = (flows - own) / (sd * spread_of(reference, 2))
-        return np.asarray(-0.5 * (off**2).sum(axis=-1))
+        deviations = (flows - velocity) / (sd * spread_of(reference, 2))
+        return np.asarray(-0.5 * (deviations**2).sum(axis=-1))
 
     def _inside(self, points: Floats, boxes: Floats, planes: Planes) -> tuple[Floats, Floats]:
         """(N,) points x, y, u, v inside each box, and (N, 2) their mean u and v."""

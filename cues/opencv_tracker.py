@@ -179,12 +179,12 @@ class Session:
         if view.size == 0 or self._tracker is None:
             return
         _seed(index)
-        found, given = self._tracker.update(view)
-        if not found or min(given[2:]) <= 0:
+        is_found, given_box = self._tracker.update(view)
+        if not is_found or min(given_box[2:]) <= 0:
             return
-        self._given = given
-        size = self._first[2:] * np.array(given[2:]) / self._started
-        centre = corner + np.array(given[:2]) + (np.array(given[2:]) - 1) / 2
+        self._given = given_box
+        size = self._first[2:] * np.array(given_box[2:]) / self._started
+        centre = corner + np.array(given_box[:2]) + (np.array(given_box[2:]) - 1) / 2
         self.box = np.concatenate([centre + self._off, size])
         if self._name in FILES:  # the others have the method, but nothing to say
             self.score = float(self._tracker.getTrackingScore())
@@ -198,10 +198,10 @@ class Session:
         centre, size = (low + high) / 2, np.rint(np.maximum(high - low, LEAST_SIDE)).astype(int)
         width, height = (np.minimum(SIDES * size, [columns, rows]) + 2 * PAD + size).astype(int)
         corner = np.rint(centre - np.array([width, height]) / 2).astype(int)
-        at = np.rint(centre - (size - 1) / 2).astype(int) - corner
-        self._given = (int(at[0]), int(at[1]), int(size[0]), int(size[1]))
+        place = np.rint(centre - (size - 1) / 2).astype(int) - corner
+        self._given = (int(place[0]), int(place[1]), int(size[0]), int(size[1]))
         self._view, self._started = (int(height), int(width)), size
-        self._off = self._first[:2] - (corner + at + (size - 1) / 2)
+        self._off = self._first[:2] - (corner + place + (size - 1) / 2)
         _seed(self.index)
         self._tracker = _made(self._name, self._models)
         view = cut(self.image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))

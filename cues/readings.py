@@ -83,27 +83,32 @@ def read_readings(path: str, quantities: Sequence[str]) -> ReadingsFile:
             header, a cell is no number, or a frame comes twice with different values.
     """
     header, rows, decimal = _cells(path, quantities)
-    found: dict[int, Values] = {}
+    readings: dict[int, Values] = {}
     not_finite, repeated = list[int](), list[int]()
     for line, row in rows:
         cells = dict(zip(header, row, strict=False))
-        given = {name: cells[name].replace(decimal, ".") for name in (FRAME, *quantities) if cells.get(name)}
-        numbers = {name: _number(path, line, name, cell) for name, cell in given.items()}
-        at = numbers.pop(FRAME, math.nan)
-        if not (math.isfinite(at) and at >= 0 and at == int(at)):
+        filled_cells = {
+            name: cells[name].replace(decimal, ".") for name in (FRAME, *quantities) if cells.get(name)
+        }
+        numbers = {name: _number(path, line, name, cell) for name, cell in filled_cells.items()}
+        frame_number = numbers.pop(FRAME, math.nan)
+        if not (math.isfinite(frame_number) and frame_number >= 0 and frame_number == int(frame_number)):
             raise ReadingsError(f"{path}:{line}: frame {cells.get(FRAME, '')!r}; a whole number from 0 on")
-        frame, values = int(at), {name: value for name, value in numbers.items() if math.isfinite(value)}
+        frame, values = (
+            int(frame_number),
+            {name: value for name, value in numbers.items() if math.isfinite(value)},
+        )
         if len(values) < len(numbers):
             not_finite.append(frame)
-        if found.get(frame, values) != values:
+        if readings.get(frame, values) != values:
             raise ReadingsError(
-                f"{path}:{line}: frame {frame} again, with {_shown(values)} after {_shown(found[frame])}; "
+                f"{path}:{line}: frame {frame} again, with {_shown(values)} after {_shown(readings[frame])}; "
                 "one row a frame"
             )
-        if frame in found:
+        if frame in readings:
             repeated.append(frame)
-        found[frame] = values
-    return ReadingsFile(found, tuple(not_finite), tuple(repeated))
+        readings[frame] = values
+    return ReadingsFile(readings, tuple(not_finite), tuple(repeated))
 
 
 def _cells(path: str, quantities: Sequence[str]) -> tuple[list[str], list[tuple[int, list[str]]], str]:
@@ -116,8 +121,8 @@ def _cells(path: str, quantities: Sequence[str]) -> tuple[list[str], list[tuple[
     header = [name.strip("# ") for name in lines[0]] if lines else []  # NumPy writes it as a comment
     for name in (FRAME, *quantities):
         if header.count(name) != 1:
-            what = f"no column {name!r}" if name not in header else f"{header.count(name)} columns {name!r}"
-            raise ReadingsError(f"{path}:1: {what}; there are {', '.join(header) or 'none'}")
+            fault = f"no column {name!r}" if name not in header else f"{header.count(name)} columns {name!r}"
+            raise ReadingsError(f"{path}:1: {fault}; there are {', '.join(header) or 'none'}")
     rows = [(number, [cell.strip() for cell in row]) for number, row in enumerate(lines[1:], 2)]
     rows = [(number, row) for number, row in rows if any(row)]
     for number, row in rows:
@@ -126,8 +131,8 @@ def _cells(path: str, quantities: Sequence[str]) -> tuple[list[str], list[tuple[
                 f"{path}:{number}: {len(row)} cells under {len(header)} columns; between commas, numbers "
                 "have a decimal point: separate the cells by semicolons if they have a decimal comma"
             )
-    wanted = [k for k, name in enumerate(header) if name in quantities]
-    numbers = [(number, row[k]) for number, row in rows for k in wanted if k < len(row)]
+    quantity_columns = [k for k, name in enumerate(header) if name in quantities]
+    numbers = [(number, row[k]) for number, row in rows for k in quantity_columns if k < len(row)]
     commas = [one for one in numbers if "," in one[1]]
     points = any("." in cell for _, cell in numbers)
     if commas and (points or all(GROUPED.fullmatch(cell) for _, cell in commas)):
@@ -174,13 +179,13 @@ def describe_unused(path: str, file: ReadingsFile, frames: range) -> Iterator[st
     ['radar.csv: 30 of 60 readings are of frames that are not read (30 to 59); frames count from 0']
     """
     with_values = sorted(frame for frame, values in file.rows.items() if values)
-    outside = [frame for frame in with_values if frame not in frames]
+    unread_frames = [frame for frame in with_values if frame not in frames]
     if not with_values:
         yield f"{path}: no reading in it"
-    if outside:
+    if unread_frames:
         yield (
-            f"{path}: {len(outside)} of {len(with_values)} readings are of frames that are not read "
-            f"({_span(outside)}); frames count from 0"
+            f"{path}: {len(unread_frames)} of {len(with_values)} readings are of frames that are not read "
+            f"({_span(unread_frames)}); frames count from 0"
         )
     if file.not_finite:
         count = len(file.not_finite)
@@ -190,13 +195,14 @@ def describe_unused(path: str, file: ReadingsFile, frames: range) -> Iterator[st
     yield from _describe_rest(path, [frame for frame in with_values if frame in frames], frames)
 
 
-def _describe_rest(path: str, used: Sequence[int], frames: range) -> Iterator[str]:
+def _describe_rest(path: str, reading_frames: Sequence[int], frames: range) -> Iterator[str]:
     """Notice of readings that end long before the frames do, by twice the largest gap between two of them."""
-    if not used or frames.stop == maxsize:
+    if not reading_frames or frames.stop == maxsize:
         return
-    gap = max((after - before for before, after in pairwise(used)), default=frames.step)
-    if frames[-1] - used[-1] > 2 * gap:
-        yield f"{path}: the readings end at frame {used[-1]}; the run goes on to {frames[-1]} without any"
+    gap = max((following - previous for previous, following in pairwise(reading_frames)), default=frames.step)
+    if frames[-1] - reading_frames[-1] > 2 * gap:
+        end = reading_frames[-1]
+        yield f"{path}: the readings end at frame {end}; the run goes on to {frames[-1]} without any"
 
 
 def _span(frames: Sequence[int]) -> str:

@@ -76,21 +76,21 @@ class ShadingCue:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The shading under the centre box (4,)."""
-        known, shading = self.shading(planes, box[None])
+        visible_weights, shading = self.shading(planes, box[None])
         return {
             "shading": shading[0],
-            "known": np.array(known[0]),
+            "known": np.array(visible_weights[0]),
             "size": np.array(box[2:], dtype=np.float64),
             SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), each shading as far as it was seen."""
-        known = (1.0 - rate) * old["known"] + rate * new["known"]
-        share = float(rate * new["known"] / known) if known > 0 else rate
+        visible_weight = (1.0 - rate) * old["known"] + rate * new["known"]
+        share = float(rate * new["known"] / visible_weight) if visible_weight > 0 else rate
         return {
             "shading": (1.0 - share) * old["shading"] + share * new["shading"],
-            "known": np.asarray(known),
+            "known": np.asarray(visible_weight),
             "size": (1.0 - rate) * old["size"] + rate * new["size"],
             **relax(old, new, rate),
         }
@@ -125,10 +125,10 @@ class ShadingCue:
 
         p = self.parameters
         weights, lines = polynomials(p.grid, p.degree, p.sd_mask)
-        found = np.zeros((len(boxes), (p.degree + 1) * (p.degree + 2) // 2))
+        coefficients = np.zeros((len(boxes), (p.degree + 1) * (p.degree + 2) // 2))
         if len(boxes) and not planes.region.is_empty:
-            patch_projections(*box_integral(planes, self.gray, boxes), weights, lines, found)
-        return found[:, 0], found[:, 1:]
+            patch_projections(*box_integral(planes, self.gray, boxes), weights, lines, coefficients)
+        return coefficients[:, 0], coefficients[:, 1:]
 
 
 @cache

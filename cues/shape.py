@@ -122,8 +122,8 @@ class ShapeCue:
         grid = GRID if self.model is None else self.model.grid
         mean, support = np.zeros(grid * grid), np.zeros(1)
         if owner[0] >= 0:
-            found = contours(_edge_points(planes, self.edges, 0), cells, _frame(planes))
-            mean, support = vectors(found, box, grid)[0], found.support
+            box_contours = contours(_edge_points(planes, self.edges, 0), cells, _frame(planes))
+            mean, support = vectors(box_contours, box, grid)[0], box_contours.support
         model = self.model or ShapeModel(mean, np.zeros((0, mean.size)), np.zeros(0))
         if self.model is not None:
             support = np.maximum(support, LEAST_SUPPORT)
@@ -135,8 +135,8 @@ class ShapeCue:
         A silhouette with clearly fewer edges than the old one's teaches nothing. Any other is seen at the
         usual edge threshold, so that local action on the threshold is taken back.
         """
-        seen = new["support"][0] >= max(LEAST_SUPPORT, CLEAR_SUPPORT * old["support"][0])
-        if rate <= 0.0 or rate >= 1.0 or not seen:
+        is_clear = new["support"][0] >= max(LEAST_SUPPORT, CLEAR_SUPPORT * old["support"][0])
+        if rate <= 0.0 or rate >= 1.0 or not is_clear:
             return dict(new if rate >= 1.0 else old)
         if old["support"][0] < LEAST_SUPPORT:
             return dict(new)
@@ -169,11 +169,11 @@ class ShapeCue:
         if len(cells) == 0:
             return floored(log, settings.floor)
         points = _edge_points(planes, self.edges, int(reference["contrast"][0]))
-        found = contours(points, cells, _frame(planes))
+        cell_contours = contours(points, cells, _frame(planes))
         energies, noise = np.full(len(boxes), np.inf), reference["mean"].size * settings.sd_distance**2
         model = _model(reference)
         score_shapes(
-            fields(found),
+            fields(cell_contours),
             cells,
             COVER,
             owner,
@@ -184,7 +184,7 @@ class ShapeCue:
             noise,
             energies,
         )
-        missing = np.maximum(1.0 - found.support / reference["support"][0], 0.0)[owner]
+        missing = np.maximum(1.0 - cell_contours.support / reference["support"][0], 0.0)[owner]
         log = -0.5 * settings.sharpness * (energies + (missing / settings.sd_support) ** 2)
         return floored(log, settings.floor)
 
@@ -205,12 +205,12 @@ def _cells(boxes: Floats, size: Floats, planes: Planes) -> tuple[Floats, Ints]:
     packed = (
         ((key[:, 0] + 64) << 7 | (key[:, 1] + 64)) << 48 | (key[:, 2] + 2**23) << 24 | (key[:, 3] + 2**23)
     )
-    kept = np.flatnonzero(touches)
-    _, first, inverse = np.unique(packed[kept], return_index=True, return_inverse=True)
+    touching = np.flatnonzero(touches)
+    _, first, inverse = np.unique(packed[touching], return_index=True, return_inverse=True)
     owner = np.full(len(boxes), -1, dtype=np.int64)
-    owner[kept] = inverse
-    chosen = kept[first]
-    cells = np.concatenate([place[chosen] * STEP * canonical[chosen], canonical[chosen]], axis=1)
+    owner[touching] = inverse
+    firsts = touching[first]
+    cells = np.concatenate([place[firsts] * STEP * canonical[firsts], canonical[firsts]], axis=1)
     return cells, owner
 
 
@@ -225,8 +225,10 @@ def _edge_points(planes: Planes, edges: EdgePlane, contrast: int) -> Ints:
 
 def _model(reference: Reference) -> ShapeModel:
     """Its model, without the room for modes that it has not learnt."""
-    used = np.flatnonzero(reference["variances"])
-    return ShapeModel(reference["mean"], reference["modes"][used], reference["variances"][used])
+    mode_indices = np.flatnonzero(reference["variances"])
+    return ShapeModel(
+        reference["mean"], reference["modes"][mode_indices], reference["variances"][mode_indices]
+    )
 
 
 def _reference(model: ShapeModel, size: Floats, support: Floats, contrast: Ints, learns: bool) -> Reference:

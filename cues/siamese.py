@@ -127,9 +127,11 @@ class Siamese:
         p, boxes, image = self.parameters, hypotheses.boxes, planes[WholeFrame()]
         share = share_inside(boxes, planes.frame)
         log = np.full(len(boxes), -np.inf)
-        for crop, which in crops_for(boxes, share > 0.0, reference["place"], reference["size"], p.max_crops):
+        for crop, indices in crops_for(
+            boxes, share > 0.0, reference["place"], reference["size"], p.max_crops
+        ):
             proposals, logs = self.memory.proposals(image, crop, reference["template"], reference["size"])
-            log[which] = explained(boxes[which], proposals, p.sharpness * logs, p.sd_place, p.sd_size)
+            log[indices] = explained(boxes[indices], proposals, p.sharpness * logs, p.sd_place, p.sd_size)
         with np.errstate(divide="ignore"):
             return floored(np.minimum(log + np.log(share), 0.0), p.floor)
 

@@ -128,25 +128,25 @@ class SiameseBox:
         p, expected = self.parameters, weights @ hypotheses.boxes
         image, template = planes[WholeFrame()], reference["template"]
         if _reach(hypotheses.boxes, weights) > SEARCH / TEMPLATE * context_side(expected[2:]):
-            found = self._look_widely(image, expected, template)
+            proposal = self._look_widely(image, expected, template)
         else:
-            found = self._look_near(image, expected, template)
-        if found is None or found.probability < p.min_probability:
+            proposal = self._look_near(image, expected, template)
+        if proposal is None or proposal.probability < p.min_probability:
             return None
-        box, worth, sure = found.box, max(found.worth, 0.1), found.probability
-        sds = [side * sd / worth for sd in (p.sd_place, p.sd_size) for side in box[2:].tolist()]
+        box, score, sure = proposal.box, max(proposal.worth, 0.1), proposal.probability
+        sds = [side * sd / score for sd in (p.sd_place, p.sd_size) for side in box[2:].tolist()]
         covariance = np.diag([sd * sd for sd in sds])
         return Measurement(("x", "y", "w", "h"), box, covariance, p.floor, confidence=sure)
 
     def _look_near(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
         """The proposal near a centre box (4,), or a sure one in the usual crop around it."""
         p = self.parameters
-        found = self._look(image, expected, p.crop_px, template, p.window)
-        if _is_sure(found, p):
-            return found
-        again = self._look(image, expected, SEARCH, template, min(p.window, DOUBTFUL_WINDOW))
+        proposal = self._look(image, expected, p.crop_px, template, p.window)
+        if _is_sure(proposal, p):
+            return proposal
+        doubtful_proposal = self._look(image, expected, SEARCH, template, min(p.window, DOUBTFUL_WINDOW))
         # What is far from the prediction counts only if it is sure.
-        return again if _is_sure(again, p) else found
+        return doubtful_proposal if _is_sure(doubtful_proposal, p) else proposal
 
     def _look_widely(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
         """A sure proposal where a wide crop around a centre box (4,) shows the target best, if at all.
@@ -157,24 +157,24 @@ class SiameseBox:
         proposals, logs = self.memory.proposals(image, crop, template, expected[2:])
         if not len(logs) or logs[0] < math.log(LIKELY):
             return None
-        there = np.concatenate([proposals[0, :2], expected[2:]])
-        found = self._look(image, there, p.crop_px, template, p.window)
-        return found if _is_sure(found, p) else None
+        wide_box = np.concatenate([proposals[0, :2], expected[2:]])
+        proposal = self._look(image, wide_box, p.crop_px, template, p.window)
+        return proposal if _is_sure(proposal, p) else None
 
     def _look(
-        self, image: Bytes, expected: Floats, shown: int, template: Bytes, window: float
+        self, image: Bytes, expected: Floats, crop_px: int, template: Bytes, window: float
     ) -> Found | None:
         """The proposal that is chosen in a crop around a centre box (4,)."""
         from bayesnet_track.vision.kernels.correlation_kernels import choose
 
         p = self.parameters
-        crop = search_crop(float(expected[0]), float(expected[1]), expected[2:], shown)
+        crop = search_crop(float(expected[0]), float(expected[1]), expected[2:], crop_px)
         proposals, logs = self.memory.proposals(image, crop, template, expected[2:])
         if not len(logs):
             return None
         reach = WINDOW_PX / TEMPLATE * context_side(expected[2:])
-        best, worth = choose(proposals, logs, expected, window, reach, p.size_penalty)
-        return Found(proposals[best], float(np.exp(logs[best])), worth)
+        index, score = choose(proposals, logs, expected, window, reach, p.size_penalty)
+        return Found(proposals[index], float(np.exp(logs[index])), score)
 
 
 def _reach(boxes: Floats, weights: Floats) -> float:
@@ -184,8 +184,8 @@ def _reach(boxes: Floats, weights: Floats) -> float:
     return float((2.0 * sds + mean[2:]).max())
 
 
-def _is_sure(found: Found | None, parameters: SiameseBoxParameters) -> bool:
-    return (0.0 if found is None else found.probability) >= parameters.sure_probability
+def _is_sure(proposal: Found | None, parameters: SiameseBoxParameters) -> bool:
+    return (0.0 if proposal is None else proposal.probability) >= parameters.sure_probability
 
 
 def _sides(parameters: SiameseBoxParameters) -> tuple[int, ...]:

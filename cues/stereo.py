@@ -179,8 +179,8 @@ class StereoCue:
             return np.zeros(len(hypotheses))
         settings, boxes = self.parameters, hypotheses.boxes
         features, has_blob = self._features(planes, boxes)
-        off = (features - reference["features"]) / (self._sd() * factor_of(reference))
-        log = np.where(has_blob, -0.5 * (off**2).sum(axis=1), -np.inf)
+        deviations = (features - reference["features"]) / (self._sd() * factor_of(reference))
+        log = np.where(has_blob, -0.5 * (deviations**2).sum(axis=1), -np.inf)
         size = log_size_penalty(boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect)
         return floored(log + size, settings.floor)
 

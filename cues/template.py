@@ -99,14 +99,14 @@ class Template:
         """Best place of the template, sds over the correlation; None below `min_correlation`."""
         p = self.parameters
         expected = (weights @ hypotheses.boxes)[:2]
-        found = self.find(planes[WholeFrame()], expected, reference)
-        if found is None or found[1] < p.min_correlation:
+        match = self.find(planes[WholeFrame()], expected, reference)
+        if match is None or match[1] < p.min_correlation:
             return None
-        (box, correlation), (x, y) = found, expected.tolist()
-        right, below, w, h = box.tolist()
-        shift = p.sd_shift**2 * ((right - x) * (right - x) + (below - y) * (below - y))
+        (box, correlation), (x, y) = match, expected.tolist()
+        right, found_y, w, h = box.tolist()
+        shift = p.sd_shift**2 * ((right - x) * (right - x) + (found_y - y) * (found_y - y))
         sds = [side * sd / max(correlation, 0.1) for sd in (p.sd_place, p.sd_size) for side in (w, h)]
-        variances = [sd * sd + more for sd, more in zip(sds, (shift, shift, 0.0, 0.0), strict=True)]
+        variances = [sd * sd + extra for sd, extra in zip(sds, (shift, shift, 0.0, 0.0), strict=True)]
         return Measurement(("x", "y", "w", "h"), box, np.diag(variances), p.floor)
 
     def find(self, image: Bytes, place: Floats, reference: Reference) -> tuple[Floats, float] | None:
@@ -123,24 +123,24 @@ class Template:
         # Cells of the template's own size, so that it fits without a shift where it was cut out.
         gray, left, top = _gray_around(image, np.concatenate([place, size / cells * area_cells]))
         area = _shrunk(gray, area_cells)
-        least, most, _, _ = cv2.minMaxLoc(area)
-        if least == most:  # OpenCV says 1 where both are flat, but nothing says where
+        lowest, highest, _, _ = cv2.minMaxLoc(area)
+        if lowest == highest:  # OpenCV says 1 where both are flat, but nothing says where
             return None
-        across, down = gray.shape[1] / area.shape[1], gray.shape[0] / area.shape[0]
-        best, found = 0.0, None
+        scale_x, scale_y = gray.shape[1] / area.shape[1], gray.shape[0] / area.shape[0]
+        best_score, match = 0.0, None
         for name, scale in SIZES.items():
             template = reference[name]
             answers = np.asarray(cv2.matchTemplate(area, template, cv2.TM_CCOEFF_NORMED))
             weight = preferred(answers.shape, side)
             row, column = divmod(int((answers * weight).argmax()), answers.shape[1])
             value = float(answers[row, column])
-            worth = value * float(weight[row, column]) * (1.0 if scale == 1.0 else OTHER_SIZE)
-            if best < worth < np.inf:
+            score = value * float(weight[row, column]) * (1.0 if scale == 1.0 else OTHER_SIZE)
+            if best_score < score < np.inf:
                 x = column + between(answers[row], column) + 0.5 * template.shape[1]
                 y = row + between(answers[:, column], row) + 0.5 * template.shape[0]
-                box = np.array([left + x * across, top + y * down, *(scale * size)])
-                best, found = worth, (box, value)
-        return found
+                box = np.array([left + x * scale_x, top + y * scale_y, *(scale * size)])
+                best_score, match = score, (box, value)
+        return match
 
 
 def _shrunk(gray: Bytes, cells: Floats) -> Bytes:
@@ -155,40 +155,45 @@ def _gray_around(image: Bytes, box: Floats) -> tuple[Bytes, float, float]:
     """The pixels of a centre box (4,) in gray, and where they begin, px; the border continues outside."""
     import cv2
 
-    across, down = (max(1, round(side)) for side in box[2:].tolist())
-    left, top = round(float(box[0]) - (across - 1) / 2), round(float(box[1]) - (down - 1) / 2)
+    box_columns, box_rows = (max(1, round(side)) for side in box[2:].tolist())
+    left, top = round(float(box[0]) - (box_columns - 1) / 2), round(float(box[1]) - (box_rows - 1) / 2)
     height, width = image.shape[:2]
     # Of a box wholly outside the nearest pixels are left.
     x0, y0 = min(max(left, 0), width - 1), min(max(top, 0), height - 1)
-    x1, y1 = max(min(left + across, width), x0 + 1), max(min(top + down, height), y0 + 1)
+    x1, y1 = max(min(left + box_columns, width), x0 + 1), max(min(top + box_rows, height), y0 + 1)
     gray = np.asarray(cv2.cvtColor(image[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
-    if gray.shape != (down, across):
-        before = max(y0 - top, 0), max(x0 - left, 0)
-        after = max(down - before[0] - gray.shape[0], 0), max(across - before[1] - gray.shape[1], 0)
-        gray = np.pad(gray, ((before[0], after[0]), (before[1], after[1])), mode="edge")[:down, :across]
+    if gray.shape != (box_rows, box_columns):
+        margin_before = max(y0 - top, 0), max(x0 - left, 0)
+        margin_after = (
+            max(box_rows - margin_before[0] - gray.shape[0], 0),
+            max(box_columns - margin_before[1] - gray.shape[1], 0),
+        )
+        gray = np.pad(
+            gray, ((margin_before[0], margin_after[0]), (margin_before[1], margin_after[1])), mode="edge"
+        )[:box_rows, :box_columns]
     return gray, left - 0.5, top - 0.5
 
 
 @lru_cache(maxsize=256)
 def preferred(shape: tuple[int, ...], side: float) -> NDArray[np.float32]:
     """(rows, columns) weight of answers by their distance from the middle one, `side` cells a box."""
-    down, across = (
+    row_weights, column_weights = (
         np.exp(-0.5 * ((np.arange(count) - 0.5 * (count - 1)) / (0.5 * side)) ** 2) for count in shape
     )
-    return np.asarray(NEAR + (1.0 - NEAR) * np.outer(down, across), np.float32)
+    return np.asarray(NEAR + (1.0 - NEAR) * np.outer(row_weights, column_weights), np.float32)
 
 
-def between(line: NDArray[np.float32], at: int) -> float:
-    """Offset from cell `at` of the top of the parabola through it and its neighbours, -1..1.
+def between(line: NDArray[np.float32], index: int) -> float:
+    """Offset from cell `index` of the top of the parabola through it and its neighbours, -1..1.
 
     >>> between(np.array([0.0, 1.0, 0.5], np.float32), 1)
     0.16666666666666666
     """
-    if not 0 < at < len(line) - 1:
+    if not 0 < index < len(line) - 1:
         return 0.0
-    before, here, after = line[at - 1 : at + 2].tolist()
-    bend = before - 2.0 * here + after
-    return max(-1.0, min(1.0, 0.5 * (before - after) / bend)) if bend < -1e-6 else 0.0
+    previous, middle, following = line[index - 1 : index + 2].tolist()
+    bend = previous - 2.0 * middle + following
+    return max(-1.0, min(1.0, 0.5 * (previous - following) / bend)) if bend < -1e-6 else 0.0
 
 
 def _make(parameters: TemplateParameters) -> MeasuringCue:

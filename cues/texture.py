@@ -99,8 +99,8 @@ class Texture:
         boxes = np.tile(box, (5, 1)).astype(np.float64)
         boxes[1:, :2] += HALF_OVERLAP * box[2:]
         shares, *shifted = self._shares(planes, boxes)
-        seen = shares.sum(axis=-1, keepdims=True)
-        shares = np.divide(shares, seen, out=np.zeros_like(shares), where=seen > 0)
+        cell_sums = shares.sum(axis=-1, keepdims=True)
+        shares = np.divide(shares, cell_sums, out=np.zeros_like(shares), where=cell_sums > 0)
         alpha = p.alpha_share * float(_distances(np.array(shifted), shares).mean())
         return {
             "shares": shares,
@@ -153,13 +153,13 @@ class Texture:
         return shares
 
 
-def _distances(found: Floats, shares: Floats) -> Floats:
+def _distances(box_shares: Floats, shares: Floats) -> Floats:
     """(N,) Bhattacharyya distances of shares (N, cells, cells, codes) from the reference's, 0..1."""
     from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.vision.kernels.patch_kernels import bhattacharyya
 
-    coefficients = np.empty(len(found))
-    bhattacharyya(found, plain(shares), coefficients)
+    coefficients = np.empty(len(box_shares))
+    bhattacharyya(box_shares, plain(shares), coefficients)
     return np.asarray(np.sqrt(1.0 - coefficients))
 
 
