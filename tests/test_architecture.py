@@ -138,7 +138,7 @@ READMES = sorted([*(ROOT / PACKAGE).glob("*/README.md"), *(ROOT / top / "README.
 def test_the_readme_of_a_room_names_each_of_its_files_and_no_other(readme):
     """A folder of a room may be named as a whole."""
     text, folder = readme.read_text("utf-8"), readme.parent
-    named = set(re.findall(r"`(?:\w+/)*(\w+(?:\.py|/))`", text))
+    named = set(re.findall(r"`(?:[.\w]+/)*(\w+(?:\.py|/))`", text))
     files = [path.relative_to(folder) for path in folder.rglob("*.py") if path.name != "__init__.py"]
     unnamed = [
         str(file) for file in sorted(files) if not {file.name, *(f"{part}/" for part in file.parts)} & named
