@@ -149,8 +149,8 @@ def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
 
 def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     parser = make_parser()
-    given = as_what_if(_join(sys.argv[1:] if arguments is None else arguments))
-    options, extras = parser.parse_known_args(given)
+    words_of_line = as_what_if(_join(sys.argv[1:] if arguments is None else arguments))
+    options, extras = parser.parse_known_args(words_of_line)
     if extras:
         refusing = parser.commands.choices.get(options.command or "", parser)
         assert isinstance(refusing, Parser)

@@ -164,7 +164,7 @@ class MainParser(Parser):
     commands: argparse._SubParsersAction[Parser]
 
     def format_help(self) -> str:
-        """What it is, the commands in groups, the exit codes."""
+        """Text of the help: usage, the commands in groups, the exit codes."""
         more = "`bayesnet-track COMMAND --help` lists the options of a command, --version the version."
         parts = (self.format_usage().rstrip(), self.description, describe_commands(self.commands), more)
         return "\n\n".join([*(part or "" for part in parts), f"{self.epilog}\n"])
