@@ -15,7 +15,7 @@ from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
-from bayesnet_track.engine.finishing import finish_targets
+from bayesnet_track.engine.finishing import Results, finish_targets
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
@@ -177,6 +177,8 @@ def cut_scenes(batch: Batch) -> Batch:
 def arrange_targets(batch: Batch) -> Batch:
     """Targets with Gaussian beliefs become rows where they fit."""
     targets, records = arrange(batch.work, batch.state)
+    if targets is batch.targets:
+        return batch
     state = changed(batch.state, history=changed(batch.state.history, records=records))
     return changed(batch, targets=targets, state=state)
 
@@ -197,6 +199,8 @@ def filter_tables(batch: Batch) -> Batch:
 
 def filter_targets(batch: Batch) -> Batch:
     """Every target is predicted and weighed by its own agents."""
+    if not batch.targets.order:
+        return batch
     alone: dict[str, Filtered] = {}
     filtered = Together(filter_rows(batch.work, batch.targets), alone, batch.targets.order)
     for target in filtered.missing():
@@ -226,7 +230,8 @@ def join(batch: Batch) -> Batch:
 def finish(batch: Batch) -> Batch:
     """Every target is measured, judged by the rules, learnt from and described."""
     judged = [judge_rows(batch.work, one) for one in batch.gaussians]
-    results = finish_targets(batch.work, batch.joint.filtered)
+    filtered = batch.joint.filtered
+    results = finish_targets(batch.work, filtered) if filtered else Results((), (), {})
     return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint, judged))
 
 

@@ -33,8 +33,9 @@ class Targets(Mapping[str, TargetState]):
     ) -> None:
         self.gaussians, self.particles = tuple(gaussians), tuple(particles)
         self.others = {} if others is None else others
-        together = (*(target for table in self.particles for target in table.ids), *self.others)
-        self.order = together if order is None else order
+        if order is None:
+            order = (*(target for table in self.particles for target in table.ids), *self.others)
+        self.order = order
         self._made: dict[str, TargetState] = {}
 
     @classmethod
@@ -70,7 +71,7 @@ class Targets(Mapping[str, TargetState]):
 
     def apart(self) -> dict[str, TargetState]:
         """The targets that are no row of Gaussians, an object each."""
-        return {target: self[target] for target in self.order}
+        return {target: self[target] for target in self.order} if self.order else {}
 
     def unchanged(self, nets: Mapping[str, TargetNet]) -> Targets:
         """The same, targets held by particles whose live nets have changed as objects."""

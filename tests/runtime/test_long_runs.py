@@ -52,5 +52,5 @@ def test_a_damaged_frame_is_named_when_the_run_is_opened(folder, tmp_path, both)
     data = bytearray((tmp_path / "frames.npy.gz").read_bytes())
     data[-20] ^= 0xFF
     (tmp_path / "frames.npy.gz").write_bytes(data)
-    with pytest.raises(JournalError, match="frame 7 .* is damaged"):
+    with pytest.raises(JournalError, match=r"frame 7 .* is damaged"):
         open_run(tmp_path)

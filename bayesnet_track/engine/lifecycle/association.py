@@ -9,7 +9,7 @@ as many as can be, the best for all together by where each target is expected an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -41,6 +41,7 @@ from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
 from bayesnet_track.numerics.arrays import Bools, Floats
+from bayesnet_track.numerics.records import changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ def associate_first(work: FrameWork, targets: Targets, history: TrackHistory) ->
         if plate in found:
             owners[plate] = done.owners
     work.charge("life", started)
-    after = Targets(targets.gaussians, (), apart, [*apart])
+    after = Targets(targets.gaussians, (), apart, [*apart]) if apart else targets
     return Associated(found, owners, after, history, events, given)
 
 
@@ -168,7 +169,7 @@ class Several:
         after, refiltered = follow(rule, before, expected, owner, own, expect)
         if waiting:
             left = advance_tentative(compiled, waiting, after, own, found is not None)
-            history = replace(history, candidates={**history.candidates, compiled.plate.name: left})
+            history = changed(history, candidates={**history.candidates, compiled.plate.name: left})
         is_given, count, rows = owner != NOBODY, self.count, None
         if self.rows is not None:
             live = slice(count)
@@ -208,7 +209,7 @@ class Several:
             self._log_looks,
         )
         done = divide(rule, work.cache.frames, crowd, history.populations.get(plate), found)
-        history = replace(history, populations={**history.populations, plate: done.population})
+        history = changed(history, populations={**history.populations, plate: done.population})
         rows, live = None, slice(count)
         if self.rows is not None:
             rows = Given(
@@ -228,7 +229,7 @@ class Several:
             if rule.is_marginal:
                 own = np.column_stack([own, done.weights[which]])
             state = give_detection(state, compiled.association_rules, own)
-            others[target] = replace(state, existence=float(done.existence[row]))
+            others[target] = changed(state, existence=float(done.existence[row]))
         return Shared(rows, others, name_owners(done.owner, self.names, len(seen.boxes)), history)
 
     @property

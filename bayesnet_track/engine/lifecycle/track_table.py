@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 
@@ -138,15 +139,14 @@ class LiveTable:
 
     def held(self, plate: str) -> list[str]:
         """Its live targets that are not lost."""
-        nets = self.net.targets
+        nets, held = self.net.targets, list[str]()
+        if plate in self.tables:
+            rows = self.tables[plate]
+            held += compress(rows.ids, (~rows.columns.is_lost).tolist())
+        if self.gone:
+            held = [target for target in held if target not in self.gone]
         others = (target for target in self.states if nets[target].template == plate)
-        held = [target for target in others if nets[target].status != "lost"]
-        if plate not in self.tables:
-            return held
-        rows = self.tables[plate]
-        own = zip(rows.ids, rows.columns.is_lost.tolist(), strict=True)
-        gone = self.gone
-        return [*(target for target, is_lost in own if not (is_lost or target in gone)), *held]
+        return [*held, *(target for target in others if nets[target].status != "lost")]
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
