@@ -4,8 +4,8 @@
     python benchmarks/readers.py --python OLD/.venv/bin/python .venv/bin/python
 
 One run of 200 frames is tracked with `kalman_detections`; the records of its last 100 frames are repeated,
-under the numbers of further frames, until it is as long as asked for. Each reader is a process of its own; memory
-is its largest resident size, and a reader that needs more than `--limit` is stopped and has none.
+under the numbers of further frames, until it is as long as asked for. Each reader is a process of its own;
+memory is its largest resident size, and a reader that needs more than `--limit` is stopped and has none.
 """
 
 from __future__ import annotations
