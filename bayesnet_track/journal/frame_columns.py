@@ -129,28 +129,6 @@ def lines_of(columns: Columns) -> Iterator[FrameMetrics]:
         yield FrameMetrics(frame=frame, time_s=time_s, target=target, **dict(zip(names, row, strict=True)))
 
 
-def only(columns: Columns, target: str) -> Columns:
-    """The columns of one target; of none, if the frame does not have it.
-
-    Raises:
-        KeyError, ValueError: the columns are not those of a frame.
-    """
-    names = columns["target"]
-    rows = np.flatnonzero(names == target.encode("utf-8"))
-    chosen: dict[str, NDArray[Any]] = {}
-    for name, column in columns.items():
-        if name == "cloud":
-            ends = np.cumsum(columns["cloud_count"])
-            spans = [np.arange(ends[row] - columns["cloud_count"][row], ends[row]) for row in rows]
-            column = column[:, np.concatenate([np.arange(0), *spans])]
-        elif column.ndim:
-            if column.shape[-1] != len(names):
-                raise ValueError(f"{name} of shape {column.shape}, not of {len(names)} targets")
-            column = column[..., rows]
-        chosen[name] = column
-    return chosen
-
-
 def region_of(columns: Columns, name: str) -> NDArray[np.float64]:
     """(4, T) a region of `REGIONS`, which is that of a Gaussian where the column is left out."""
     if name in columns:

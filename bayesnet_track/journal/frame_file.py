@@ -29,9 +29,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.journal.encoder import JournalError
-from bayesnet_track.journal.frame_columns import Columns, columns_of, lines_of, only
+from bayesnet_track.journal.frame_columns import Columns, columns_of, lines_of
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 
@@ -134,8 +135,8 @@ class FrameFile:
         wanted_places = self.places if places is None else places
         for place, columns in zip(wanted_places, self.columns(wanted_places), strict=True):
             try:
-                chosen = columns if target is None else only(columns, target)
-                lines = list(lines_of(chosen)) if len(chosen["target"]) else []
+                target_columns = columns if target is None else _of_target(columns, target)
+                lines = list(lines_of(target_columns)) if len(target_columns["target"]) else []
             except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as error:
                 raise self._damaged(place, error) from error
             yield from lines
@@ -236,3 +237,25 @@ def _kind_of(header: bytes) -> np.dtype[Any]:
     if shape != ():
         raise ValueError(f"an array of shape {shape}")
     return kind
+
+
+def _of_target(columns: Columns, target: str) -> Columns:
+    """The columns of one target; of none, if the frame does not have it.
+
+    Raises:
+        KeyError, ValueError: the columns are not those of a frame.
+    """
+    names = columns["target"]
+    rows = np.flatnonzero(names == target.encode("utf-8"))
+    picked: dict[str, NDArray[Any]] = {}
+    for name, column in columns.items():
+        if name == "cloud":
+            ends = np.cumsum(columns["cloud_count"])
+            spans = [np.arange(ends[row] - columns["cloud_count"][row], ends[row]) for row in rows]
+            column = column[:, np.concatenate([np.arange(0), *spans])]
+        elif column.ndim:
+            if column.shape[-1] != len(names):
+                raise ValueError(f"{name} of shape {column.shape}, not of {len(names)} targets")
+            column = column[..., rows]
+        picked[name] = column
+    return picked

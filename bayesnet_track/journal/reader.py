@@ -31,11 +31,11 @@ def read_events(path: Path, notice: Notice | None = None) -> Iterator[Event]:
         JournalError: any other damaged line, named as file:line.
         OSError: the file cannot be read.
     """
-    for where, event in _read(path, notice):
+    for location, event in _read(path, notice):
         if isinstance(event, FrameMetrics):
-            raise JournalError(f"{where}: frame_metrics belong into no journal")
+            raise JournalError(f"{location}: frame_metrics belong into no journal")
         if not isinstance(event, Event):
-            raise JournalError(f"{where}: {event_name(type(event))} belongs into inputs.jsonl")
+            raise JournalError(f"{location}: {event_name(type(event))} belongs into inputs.jsonl")
         yield event
 
 
@@ -124,26 +124,26 @@ class Measurements(Sequence[FrameMetrics]):
 
 def read_inputs(path: Path, notice: Notice | None = None) -> Iterator[Input]:
     """The lines of ``inputs.jsonl``, in order; torn lines and errors as in `read_events`."""
-    for where, event in _read(path, notice):
+    for location, event in _read(path, notice):
         if not isinstance(event, Input):
-            raise JournalError(f"{where}: {event_name(type(event))} is nothing that comes from outside")
+            raise JournalError(f"{location}: {event_name(type(event))} is nothing that comes from outside")
         yield event
 
 
 def _read(path: Path, notice: Notice | None) -> Iterator[tuple[str, Event | Input | FrameMetrics]]:
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
-            where = f"{path}:{number}"
+            location = f"{path}:{number}"
             if not line.endswith(b"\n"):
                 if notice is not None:
-                    notice(f"{where}: the last line is torn ({len(line)} bytes) and was dropped")
+                    notice(f"{location}: the last line is torn ({len(line)} bytes) and was dropped")
                 return
             try:
                 event = from_json(line[:-1].decode("utf-8"))
                 check_line(event)
             except (JournalError, UnicodeDecodeError) as error:
-                raise JournalError(f"{where}: {error}") from error
-            yield where, event
+                raise JournalError(f"{location}: {error}") from error
+            yield location, event
 
 
 MOST = 2**31 - 1
