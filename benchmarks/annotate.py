@@ -38,7 +38,7 @@ from sequences import HALVES, Sequence, find_sequences
 
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.annotation.answers import Answer, Box
-from bayesnet_track.runtime.annotation.asking import Asking, Found, TrackerRuns, annotate, iou
+from bayesnet_track.runtime.annotation.asking import Asking, TrackedBox, TrackerRuns, annotate, iou
 from bayesnet_track.runtime.annotation.session import by_target
 
 Floats = NDArray[np.float64]
@@ -272,19 +272,19 @@ class Kept:
     """Runs that are kept in a file; more of one is found by `find(start, box, frames, step)`."""
 
     file: Path | None
-    find: Callable[[int, Box, int, int], list[Found]]
-    found: dict[str, list[Found]] = field(default_factory=dict)
+    find: Callable[[int, Box, int, int], list[TrackedBox]]
+    found: dict[str, list[TrackedBox]] = field(default_factory=dict)
     _changed: bool = False
 
     def __post_init__(self) -> None:
         if self.file is not None and self.file.is_file():
             kept = json.loads(self.file.read_text())
             self.found = {
-                key: [Found(tuple(one[0]), one[1], tuple(one[2]), one[3]) for one in run]
+                key: [TrackedBox(tuple(one[0]), one[1], tuple(one[2]), one[3]) for one in run]
                 for key, run in kept.items()
             }
 
-    def at(self, start: int, box: Box, frame: int) -> Found:
+    def at(self, start: int, box: Box, frame: int) -> TrackedBox:
         """As `Runs`."""
         step = 1 if frame > start else -1
         key = json.dumps([start, *(round(value, 6) for value in box), step])
@@ -307,7 +307,7 @@ def own_runs(sequence: Sequence, graph: str, folder: Path | None) -> Kept:
     checked = load_graph(graph)
     runs = TrackerRuns(checked, Pictures(sequence))
 
-    def find(start: int, box: Box, needed: int, step: int) -> list[Found]:
+    def find(start: int, box: Box, needed: int, step: int) -> list[TrackedBox]:
         return [runs.at(start, box, start + step * ahead) for ahead in range(1, needed + 1)]
 
     name = f"{digest(checked.spec)}_{sequence.name}_{len(sequence.files)}.json"
@@ -318,14 +318,14 @@ def peer_runs(sequence: Sequence, name: str, elsewhere: Elsewhere, folder: Path 
     """Those of a peer, forward."""
     begun: set[tuple[int, Box]] = set()
 
-    def find(start: int, box: Box, needed: int, step: int) -> list[Found]:
+    def find(start: int, box: Box, needed: int, step: int) -> list[TrackedBox]:
         ahead = 2 * needed if (start, box) in begun else needed  # to go on it begins anew
         begun.add((start, box))
         end = start + ahead + 1
         answer = elsewhere.find(name, sequence.files[start:end:step], box)
         rows = zip(answer["boxes"], answer["lost"], answer["scores"], strict=True)
         return [
-            Found(tuple(at), 0.0 if lost else score, (0.0, 0.0), "lost" if lost else "tracking")
+            TrackedBox(tuple(at), 0.0 if lost else score, (0.0, 0.0), "lost" if lost else "tracking")
             for at, lost, score in rows
         ][1:]
 
