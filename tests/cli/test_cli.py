@@ -24,7 +24,7 @@ import pytest
 import yaml
 
 from bayesnet_track import load_graph, open_run
-from bayesnet_track.cli import main as commands
+from bayesnet_track.cli import dispatch as commands
 from bayesnet_track.cli.commands.compare import adapts
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import EXAMPLES, EXIT_CODES, GROUPS, make_parser

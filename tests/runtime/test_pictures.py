@@ -113,7 +113,7 @@ def test_report_refuses_folders_of_others_and_what_is_no_run(tracked, tmp_path):
 
 def test_a_report_that_was_killed_can_be_made_again(tracked, tmp_path, monkeypatch):
     run, _ = tracked
-    pictures = run_page.whole
+    pictures = run_page.full_pictures
 
     def killed(images):
         for picture in pictures(images):
@@ -122,9 +122,9 @@ def test_a_report_that_was_killed_can_be_made_again(tracked, tmp_path, monkeypat
 
     again = ["report", str(run), "--frames", "full"]
     for out in ([], ["--out", str(tmp_path / "page")]):
-        monkeypatch.setattr(run_page, "whole", killed)
+        monkeypatch.setattr(run_page, "full_pictures", killed)
         assert main([*again, *out]) == 130
-        monkeypatch.setattr(run_page, "whole", pictures)
+        monkeypatch.setattr(run_page, "full_pictures", pictures)
         assert main([*again, *out]) == 0
     page = tmp_path / "page" / "index.html"
     before = page.read_bytes()

@@ -85,7 +85,7 @@ def of_a_whole_run(starts: list[Start]) -> None:
 def of_a_run_that_is_read() -> None:
     run = open_run("runs/mine")
     assert_type(run, Run)
-    assert_type(run.metrics, tuple[FrameMetrics, ...])
+    assert_type(run.metrics, Sequence[FrameMetrics])
     assert_type(run.spec, GraphSpec)
     assert_type(run.seconds, Mapping[int, float])
     assert_type(run.to_dict(), dict[str, list[Any]])
