@@ -6,7 +6,8 @@
 For a change that must not change results, however they are stored: equality is a hash of what `track` hands
 out, not of files. Both environments need the same versions of everything else. Crowds of detections are drawn
 here, with misses and false alarms, and given to every graph that takes detections. Exit code 1 where a hash
-differs.
+differs. Where modules that this file imports have moved in between, let each version print with its own copy of
+it, and compare the lines.
 """
 
 from __future__ import annotations
@@ -171,6 +172,8 @@ def main() -> int:
         parts = [name for name in new if name not in ("graph", "seed") and new.get(name) != old.get(name)]
         different += bool(parts)
         said = f"differs in {', '.join(parts)}" if parts else new.get("error", "equal")
+        if "error" in old and "error" not in new:
+            said = f"the older one failed: {old['error']}"
         print(f"{new['graph']:30} seed {new['seed']}: {said}")
     print(f"{different} of {len(after)} differ")
     return 1 if different else 0
