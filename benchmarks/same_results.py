@@ -6,8 +6,8 @@
 For a change that must not change results, however they are stored: equality is a hash of what `track` hands
 out, not of files. Both environments need the same versions of everything else. Crowds of detections are drawn
 here, with misses and false alarms, and given to every graph that takes detections. Exit code 1 where a hash
-differs. Where modules that this file imports have moved in between, let each version print with its own copy of
-it, and compare the lines.
+differs. Where modules that this file imports have moved in between, let each version print with its own copy,
+and compare the lines.
 """
 
 from __future__ import annotations
