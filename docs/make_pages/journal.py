@@ -1,15 +1,15 @@
-"""The documentation of the journal's files, made from the docstrings of the event classes.
+"""The documentation of the journal's files, a page per kind of event, made from the event classes.
 
-python docs/make_pages/journal.py > docs/journal.md
+python docs/make_pages/journal.py
 """
 
 from __future__ import annotations
 
 import re
-import sys
 import types
 from collections.abc import Mapping
 from inspect import cleandoc
+from pathlib import Path
 from typing import Any, get_args
 
 from bayesnet_track.journal.codec import event_name, field_names, type_hints
@@ -42,29 +42,74 @@ def parts_of(kind: type) -> tuple[str, Mapping[str, str]]:
     return text.strip(), described
 
 
-def document_events() -> str:
-    """Markdown that describes every line of ``journal.jsonl`` and of what was measured, field by field."""
+FOLDER = Path(__file__).parents[1] / "journal"
+
+PAGES: Mapping[str, tuple[str, str]] = {
+    "runs": ("The run and its source", "start and end, missing and damaged frames"),
+    "switches": ("Switches", "agents on and off by rules, with the numbers behind it"),
+    "statuses": ("Status", "tracking, lost, found again, look-alikes, alarms, scene cuts"),
+    "beliefs": ("Beliefs", "resets, sizes, modes, gated measurements"),
+    "lives": ("Targets", "births, ends, returns"),
+    "joins": ("Joins", "targets that come together, cover each other and part"),
+    "load": ("Hands and load", "what a person switched, what was shed for time"),
+    "faults": ("Faults", "agents, formulas and detectors that failed"),
+}
+"""Heading and contents of the page of each module of events."""
+
+
+def document_events() -> dict[str, str]:
+    """The text of each page by file name: events, measurements and inputs, field by field."""
     kinds = get_args(Event)
+    groups: dict[str, list[type]] = {module: [] for module in PAGES}
+    for kind in kinds:
+        groups[kind.__module__.rpartition(".")[2]].append(kind)
     outside = [kind for kind in get_args(Input) if kind not in kinds]
     both = ", ".join(f"`{event_name(kind)}`" for kind in get_args(Input) if kind in kinds)
-    sections = [
-        _HEAD.format(version=JOURNAL_VERSION, digits=FLOAT_DIGITS),
-        "## Lines of `journal.jsonl`",
-        *(_section(kind, f"`{event_name(kind)}`") for kind in kinds),
-        "## Measurements",
-        _COLUMNS,
-        _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
-        "## Lines of `inputs.jsonl`",
-        f"External inputs; the file exists only if there were any. {both} are in the journal, too.",
-        *(_section(kind, f"`{event_name(kind)}`") for kind in outside),
-        "## Objects inside lines",
-        _section(PartMetrics, "`part_metrics`"),
-        _section(Cause, "`cause`"),
-        _section(Concentration, "`concentration`"),
-        _section(Recognition, "`recognition`"),
-        _section(JoinMetrics, "`join_metrics`"),
+    events = {
+        module: ", ".join(f"`{event_name(kind)}`" for kind in group) for module, group in groups.items()
+    }
+    rows = [
+        f"| [{title}]({module}.md) | {about} | {events[module]} |" for module, (title, about) in PAGES.items()
     ]
-    return "\n\n".join(sections) + "\n"
+    tree = "\n".join([*PAGES, "measurements", "inputs"])
+    pages = {
+        "index": [
+            _HEAD.format(version=JOURNAL_VERSION, digits=FLOAT_DIGITS, mark=_MARK, rows="\n".join(rows)),
+            f"```{{toctree}}\n:maxdepth: 1\n:hidden:\n\n{tree}\n```",
+        ],
+        **{
+            module: [f"# {title}: lines of `journal.jsonl`", _MARK, *map(_of_event, groups[module])]
+            for module, (title, _) in PAGES.items()
+        },
+        "measurements": [
+            "# What was measured, frame by frame",
+            _MARK,
+            _COLUMNS,
+            _of_event(FrameMetrics),
+            *(_section(kind, f"`{_in_lines(kind)}`") for kind in (PartMetrics, JoinMetrics)),
+        ],
+        "inputs": [
+            "# Lines of `inputs.jsonl`, and objects inside lines",
+            _MARK,
+            f"External inputs; the file exists only if there were any. {both} are in the journal, too.",
+            *map(_of_event, outside),
+            *(_section(kind, f"`{_in_lines(kind)}`") for kind in (Cause, Concentration, Recognition)),
+        ],
+    }
+    return {f"{name}.md": "\n\n".join(sections) + "\n" for name, sections in pages.items()}
+
+
+def _of_event(kind: type) -> str:
+    return _section(kind, f"`{event_name(kind)}`")
+
+
+def _in_lines(kind: type) -> str:
+    """The name of an object inside lines.
+
+    >>> _in_lines(PartMetrics)
+    'part_metrics'
+    """
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower()
 
 
 def _section(kind: type, title: str) -> str:
@@ -73,7 +118,7 @@ def _section(kind: type, title: str) -> str:
         f"| `{key}` | {words_of(type_hints(kind)[name])} | {described[name].replace('|', chr(92) + '|')} |"
         for key, name in field_names(kind).items()
     ]
-    return "\n".join([f"### {title}", "", text, "", "| field | type | meaning |", "|---|---|---|", *rows])
+    return "\n".join([f"## {title}", "", text, "", "| field | type | meaning |", "|---|---|---|", *rows])
 
 
 def words_of(hint: Any) -> str:
@@ -130,11 +175,15 @@ with gzip.open("runs/mine/frames.npy.gz") as file:
 `export --format frames` writes one JSON object per target and frame, with these keys in this order:
 """
 
+_MARK = "<!-- Made by python docs/make_pages/journal.py; do not edit. -->"
+
 _HEAD = """\
 # The files of a run, field by field
 
+{mark}
+
 Version {version} of the format. `journal.jsonl` holds what happened: one JSON object per line, ASCII, each
-line ended by a plain newline. `frames.npy.gz` holds [what was measured](#measurements) in each frame.
+line ended by a plain newline. `frames.npy.gz` holds [what was measured](measurements.md) in each frame.
 
 - The key `event` names the kind of the line; the other keys stand in the order given here.
 - Numbers are rounded to {digits} significant digits. JSON has no NaN and no infinity:
@@ -145,6 +194,12 @@ line ended by a plain newline. `frames.npy.gz` holds [what was measured](#measur
 - A killed run leaves a journal without `run_ended`, and perhaps a truncated last line, which readers drop.
 - Applying the decisions (`target_started` to `parted`) in order rebuilds the net of any
   frame.
+
+| lines of `journal.jsonl` | about | events |
+|---|---|---|
+{rows}
+| [What was measured](measurements.md) | `frames.npy.gz`, frame by frame | |
+| [Inputs](inputs.md) | `inputs.jsonl`, and objects inside lines | |
 
 ## How the format changes
 
@@ -158,9 +213,11 @@ alone.
 - A run of another version of the format is refused (exit code 4) with the program version that wrote it:
   install that one to read it.
 
-`tests/journal/format_2.json` holds every event and field of the version. A [checkpoint](resume.md) has a
+`tests/journal/format_2.json` holds every event and field of the version. A [checkpoint](../resume.md) has a
 format of its own."""
 
 
 if __name__ == "__main__":
-    sys.stdout.write(document_events())
+    FOLDER.mkdir(exist_ok=True)
+    for file, page_text in document_events().items():
+        (FOLDER / file).write_text(page_text, encoding="utf-8")

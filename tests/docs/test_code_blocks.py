@@ -66,7 +66,7 @@ MINE = f"{OURS} run general --source video.mp4 --init {INIT} --out runs/mine"
 BEFORE = {
     "docs/compare.md": [f"{OURS} init mine.yaml", MINE.replace("general", "mine.yaml")],
     "docs/export.md": [MINE],
-    "docs/journal.md": [MINE],
+    "docs/journal/measurements.md": [MINE],
     "docs/opencv.md": [MINE],
     "docs/scores.md": [f"{OURS} demo two_squares --out runs/mine"],
     "docs/notebook.md": [f"{OURS} demo"],

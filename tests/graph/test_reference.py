@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from bayesnet_track.graph.settings.base import Model
 from make_pages.language import language_reference
 
-PAGE = Path(__file__).parents[2] / "docs" / "language.md"
+FOLDER = Path(__file__).parents[2] / "docs" / "language"
 
 
-def test_the_committed_page_is_up_to_date():
-    again = "python docs/make_pages/language.py > docs/language.md"
-    assert PAGE.read_text(encoding="utf-8") == language_reference(), f"write it again: {again}"
+def test_the_committed_pages_are_up_to_date():
+    again = "python docs/make_pages/language.py"
+    committed = {page.name: page.read_text(encoding="utf-8") for page in FOLDER.glob("*.md")}
+    assert committed == language_reference(), f"write them again: {again}"
+
+
+def test_every_model_has_one_page(cues):
+    headings = [
+        line
+        for name, page in language_reference(cues).items()
+        for line in page.splitlines()
+        if name != "cues.md" and line.startswith("## ")
+    ]
+    assert len(headings) == len(set(headings)) > 50
 
 
 def test_every_key_is_there_with_a_meaning(cues):
-    rows = [line for line in language_reference(cues).splitlines() if line.startswith("| `")]
+    pages = language_reference(cues).values()
+    rows = [line for page in pages for line in page.splitlines() if line.startswith("| `")]
     keys = {row.split("`")[1] for row in rows}
     for model in _subclasses(Model):
         assert set(model.model_fields) <= keys | {"cue", "parameters"}, model
@@ -28,17 +41,27 @@ def _subclasses(base):
 
 
 def test_links_lead_to_sections(cues):
-    page = language_reference(cues)
-    sections = {line[3:].replace(" ", "-") for line in page.splitlines() if line.startswith("## ")}
-    links = {part.split(")")[0] for part in page.split("](#")[1:]}
+    pages = language_reference(cues)
+    sections = {
+        f"{name}#{line[3:].replace(' ', '-')}"
+        for name, page in pages.items()
+        for line in page.splitlines()
+        if line.startswith("## ")
+    }
+    links = {
+        (target if target[0] != "#" else name + target)
+        for name, page in pages.items()
+        for target in re.findall(r"\]\(([a-z]*(?:\.md)?#[^)]+)\)", page)
+    }
+    assert len(links) > 50
     assert links <= sections
 
 
 def test_the_parameters_of_given_cues_are_listed(cues):
-    page = language_reference(cues)
-    assert "### hue" in page
+    page = language_reference(cues)["cues.md"]
+    assert "## hue" in page
     assert (
         "| `bins` | a whole number at least 4, at most 128 | `32` | bins round the hue circle, count |"
         in page
     )
-    assert "### color_histogram" not in page
+    assert "## color_histogram" not in page

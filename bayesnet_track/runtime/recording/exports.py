@@ -97,7 +97,7 @@ def as_coco(run: Run, lost: bool = False) -> str:
 
 
 def as_frames(run: Run, lost: bool = True) -> str:
-    """JSON Lines: all that was measured of a target in a frame, a line each, as docs/journal.md has it."""
+    """JSON Lines: all that was measured of a target in a frame, a line each: docs/journal/measurements.md."""
     return "".join(f"{to_json(line)}\n" for line in _lines(run, lost))
 
 
