@@ -237,29 +237,28 @@ def make_plate_motion(
 
     `deviations` are those of latent nodes with a motion of their own.
     """
-    chosen = root.motion
-    assert chosen is not None
-    settings = chosen.settings
-    motion: MotionModel
+    assert root.motion is not None
+    settings = root.motion.settings
+
+    def composed(chosen: spec.Motion) -> MotionModel:
+        motion = _moves(chosen, constants)
+        if settings.sd_angle_deg > 0:
+            motion = turning(motion, settings.sd_angle_deg)
+        if deviations:
+            motion = Nested(motion, deviations)
+        return Reflecting(motion) if settings.borders == "reflect" else motion
+
+    usual = composed(root.motion)
+    if root.modes is None:
+        return usual
+    own = (usual if mode.motion is None else composed(mode.motion) for mode in root.modes.values())
+    return Modal(make_modes(root.modes), tuple(own))
+
+
+def _moves(chosen: spec.Motion, constants: Mapping[str, float]) -> MotionModel:
     if chosen.expressions is not None:
-        motion = make_formula_motion(chosen.expressions, constants)
-    elif chosen.box_velocity is not None:
-        motion = BoxVelocityMotion(chosen.box_velocity)
-    else:
-        motion = make_motion(chosen)
-    if settings.sd_angle_deg > 0:
-        motion = turning(motion, settings.sd_angle_deg)
-    if deviations:
-        motion = Nested(motion, deviations)
-    if root.modes is not None:
-        return _in_modes(motion, settings.sd_angle_deg, root.modes)
-    return Reflecting(motion) if settings.borders == "reflect" else motion
-
-
-def _in_modes(usual: MotionModel, sd_angle_deg: float, modes: Mapping[str, spec.Mode]) -> Modal:
-    own = (None if mode.motion is None else make_motion(mode.motion) for mode in modes.values())
-    turned = (one if one is None or sd_angle_deg == 0.0 else turning(one, sd_angle_deg) for one in own)
-    return Modal(make_modes(modes), tuple(usual if one is None else one for one in turned))
+        return make_formula_motion(chosen.expressions, constants)
+    return make_motion(chosen) if chosen.box_velocity is None else BoxVelocityMotion(chosen.box_velocity)
 
 
 def _searching(

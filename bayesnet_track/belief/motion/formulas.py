@@ -384,7 +384,8 @@ def make_formula_motion(settings: ByExpressions, constants: Mapping[str, float])
 
 
 def undefined_in(motion: object) -> Mapping[str, Undefined]:
-    """What was found of the expressions of a motion, or of the one inside it; empty for another."""
-    while motion is not None and not isinstance(motion, FormulaMotion):
-        motion = getattr(motion, "motion", None)
-    return {} if motion is None else motion.undefined
+    """What was found of the expressions of a motion, or of those inside it; empty for another."""
+    if motion is None or isinstance(motion, FormulaMotion):
+        return {} if motion is None else motion.undefined
+    inside = getattr(motion, "parts", None) or (getattr(motion, "motion", None),)
+    return {what: states for one in inside for what, states in undefined_in(one).items()}

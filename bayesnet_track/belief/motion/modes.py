@@ -116,37 +116,43 @@ def make_modes(settings: Mapping[str, Mode]) -> Modes:
 
 
 def complete(motions: tuple[MotionModel, ...]) -> tuple[MotionModel, ...]:
-    """The motions, all with the fields of the longest; those that have them are the same objects.
+    """The motions, all with the fields of all of them; those that have them already are the same objects.
 
-    A velocity or acceleration that a motion does not have is drawn anew in each frame, as at the start of a
-    target that moves as the longest one says: after a stop the target sets off in any direction.
+    The fields of the longest motion come first, then those of the others. A field that a motion does not have
+    is drawn anew in each frame, as at the start of a target that moves as the first one says that has it:
+    after a stop the target sets off in any direction.
     """
-    longest = max(motions, key=lambda one: len(one.fields))
-    variances = np.diagonal(longest.start_moments(np.ones(4))[1])
-    sds = {name: float(np.sqrt(v)) for name, v in zip(longest.fields, variances, strict=True)}
+    starts: dict[str, tuple[float, float]] = {}
+    for one in sorted(motions, key=lambda one: -len(one.fields)):
+        mean, covariance = one.start_moments(np.ones(4))
+        own = zip(one.fields, mean.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True)
+        for name, start, sd in own:
+            starts.setdefault(name, (start, sd))
+    fields = tuple(starts)
     made: dict[int, MotionModel] = {}
     for one in motions:
         if id(one) not in made:
-            missing = tuple(name for name in longest.fields if name not in one.fields)
-            made[id(one)] = (
-                Forgetting(one, longest.fields, tuple(sds[name] for name in missing)) if missing else one
-            )
+            missing = [starts[name] for name in fields if name not in one.fields]
+            means, sds = tuple(mean for mean, _ in missing), tuple(sd for _, sd in missing)
+            made[id(one)] = one if one.fields == fields else Forgetting(one, fields, sds, means)
     return tuple(made[id(one)] for one in motions)
 
 
 @dataclass(frozen=True, eq=False)
 class Forgetting:
-    """`motion`, in a state with further fields, which are drawn anew around 0 in every frame.
+    """`motion`, in a state with further fields, which are drawn anew in every frame.
 
     Attributes:
         motion: how the fields move that it has.
         fields: of the whole state.
         sds: of the further fields, in the order of the state.
+        means: around which they are drawn; zeros when empty.
     """
 
     motion: MotionModel
     fields: tuple[str, ...]
     sds: tuple[float, ...]
+    means: tuple[float, ...] = ()
 
     @cached_property
     def _own(self) -> list[int]:
@@ -158,8 +164,12 @@ class Forgetting:
 
     @cached_property
     def _drawn(self) -> list[int]:
-        """Further fields that have noise: the others are 0."""
+        """Further fields that have noise: the others are their means."""
         return [k for k, sd in zip(self._further, self.sds, strict=True) if sd > 0]
+
+    @cached_property
+    def _centre(self) -> Floats:
+        return np.array(self.means or np.zeros(len(self.sds)))
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """Like the model, the further fields drawn."""
@@ -169,6 +179,7 @@ class Forgetting:
         """Mean and covariance of what `start` draws."""
         mean, covariance = np.zeros(len(self.fields)), self._spread()
         mean[self._own], covariance[np.ix_(self._own, self._own)] = self.motion.start_moments(box)
+        mean[self._further] = self._centre
         return mean, covariance
 
     def propagate(
@@ -178,9 +189,10 @@ class Forgetting:
         return self._join(self.motion.propagate(self._of(states), dt, rng, parents), rng)
 
     def drift(self, states: Floats, dt: float) -> Floats:
-        """(N, D) states after `dt` frame intervals without noise: further fields are 0."""
-        found = np.zeros((len(states), len(self.fields)))
+        """(N, D) states after `dt` frame intervals without noise: further fields are their means."""
+        found = np.empty((len(states), len(self.fields)))
         found[:, self._own] = self.motion.drift(self._of(states), dt)
+        found[:, self._further] = self._centre
         return found
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
@@ -192,8 +204,8 @@ class Forgetting:
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """(M, N) that of the model, times that of the further fields."""
-        sds = np.array([sd for sd in self.sds if sd > 0])
-        normal = -0.5 * (new[:, self._drawn] / sds) ** 2 - np.log(sds * np.sqrt(2.0 * np.pi))
+        sds, means = np.array([sd for sd in self.sds if sd > 0]), self._centre[np.array(self.sds) > 0]
+        normal = -0.5 * ((new[:, self._drawn] - means) / sds) ** 2 - np.log(sds * np.sqrt(2.0 * np.pi))
         own = self.motion.log_density(self._of(new), self._of(old), dt)
         return np.asarray(own + normal.sum(axis=1)[:, None])
 
@@ -201,6 +213,7 @@ class Forgetting:
         """Transition of the model; the further fields are the last coordinates."""
         own = self.motion.transition(self._of(old), dt)
         sds = np.broadcast_to([sd for sd in self.sds if sd > 0], (*own.sds.shape[:2], len(self._drawn)))
+        means = self._centre[np.array(self.sds) > 0]
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
             points, log_jacobian = own.coordinates(self._of(states))
@@ -209,7 +222,7 @@ class Forgetting:
         return replace(
             own,
             coordinates=coordinates,
-            means=np.concatenate([own.means, np.zeros((len(old), len(self._drawn)))], axis=1),
+            means=np.concatenate([own.means, np.broadcast_to(means, (len(old), len(means)))], axis=1),
             sds=np.concatenate([own.sds, sds], axis=2),
             states=None,
         )
@@ -225,7 +238,8 @@ class Forgetting:
     def _join(self, moved: Floats, rng: np.random.Generator) -> Floats:
         found = np.empty((len(moved), len(self.fields)))
         found[:, self._own] = moved
-        found[:, self._further] = rng.standard_normal((len(moved), len(self.sds))) * np.array(self.sds)
+        drawn = rng.standard_normal((len(moved), len(self.sds)))
+        found[:, self._further] = self._centre + drawn * np.array(self.sds)
         return found
 
 
@@ -260,23 +274,30 @@ class Modal:
         """Chain by which modes follow each other."""
         return self.modes.chain
 
+    @property
+    def leaves_image(self) -> bool:
+        """True if the centres of every mode go on beyond the image."""
+        return all(getattr(one, "leaves_image", False) for one in self.parts)
+
     def each(self, change: Callable[[MotionModel], MotionModel]) -> Modal:
-        """With every mode's motion changed; modes that shared one still do."""
+        """With every mode's motion changed; modes that shared one still do. Itself where nothing changes."""
         made: dict[int, MotionModel] = {}
         for one in self.parts:
             if id(one) not in made:
                 made[id(one)] = change(one)
-        return replace(self, parts=tuple(made[id(one)] for one in self.parts))
+        parts = tuple(made[id(one)] for one in self.parts)
+        same = all(new is old for new, old in zip(parts, self.parts, strict=True))
+        return self if same else replace(self, parts=parts)
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """(size, D) states in the centre box (4,), in modes in which it is seen."""
-        states = self._longest.start(box, size, rng)
+        states = self._first.start(box, size, rng)
         points = (rng.permutation(size) + rng.random(size)) / size
         return _with(states, draw(np.tile(self.modes.start(), (size, 1)), points))
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D - 1,) mean and covariance without the mode."""
-        return self._longest.start_moments(box)
+        return self._first.start_moments(box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -330,8 +351,10 @@ class Modal:
         raise TypeError("a motion in modes is no mixture of Gaussians in one set of coordinates")
 
     @cached_property
-    def _longest(self) -> MotionModel:
-        return max(self.parts, key=lambda one: len(one.fields))
+    def _first(self) -> MotionModel:
+        """The motion as which the target starts: the one with the most fields of its own."""
+        longest = max(range(len(self.parts)), key=lambda k: len(self.parts[k].fields))
+        return self.motions[longest]
 
     def _groups(self, modes: NDArray[np.intp]) -> list[tuple[MotionModel, NDArray[np.intp]]]:
         """Motions and the hypotheses that they move: modes that share one are moved together."""

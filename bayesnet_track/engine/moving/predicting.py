@@ -123,9 +123,8 @@ def predict_motion(
     motion; where that is of a target which may be carried, all this is how it moves on its own.
     """
     settings, plain = compiled.moving, compiled.motion
-    if isinstance(plain, Modal):
-        plain = plain.parts[0]
-    if settings is None or known is None or kinematics_of(plain) is None:
+    parts = plain.parts if isinstance(plain, Modal) else (plain,)
+    if settings is None or known is None or all(kinematics_of(one) is None for one in parts):
         return PredictedMotion(compiled.motion if given is None else given, known)
     inflation = 1.0
     if settings.inflate is not None:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate, further_fields
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import (
     DRAWN,
@@ -27,19 +27,12 @@ from bayesnet_track.graph.expressions.terms import (
     names_in,
     walk,
 )
-from bayesnet_track.graph.spec import AgentNode, FactorNode, Given, GraphSpec, InferenceNode
+from bayesnet_track.graph.spec import AgentNode, FactorNode, Given, GraphSpec
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions, nearest
 from bayesnet_track.graphs import graph_folder
 from bayesnet_track.observation.image_files import Mask, read_mask
 from bayesnet_track.observation.image_headers import PictureError
 from bayesnet_track.observation.protocols import BOX
-
-FURTHER = {
-    "constant_velocity": ("vx", "vy"),
-    "damped_velocity": ("vx", "vy"),
-    "constant_acceleration": ("vx", "vy", "ax", "ay"),
-    "box_velocity": ("vx", "vy", "vw", "vh"),
-}
 
 
 def constants_have_their_own_names(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
@@ -120,7 +113,7 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         has_parent = draws and fuse.latent.draw != "kernel"
         own = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
     else:
-        own = (*BOX, *_further(plate.inference[plate.roots[0]]))
+        own = (*BOX, *further_fields(plate.inference[plate.roots[0]]))
     return (*own, *FRAME_NAMES, *plate.constants)
 
 
@@ -161,15 +154,6 @@ def read_factors(plate: Plate) -> dict[str, Factor]:
         mask = plate.masks.get(node.mask or "")
         found[name] = Factor(str(node.parent), term, used, mask if isinstance(mask, Mask) else None)
     return found
-
-
-def _further(root: InferenceNode) -> tuple[str, ...]:
-    if root.motion is None or (root.belief is not None and root.belief.grid is not None):
-        return ()
-    if root.motion.expressions is not None:
-        return tuple(root.motion.expressions.fields)
-    angle = ("angle",) if root.motion.settings.sd_angle_deg > 0 else ()
-    return (*FURTHER.get(root.motion.kind, ()), *angle)
 
 
 def _explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> GraphMessage:

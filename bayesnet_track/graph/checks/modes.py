@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import isclose
 
-from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate, fields_of_motion
 from bayesnet_track.graph.settings.motion import Mode, Motion
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 
-WHOLE_TARGET = ("inflate", "size_reversion", "camera", "relocalize", "sd_angle_deg")
+KINEMATIC = ("inflate", "size_reversion", "camera")
+"""Settings that change the noise or the drift of a kinematic motion."""
+
+WHOLE_TARGET = (*KINEMATIC, "relocalize", "sd_angle_deg", "borders")
 """Settings of the node's motion that hold in every mode."""
-
-
-_PLAIN = ("random_walk", "constant_velocity", "damped_velocity", "constant_acceleration")
 
 
 def _with_modes(plate: Plate) -> Iterator[tuple[str, InferenceNode, Mapping[str, Mode]]]:
@@ -78,33 +78,41 @@ def modes_differ(plate: Plate) -> Iterator[GraphMessage]:
             seen.append((mode, motion, hidden))
 
 
-def modes_move_plainly(plate: Plate) -> Iterator[GraphMessage]:
-    """A mode's motion is noise and kinematics; what else is known of it holds for the whole target."""
+def modes_move_by_themselves(plate: Plate) -> Iterator[GraphMessage]:
+    """A mode's motion is noise and kinematics, or expressions; the rest holds for the whole target."""
     for name, node, modes in _with_modes(plate):
-        motions: dict[KeyPath, Motion | None] = {("motion",): node.motion}
-        motions |= {("modes", mode, "motion"): one.motion for mode, one in modes.items()}
-        key: KeyPath
-        for key_of_motion, motion in motions.items():
-            if motion is not None and motion.expressions is not None:
-                key = (*key_of_motion, "expressions")
-                yield plate.message(name, "expressions beside modes", _PLAIN, key=key, on_key=True)
-            elif motion is not None and motion.settings.borders is not None:
-                key = (*key_of_motion, motion.kind, "borders")
-                yield plate.message(name, "borders beside modes", "no borders", key=key, on_key=True)
         for mode, one in modes.items():
-            if one.motion is None or one.motion.expressions is not None:
+            if one.motion is None:
                 continue
+            here: KeyPath = ("modes", mode, "motion", one.motion.kind)
             for word in WHOLE_TARGET:
-                if getattr(one.motion.settings, word):
-                    key = ("modes", mode, "motion", one.motion.kind, word)
+                if getattr(one.motion.settings, word, None):
                     found = f"{word} in the motion of a mode"
-                    yield plate.message(
-                        name,
-                        found,
-                        f"{word} in the node's motion: it holds in every mode",
-                        key=key,
-                        on_key=True,
-                    )
+                    allowed = f"{word} in the node's motion: it holds in every mode"
+                    yield plate.message(name, found, allowed, key=(*here, word), on_key=True)
+            if one.motion.expressions is not None and node.motion is not None:
+                yield from _expressions_move_alone(plate, name, mode, node.motion)
+            if one.motion.box_velocity is not None and (node.belief is None or node.belief.gaussian is None):
+                found = f"box_velocity beside {'particles' if node.belief is None else node.belief.kind}"
+                yield plate.message(
+                    name, found, "belief: {gaussian: {filter: kalman}}", key=here, on_key=True
+                )
+
+
+def _expressions_move_alone(plate: Plate, name: str, mode: str, motion: Motion) -> Iterator[GraphMessage]:
+    """What changes a kinematic motion does not reach one by expressions."""
+    for word in KINEMATIC:
+        if getattr(motion.settings, word, None):
+            found = f"{word}, which does not reach mode {mode!r}: that moves by expressions"
+            allowed = f"no {word}; or a motion of {mode!r} without expressions"
+            yield plate.message(name, found, allowed, key=("motion", motion.kind, word), on_key=True)
+    mode_motion = (plate.inference[name].modes or {})[mode].motion
+    fields = () if mode_motion is None or mode_motion.expressions is None else mode_motion.expressions.fields
+    strange = [one for one in fields if one not in ("vx", "vy", "ax", "ay")]
+    if motion.settings.borders is not None and strange:
+        found = f"borders: reflect, and mode {mode!r} has field {strange[0]!r}, which it cannot turn round"
+        allowed = "fields vx, vy, ax, ay, or no borders"
+        yield plate.message(name, found, allowed, key=("motion", motion.kind, "borders"), on_key=True)
 
 
 def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
@@ -135,36 +143,65 @@ def noise_has_the_same_fields(plate: Plate) -> Iterator[GraphMessage]:
     for name, node, modes in _with_modes(plate):
         if node.belief is not None and node.belief.gaussian is not None:
             continue
-        motions = [node.motion, *(one.motion for one in modes.values())]
-        if node.motion is None or any(one is not None and one.expressions is not None for one in motions):
+        if node.motion is None:
             continue
-        usual = _noisy(node.motion)
+        motions = [node.motion, *(one.motion for one in modes.values() if one.motion is not None)]
+        if any(one.box_velocity is not None for one in motions):
+            continue
+        fields = {field: sd for one in reversed(sorted(motions, key=_length)) for field, sd in _starts(one)}
+        usual = _noisy(node.motion, fields)
         for mode, one in modes.items():
-            own = usual if one.motion is None else _noisy(one.motion)
-            if own != usual and one.motion is not None:
-                found = (
-                    f"mode {mode!r} has noise of {_listed(own)}, and the node's motion of {_listed(usual)}"
-                )
-                key = ("modes", mode, "motion", one.motion.kind)
-                yield plate.message(name, found, "noise of the same fields", key=key)
+            if one.motion is None or (own := _noisy(one.motion, fields)) == usual:
+                continue
+            found = f"mode {mode!r} has noise of {_listed(own)}, and the node's motion of {_listed(usual)}"
+            key = ("modes", mode, "motion", one.motion.kind)
+            still = [field for field in usual if field not in own]
+            give = f"; give {', '.join(still)} an sd in mode {mode!r}, as small as you like"
+            mended = give if still and one.motion.expressions is not None else ""
+            yield plate.message(name, found, f"noise of the same fields{mended}", key=key)
 
 
 def _listed(fields: tuple[str, ...]) -> str:
     return ", ".join(fields) or "nothing"
 
 
-def _noisy(motion: Motion) -> tuple[str, ...]:
-    """The fields of the box with noise."""
-    settings = motion.settings
-    driven = getattr(settings, "sd_velocity_px", 0.0) + getattr(settings, "sd_acceleration_px", 0.0) > 0
-    px, box, log = settings.sd_px, settings.sd_box, settings.sd_log
-    if log.scale > 0 or log.aspect > 0:
-        sized = px.w > 0 or px.h > 0
-        size = {"scale": sized or log.scale > 0, "aspect": sized or log.aspect > 0}
+def _length(motion: Motion) -> int:
+    return -len(fields_of_motion(motion))
+
+
+def _starts(motion: Motion) -> Iterator[tuple[str, float]]:
+    """The fields beside the box, with their sds when the target starts."""
+    if motion.expressions is not None:
+        yield from ((name, own.sd) for name, own in motion.expressions.fields.items())
+        return
+    sds = {"v": "start_velocity_sd_px", "a": "start_acceleration_sd_px"}
+    for name in fields_of_motion(motion):
+        yield name, float(getattr(motion.settings, sds.get(name[0], ""), 0.0) if name != "angle" else 0.0)
+
+
+def _noisy(motion: Motion, starts: Mapping[str, float]) -> tuple[str, ...]:
+    """The fields with noise; one that the motion does not have is drawn anew, by its sd at the start."""
+    own = fields_of_motion(motion)
+    anew = [name for name, sd in starts.items() if name not in own and sd > 0]
+    if motion.expressions is not None:
+        noise = {"x": False, "y": False, "w": False, "h": False} | {
+            name: str(sd) not in ("0", "0.0") for name, sd in motion.expressions.sd.items()
+        }
+        moved = [name for name, has in noise.items() if has]
     else:
-        size = {"w": px.w > 0, "h": px.h > 0}
-    noisy = {"x": driven or px.x + box.x > 0, "y": driven or px.y + box.y > 0, **size}
-    return tuple(field for field, has in noisy.items() if has)
+        settings = motion.settings
+        driven = getattr(settings, "sd_velocity_px", 0.0) + getattr(settings, "sd_acceleration_px", 0.0) > 0
+        px, box, log = settings.sd_px, settings.sd_box, settings.sd_log
+        if log.scale > 0 or log.aspect > 0:
+            sized = px.w > 0 or px.h > 0
+            size = {"scale": sized or log.scale > 0, "aspect": sized or log.aspect > 0}
+        else:
+            size = {"w": px.w > 0, "h": px.h > 0}
+        noise = {"x": driven or px.x + box.x > 0, "y": driven or px.y + box.y > 0, **size}
+        moved = [name for name, has in noise.items() if has]
+        moved += [name for name in own if name != "angle" and driven]
+    order = ("x", "y", "w", "h", "scale", "aspect", *starts)
+    return tuple(name for name in order if name in moved or name in anew)
 
 
 def modes_are_not_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
@@ -181,7 +218,7 @@ def modes_are_not_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessag
 MODE_CHECKS: tuple[Check, ...] = (
     modes_follow_each_other,
     modes_differ,
-    modes_move_plainly,
+    modes_move_by_themselves,
     beliefs_hold_modes,
     noise_has_the_same_fields,
 )

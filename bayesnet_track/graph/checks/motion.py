@@ -9,10 +9,10 @@ from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import declares, plugin_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate, further_fields
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, WORDS, ExpressionError, Term, names_in
-from bayesnet_track.graph.settings.motion import BoxVelocity, ByExpressions, Moving
+from bayesnet_track.graph.settings.motion import BoxVelocity, ByExpressions, Motion, Moving
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions, nearest
@@ -210,14 +210,13 @@ MOTION_CHECKS: tuple[Check, ...] = (
 
 MAY_BE_FIELDS = ("vx", "vy", "ax", "ay", "angle")
 VELOCITIES = ("vx", "vy", "ax", "ay")
-KEY: KeyPath = ("motion", "expressions")
 
 
 def fields_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
     """Fields of a motion by expressions have names of their own."""
-    for node, motion in _formulas(plate):
+    for node, path, motion in _formulas(plate):
         for name in motion.fields:
-            here = (*KEY, "fields", name)
+            here = (*path, "fields", name)
             if (name in WORDS and name not in MAY_BE_FIELDS) or name == "carried":
                 found, allowed = f"field {name!r}, which is a word of the language", "another name"
                 yield plate.message(node, found, allowed, key=here, on_key=True)
@@ -229,12 +228,12 @@ def fields_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
 
 def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """A motion's expressions are of its fields, the frame, `dt` and constants."""
-    for node, motion in _formulas(plate):
+    for node, path, motion in _formulas(plate):
         fields = (*BOX, *motion.fields)
         names = (*fields, *FRAME_NAMES, *plate.constants)
         for what, formulas in _parts(motion):
             for name, text in formulas.items():
-                here = (*KEY, what, name)
+                here = (*path, what, name)
                 if name not in fields:
                     found = f"{what} of {name!r}, which is no field of the state"
                     yield plate.message(node, found, fields, key=here, word=name, on_key=True)
@@ -249,35 +248,36 @@ def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
         if motion.borders is not None and strange:
             found = f"borders: reflect beside field {strange[0]!r}, which it cannot turn round"
             allowed = f"fields {', '.join(VELOCITIES)}, or no borders"
-            yield plate.message(node, found, allowed, key=(*KEY, "borders"), on_key=True)
+            yield plate.message(node, found, allowed, key=(*path, "borders"), on_key=True)
 
 
 def beliefs_hold_the_formulas(plate: Plate) -> Iterator[GraphMessage]:
     """Of expressions a grid takes noise that is the same everywhere, and `kalman` none."""
-    for node, motion in _formulas(plate):
+    for node, path, motion in _formulas(plate):
         belief = plate.inference[node].belief
         if belief is None:
             continue
         if belief.gaussian is not None and belief.gaussian.filter == "kalman":
             found = "expressions beside filter: kalman, which is of linear motion"
-            yield plate.message(node, found, "filter: extended or unscented", key=KEY, on_key=True)
+            yield plate.message(node, found, "filter: extended or unscented", key=path, on_key=True)
         if belief.grid is not None:
-            yield from _fits_grid(plate, node, motion)
+            yield from _fits_grid(plate, (node, path), motion)
 
 
-def _fits_grid(plate: Plate, node: str, motion: ByExpressions) -> Iterator[GraphMessage]:
+def _fits_grid(plate: Plate, at: tuple[str, KeyPath], motion: ByExpressions) -> Iterator[GraphMessage]:
+    node, path = at
     if tuple(motion.fields) not in ((), ("vx", "vy")):
         found = f"a grid has no cells for {', '.join(motion.fields)}"
-        yield plate.message(node, found, "fields vx, vy, in this order, or none", key=(*KEY, "fields"))
+        yield plate.message(node, found, "fields vx, vy, in this order, or none", key=(*path, "fields"))
     for name, own in motion.fields.items():
         if own.start != 0:
-            here = (*KEY, "fields", name, "start")
+            here = (*path, "fields", name, "start")
             yield plate.message(
                 node, f"start of {name} on a grid, whose velocities start around 0", "0", key=here
             )
     for what, formulas in _parts(motion):
         for name, text in formulas.items():
-            here = (*KEY, what, name)
+            here = (*path, what, name)
             if name in ("w", "h"):
                 found = f"{what} of {name}, and the sizes of a grid's cells do not move by expressions"
                 yield plate.message(node, found, "x, y, vx, vy", key=here, on_key=True)
@@ -334,12 +334,7 @@ def _fields_of(spec: GraphSpec, kind: str) -> tuple[str, ...]:
     """Fields of the state of a kind of target, beside the box."""
     nodes = spec.targets[kind].nodes.values()
     root = next((one for one in nodes if isinstance(one, InferenceNode) and one.parent is None), None)
-    if root is None or root.motion is None:
-        return ()
-    if root.motion.expressions is not None:
-        return tuple(root.motion.expressions.fields)
-    order = {"random_walk": 0, "constant_acceleration": 4}.get(root.motion.kind, 2)
-    return (*VELOCITIES[:order], *(("angle",) if root.motion.settings.sd_angle_deg > 0 else ()))
+    return () if root is None else further_fields(root)
 
 
 def drift_of(motion: ByExpressions) -> Mapping[str, Term]:
@@ -352,10 +347,14 @@ def sds_of(motion: ByExpressions) -> Mapping[str, Term]:
     return {name: parse(str(text)) for name, text in motion.sd.items()}
 
 
-def _formulas(plate: Plate) -> Iterator[tuple[str, ByExpressions]]:
+def _formulas(plate: Plate) -> Iterator[tuple[str, KeyPath, ByExpressions]]:
+    """Node, key and expressions of every motion by them, also of those of modes."""
     for name, node in plate.inference.items():
-        if node.motion is not None and node.motion.expressions is not None:
-            yield name, node.motion.expressions
+        motions: dict[KeyPath, Motion | None] = {("motion",): node.motion}
+        motions |= {("modes", mode, "motion"): one.motion for mode, one in (node.modes or {}).items()}
+        for key, motion in motions.items():
+            if motion is not None and motion.expressions is not None:
+                yield name, (*key, "expressions"), motion.expressions
 
 
 def _parts(motion: ByExpressions) -> tuple[tuple[str, Mapping[str, float | str]], ...]:

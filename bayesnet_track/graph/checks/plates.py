@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import CueDeclaration
@@ -122,3 +123,26 @@ class Plate:
 
 Check = Callable[[Plate], Iterator[GraphMessage]]
 """One pass: yields every violation it finds in a plate."""
+
+FURTHER = {
+    "constant_velocity": ("vx", "vy"),
+    "damped_velocity": ("vx", "vy"),
+    "constant_acceleration": ("vx", "vy", "ax", "ay"),
+    "box_velocity": ("vx", "vy", "vw", "vh"),
+}
+
+
+def fields_of_motion(motion: Motion) -> tuple[str, ...]:
+    """Fields of the state beside the box, of one motion."""
+    if motion.expressions is not None:
+        return tuple(motion.expressions.fields)
+    angle = ("angle",) if motion.settings.sd_angle_deg > 0 else ()
+    return (*FURTHER.get(motion.kind, ()), *angle)
+
+
+def further_fields(root: InferenceNode) -> tuple[str, ...]:
+    """Fields of a root's state beside the box that expressions may read, of the motions of all modes."""
+    if root.motion is None or (root.belief is not None and root.belief.grid is not None):
+        return ()
+    motions = (root.motion, *(one.motion for one in (root.modes or {}).values() if one.motion is not None))
+    return tuple(dict.fromkeys(name for one in motions for name in fields_of_motion(one)))

@@ -143,17 +143,19 @@ def _distribution(term: Term) -> Call | None:
 
 def motion_lines(target: CheckedTarget) -> list[str]:
     """`x_t = x + vx * dt + noise of sd 2 · √dt`, for each field that moves; none for another motion."""
-    found = [
-        f"{name}_t = {text_of(mean)}" + ("" if sd is None else f" + noise of sd {_bracketed(sd)} · √dt")
-        for name, mean, sd in _equations(target)
-    ]
+    found = [_moved(*equation) for equation in _equations(target.inference(target.root).motion)]
     return [*found, *(f"{name} = {value:g}" for name, value in _constants(target))]
+
+
+def _moved(name: str, mean: Term, sd: Term | None) -> str:
+    noise = "" if sd is None else f" + noise of sd {_bracketed(sd)} · √dt"
+    return f"{name}_t = {text_of(mean)}{noise}"
 
 
 def latex_motion_lines(target: CheckedTarget) -> list[str]:
     """The same as rows of amsmath's `align*`, without the ends of lines."""
     found = []
-    for name, mean, sd in _equations(target):
+    for name, mean, sd in _equations(target.inference(target.root).motion):
         left = latex_of(Variable(name)) + "_{t}"
         if sd is None:
             found.append(rf"{left} &= {latex_of(mean)}")
@@ -164,9 +166,8 @@ def latex_motion_lines(target: CheckedTarget) -> list[str]:
     return [*found, *constants]
 
 
-def _equations(target: CheckedTarget) -> Iterator[tuple[str, Term, Term | None]]:
+def _equations(motion: Motion | None) -> Iterator[tuple[str, Term, Term | None]]:
     """Field, its mean and its sd, of each field that has a drift or noise."""
-    motion = target.inference(target.root).motion
     if motion is None or motion.expressions is None:
         return
     drifts, sds = drift_of(motion.expressions), sds_of(motion.expressions)
@@ -176,9 +177,10 @@ def _equations(target: CheckedTarget) -> Iterator[tuple[str, Term, Term | None]]
 
 
 def _constants(target: CheckedTarget) -> list[tuple[str, float]]:
-    used = {
-        name for _, mean, sd in _equations(target) for term in (mean, sd) if term for name in names_in(term)
-    }
+    root = target.inference(target.root)
+    motions = (root.motion, *(mode.motion for mode in (root.modes or {}).values()))
+    equations = (equation for motion in motions for equation in _equations(motion))
+    used = {name for _, mean, sd in equations for term in (mean, sd) if term for name in names_in(term)}
     return [(name, value) for name, value in target.constants.items() if name in used]
 
 
@@ -232,6 +234,7 @@ def _matrix(modes: Mapping[str, Mode]) -> list[list[float]]:
 def _said(modes: Mapping[str, Mode], name: str, describe: Callable[[Motion], str]) -> list[str]:
     mode = modes[name]
     said = ["moves so" if mode.motion is None else describe(mode.motion)]
+    said += [_moved(*equation) for equation in _equations(mode.motion)]
     if mode.next is not None:
         said.append(f"next {_shares(mode.next)}")
     else:
