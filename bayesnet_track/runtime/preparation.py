@@ -18,6 +18,7 @@ from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.frames import Source
 
 
 def place_cues(
@@ -51,10 +52,12 @@ def prepare_engine(
 
 
 def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
-    """The resizing of the frames of a source; raises ValueError if they have depth."""
+    """The resizing of the frames of a source, which is told of it; raises ValueError if they have depth."""
     resizing = Resizing.to(source.width, source.height, max_side)
     if not resizing.is_none and getattr(source, "has_depth", False):
         raise ValueError("max_side: frames with depth cannot be resized; allowed: frames of one camera")
+    if isinstance(source, Source) and not resizing.is_none:
+        source.tracked = resizing.tracked
     return resizing
 
 

@@ -34,9 +34,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector
-
-Size = tuple[int, int]
-"""Width and height, px."""
+from bayesnet_track.sources.frames import DecodedFrame, Size
 
 LEAST_MAX_SIDE = 16
 """The smallest `max_side`, px."""
@@ -89,8 +87,12 @@ class Resizing:
         return self.source == self.tracked
 
     def frame(self, frame: Frame) -> Frame:
-        """The frame that the engine sees: pixels are means over areas."""
-        return frame if self.is_none else replace(frame, image=_smaller(frame.image, self.tracked))
+        """The frame that the engine sees: pixels are means over areas, of a video in its own colour space."""
+        if self.is_none:
+            return frame
+        decoded = frame.smaller(self.tracked) if isinstance(frame, DecodedFrame) else None
+        image = _smaller(frame.image, self.tracked) if decoded is None else decoded
+        return Frame(frame.index, frame.time, image, frame.has_color, frame.time_s, frame.depth, frame.stride)
 
     def start(self, start: Start) -> Start:
         """The start box where the engine sees it.

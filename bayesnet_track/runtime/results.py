@@ -26,7 +26,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.entrances.levels import to_bgr
-from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.sources.frames import DecodedFrame, EndReason, SourceItem
 from bayesnet_track.view.overlay import draw_targets
 
 
@@ -51,6 +51,8 @@ class FrameKind:
     @classmethod
     def of(cls, frame: Frame) -> Self:
         """The kind of a frame."""
+        if isinstance(frame, DecodedFrame):  # its pixels need not have been made
+            return cls(frame.width, frame.height, frame.has_color, 3, "uint8")
         image = frame.image
         channels = image.shape[2] if image.ndim == 3 else 1
         return cls(frame.width, frame.height, frame.has_color, channels, image.dtype.name)

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, Literal, Protocol, Self
 
 import numpy as np
@@ -31,12 +32,74 @@ from bayesnet_track.journal.events.runs import (
     SourceStalled,
 )
 from bayesnet_track.observation.image_headers import PictureError
-from bayesnet_track.observation.planes import Depth, Frame
+from bayesnet_track.observation.planes import Depth, Frame, read_only
 from bayesnet_track.sources.entrances.notices import few
 from bayesnet_track.sources.origin import Origin, changed_since, stamps
 from bayesnet_track.sources.paths import SourceError, hide_secrets
 
 Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
+
+Size = tuple[int, int]
+"""Width and height, px."""
+
+
+class Decoded(Protocol):
+    """A picture as a decoder left it, from which pixels of its own size, or fewer, are made."""
+
+    @property
+    def size(self) -> Size:
+        """Width and height, upright."""
+
+    @property
+    def has_color(self) -> bool:
+        """False where its three channels would be copies."""
+
+    def pixels(self, size: Size) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 BGR of that size, no larger than its own; raises PictureError."""
+
+
+class DecodedFrame(Frame):
+    """A frame whose pixels are made when they are asked for: the whole image, or directly a smaller one."""
+
+    _decoded: Decoded | None = None
+    _smaller: NDArray[np.uint8] | None = None
+
+    @classmethod
+    def of(cls, decoded: Decoded, index: int, time: float, time_s: float, stride: int) -> Self:
+        """The frame of a picture; no pixel is made yet."""
+        frame = cls.__new__(cls)
+        frame.__dict__.update(
+            index=index, time=time, has_color=decoded.has_color, time_s=time_s, depth=None, stride=stride
+        )
+        frame.__dict__["_decoded"] = decoded
+        return frame
+
+    @cached_property
+    def image(self) -> NDArray[np.uint8]:
+        """The image; raises PictureError."""
+        assert self._decoded is not None
+        return read_only(self._decoded.pixels(self._decoded.size))
+
+    @property
+    def height(self) -> int:
+        """Rows of the image."""
+        return super().height if self._decoded is None else self._decoded.size[1]
+
+    @property
+    def width(self) -> int:
+        """Columns of the image."""
+        return super().width if self._decoded is None else self._decoded.size[0]
+
+    def smaller(self, size: Size) -> NDArray[np.uint8] | None:
+        """The image in a smaller size, made once; None where only the whole one is there."""
+        if self._decoded is None:
+            return None
+        if self._smaller is None or self._smaller.shape[1::-1] != size:
+            self.__dict__["_smaller"] = read_only(self._decoded.pixels(size))
+        return self._smaller
+
+    def __reduce__(self) -> tuple[type[Frame], tuple[Any, ...]]:
+        return Frame, tuple(getattr(self, field.name) for field in fields(Frame))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +112,7 @@ class Picture:
         time_s: the same in seconds.
         pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
         skipped: how many before it were dropped, since something newer was there.
+        decoded: the picture itself, where its pixels can be made smaller than they are stored.
         complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
             PictureError.
     """
@@ -59,6 +123,7 @@ class Picture:
     pixels: Pixels
     complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
     skipped: int = 0
+    decoded: Decoded | None = None
 
 
 @dataclass(frozen=True)
@@ -152,6 +217,8 @@ class Source:
         stride: every how many-th frame is handed out.
         is_live: whether it goes on however long a frame takes, as a camera does.
         frames: frames handed out so far.
+        tracked: the size that frames are tracked in, where that is a smaller one: then nothing but pixels of
+            this size is made, until somebody asks for a frame's image.
         end_reason: why it ended, in the words of `RunEnded.reason`; end_of_source while nothing is wrong.
         origin: how it was opened, where it can be opened again.
 
@@ -174,6 +241,7 @@ class Source:
         self.is_live = bool(getattr(reader, "is_live", False))
         self.stride = int(getattr(reader, "stride", 1))
         self.frames = 0
+        self.tracked: Size | None = None
         self.end_reason: EndReason = "end_of_source"
         self._reader = reader
         self._start, self._end, self._on_resize = start or 0, end, on_resize
@@ -279,11 +347,8 @@ class Source:
                     f"time runs backwards or stands still: {item.time_s:.6f} s after {last.time_s:.6f} s",
                 )
                 return
-            depth: Depth | None = None
             try:
-                image, has_color = item.pixels()
-                if item.complete is not None:
-                    image, depth = item.complete(image)
+                frame = self._frame(item)
             except PictureError as error:
                 yield self._report_damage(item.index, str(error))
                 continue
@@ -291,22 +356,35 @@ class Source:
             steps = item.skipped + 1
             if last is not None and item.time - last.time >= steps * self._reader.gap_from:
                 yield FramesMissing(item.index, item.time - last.time - steps)
-            now = (image.shape[1], image.shape[0], has_color)
+            now = (frame.width, frame.height, frame.has_color)
             if shape is not None and now != shape:
                 # Depth cannot be brought to another size: its geometry is that of the pixels.
-                action = "stop" if depth is not None and now[:2] != shape[:2] else self._on_resize
+                action = "stop" if frame.depth is not None and now[:2] != shape[:2] else self._on_resize
                 yield FrameSizeChanged(item.index, now[0], now[1], action)
                 if action == "stop":
                     self.end_reason = "frame_size_changed"
                     return
             shape = now
-            if first is not None:
-                image = _resize(image, first.width, first.height)
-            last = Frame(item.index, item.time, image, has_color, item.time_s, depth, self.stride)
+            if first is not None and now[:2] != (first.width, first.height):
+                frame = replace(frame, image=_resize(frame.image, first.width, first.height))
+            last = frame
             first = first or last
             yield last
             if self._end is not None and item.index + 1 >= self._end:
                 return
+
+    def _frame(self, picture: Picture) -> Frame:
+        """The frame of a picture, of which the pixels that are tracked in are made; raises PictureError."""
+        at = (picture.index, picture.time)
+        if picture.decoded is not None and picture.complete is None:
+            frame = DecodedFrame.of(picture.decoded, *at, picture.time_s, self.stride)
+            _ = frame.image if self.tracked is None else frame.smaller(self.tracked)
+            return frame
+        image, has_color = picture.pixels()
+        depth: Depth | None = None
+        if picture.complete is not None:
+            image, depth = picture.complete(image)
+        return Frame(*at, image, has_color, picture.time_s, depth, self.stride)
 
     def _report_damage(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
         self.end_reason = "source_truncated" if truncated else "source_damaged"
@@ -329,8 +407,6 @@ def _gathered(items: Iterable[SourceItem]) -> Generator[SourceItem]:
 
 
 def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    if image.shape[:2] == (height, width):
-        return image
     import cv2
 
     shrinks = image.shape[0] > height or image.shape[1] > width

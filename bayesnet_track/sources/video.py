@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.image_headers import MAX_PIXELS, PictureError
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.frames import Damage, Picture
+from bayesnet_track.sources.frames import Damage, Picture, Size
 from bayesnet_track.sources.paths import SourceError, shown_address
 from bayesnet_track.sources.timing import Declared, Flow, Timing, declared_by, flow_of, timing_of
 
@@ -88,7 +89,7 @@ def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.
         PictureError: the pixel format cannot be converted.
     """
     name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    has_color = not name.startswith(("gray", "mono", "ya8", "ya16"))
+    has_color = _has_color(name)
     is_clear = any(part.is_alpha for part in frame.format.components)
     is_wide = levels.value_range is not None and bits > 8
     try:
@@ -106,9 +107,67 @@ def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.
                 levels.look(_samples(stored), image)
     except FAULTS as error:
         raise PictureError(f"a frame cannot be converted: {words(error)}") from error
+    return _upright(image, _quarter_turns(frame)), has_color
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedPicture:
+    """A decoded frame of which smaller pixels are made without the whole ones (`frames.Decoded`).
+
+    A converter keeps what it prepared for one size: there is one for the whole size and one for a smaller.
+    """
+
+    frame: Any
+    whole: Any
+    smaller: Any
+    levels: Levels
+
+    @property
+    def size(self) -> Size:
+        """Width and height, upright."""
+        size = self.frame.width, self.frame.height
+        return size[::-1] if _quarter_turns(self.frame) % 2 else size
+
+    @property
+    def has_color(self) -> bool:
+        """False where its format has none."""
+        return _has_color(self.frame.format.name)
+
+    def pixels(self, size: Size) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 BGR, upright: the stored values are averaged over areas before they become BGR.
+
+        Raises:
+            PictureError: the pixel format cannot be converted.
+        """
+        if size == self.size:
+            return pixels_of(self.frame, self.whole, self.levels)[0]
+        turns = _quarter_turns(self.frame)
+        width, height = size[::-1] if turns % 2 else size
+        kind = "bgr24" if self.has_color else "gray"
+        try:
+            image = self.smaller.reformat(self.frame, width, height, kind, interpolation="AREA").to_ndarray()
+        except FAULTS as error:
+            raise PictureError(f"a frame cannot be converted: {words(error)}") from error
+        return _upright(image, turns)
+
+
+def _decoded(frame: Any, whole: Any, smaller: Any, levels: Levels) -> DecodedPicture | None:
+    """It as one of which smaller pixels can be made; None where its values are looked at one by one."""
+    parts = frame.format.components
+    is_plain = levels.value_range is None and not any(part.is_alpha for part in parts)
+    if is_plain and (_has_color(frame.format.name) or max(part.bits for part in parts) <= 8):
+        return DecodedPicture(frame, whole, smaller, levels)
+    return None
+
+
+def _has_color(name: str) -> bool:
+    return not name.startswith(("gray", "mono", "ya8", "ya16"))
+
+
+def _upright(image: NDArray[np.uint8], turns: int) -> NDArray[np.uint8]:
     if image.ndim == 2:
         image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
-    return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame))), has_color
+    return np.ascontiguousarray(np.rot90(image, turns))
 
 
 def _plain_gray(name: str, bits: int) -> str:
@@ -202,7 +261,7 @@ class VideoReader:
         self.frame_interval_s = self._timing.interval_s
         self.gap_from = self._timing.gap_from
         # One for all: each would start threads of its own, which end only when the frame is collected.
-        self._reformatter = VideoReformatter()
+        self._reformatter, self._shrinking = VideoReformatter(), VideoReformatter()
         self._index = 0
         self._packets = 0
         self._silent = 0
@@ -294,7 +353,13 @@ class VideoReader:
                 self._index, f"a frame's time, {seconds:.3f} s, is past the declared end, {limit:.3f} s"
             )
         self._end_s = max(self._end_s, seconds + self.frame_interval_s)
-        return Picture(self._index, time, seconds, partial(pixels_of, frame, self._reformatter, self._levels))
+        return Picture(
+            self._index,
+            time,
+            seconds,
+            partial(pixels_of, frame, self._reformatter, self._levels),
+            decoded=_decoded(frame, self._reformatter, self._shrinking, self._levels),
+        )
 
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
