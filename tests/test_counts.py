@@ -84,10 +84,40 @@ def bound_names(tree: ast.Module) -> Iterator[tuple[str, int]]:
             yield node.name, node.lineno
 
 
+@cache
+def models() -> frozenset[str]:
+    """Names of the classes that inherit from pydantic's `BaseModel`, directly or not."""
+    bases = {
+        node.name: {base.id for base in node.bases if isinstance(base, ast.Name)}
+        for module in modules().values()
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.ClassDef)
+    }
+    known = {"BaseModel"}
+    while grown := {name for name, of in bases.items() if of & known} - known:
+        known |= grown
+    return frozenset(known)
+
+
+def keys_of_the_language(tree: ast.Module) -> set[tuple[str, int]]:
+    """Fields of pydantic models with their lines: a graph file names them so."""
+    return {
+        (line.target.id, line.lineno)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and node.name in models()
+        for line in node.body
+        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
+    }
+
+
 def vague_names() -> Iterator[Place]:
-    """Bound names that say nothing of what they hold; `left` is a side in a module that has other sides."""
+    """Bound names that say nothing of what they hold, but for keys of the language.
+
+    `left` is a side in a module that has other sides.
+    """
     for module in modules().values():
-        names = list(bound_names(module.tree))
+        keys = keys_of_the_language(module.tree)
+        names = [bound for bound in bound_names(module.tree) if bound not in keys]
         has_sides = any(name in SIDES for name, _ in names)
         for name, line in names:
             if name.strip("_") in VAGUE and not (name == "left" and has_sides):

@@ -112,14 +112,14 @@ class Layout:
         streaks: its S streaks, and the column of each.
         frames: (S,) how many frames in a row each rule asks for.
         nodes: the nodes below the root, and it, that have `adapt` rules.
-        checked: the agents with a self-check.
+        rules: key and agent of each rule by which an agent switches itself: its streak.
     """
 
     agents: Mapping[str, int]
     streaks: Mapping[Streak, int]
     frames: Ints
     nodes: tuple[str, ...]
-    checked: tuple[str, ...]
+    rules: tuple[Streak, ...]
 
 
 @lru_cache(maxsize=64)
@@ -133,15 +133,14 @@ def layout_of(plate: CheckedTarget) -> Layout:
             rule = getattr(rules, kind)
             if rule is not None:
                 frames[kind, node] = rule.frames
-    checks = {agent: plate.agent(agent).self_check for agent in plate.agents}
-    checked = {agent: check.frames for agent, check in checks.items() if check is not None}
-    frames |= {("self_check", agent): count for agent, count in checked.items()}
+    own = {(key, agent): rule for agent in plate.agents for key, rule in plate.agent(agent).rules.items()}
+    frames |= {streak: rule.frames for streak, rule in own.items()}
     return Layout(
         {agent: column for column, agent in enumerate(plate.agents)},
         {streak: column for column, streak in enumerate(frames)},
         np.array(list(frames.values()), dtype=np.int64),
         nodes,
-        tuple(checked),
+        tuple(own),
     )
 
 

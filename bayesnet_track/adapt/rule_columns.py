@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +21,9 @@ from bayesnet_track.adapt.memory import (
     RuleMemory,
     goes_by_information,
 )
-from bayesnet_track.adapt.rule_inputs import Inside, RuleInputs, apply_test
+from bayesnet_track.adapt.rule_inputs import AgentColumns, GroupMeasures, RuleInputs, apply_test
 from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Condition, Level, Lost
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import changed
@@ -31,7 +32,7 @@ STATUSES = ("tracking", "uncertain", "lost")
 """By their number in `RuleColumns.statuses`."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RuleColumns:
     """Inputs of the rules in one frame: columns of T targets of a plate with the same active agents.
 
@@ -39,90 +40,35 @@ class RuleColumns:
         plate: the checked plate.
         active: the agents that are active, without those that failed or gave no answer.
         statuses: (T,) places in `STATUSES`.
-        uds: inference node -> (T,) UD, px^2.
-        areas: (T,) of the estimates, px^2.
-        fits: (T,) as in `Measures`.
-        agents: those whose contributions are known.
-        nats: (T, A) these.
+        measures: what was measured.
         see: row -> all that the rules of one target see.
-        hidden: (T,) expected shares that others hide; None where nobody does.
-        part_areas: part -> (T,) areas, px^2.
-        agent_uds: agent with a self-check -> (T,) its UD, px^2; NaN where it is not to check itself.
         adaptable: agents that can act locally before they stop.
+        hidden: (T,) expected shares that others hide; None where nobody does.
         score: (T,) probabilities of being on target, or None.
         existence: (T,) probabilities that they exist, or None.
         is_hidden: (T,) whether they probably cannot be seen, by their modes; None where these do not say.
-        insides: (node, radius) -> what of each belief lies within, for the windows that rules ask about.
         pending: (T,) whether something else than a streak asks for a decision; None where nothing does.
     """
 
     plate: CheckedTarget
     active: frozenset[str]
     statuses: Ints
-    uds: Mapping[str, Floats]
-    areas: Floats
-    fits: Floats
-    agents: Sequence[str]
-    nats: Floats
+    measures: GroupMeasures
     see: Callable[[int], RuleInputs]
-    hidden: Floats | None = None
-    part_areas: Mapping[str, Floats] = field(default_factory=dict)
-    agent_uds: Mapping[str, Floats] = field(default_factory=dict)
     adaptable: frozenset[str] = frozenset()
+    hidden: Floats | None = None
     score: Floats | None = None
     existence: Floats | None = None
     is_hidden: Bools | None = None
-    insides: Mapping[tuple[str, float], Sequence[Inside]] = field(default_factory=dict)
     pending: Bools | None = None
 
-    @staticmethod
-    def key(inputs: RuleInputs) -> Hashable:
-        """Equal for targets that make columns together."""
-        known = inputs.score is None, inputs.existence is None, inputs.hiding is None
-        said, parts = (*inputs.measures.contribution,), (*inputs.measures.parts,)
-        return inputs.plate.name, inputs.net.active, said, parts, known
-
-    @classmethod
-    def of(cls, group: Sequence[RuleInputs], checked: Sequence[str]) -> RuleColumns:
-        """The columns of targets with the same key; `checked` agents have a self-check."""
-        head, measures = group[0], [one.measures for one in group]
-        agents = [*head.measures.contribution]
-        hiding = None
-        if head.hiding is not None:
-            hiding = np.array([h is not None and h.hidden > h.level for h in (one.hiding for one in group)])
-        return cls(
-            head.plate,
-            head.net.active,
-            np.array([STATUSES.index(one.net.status) for one in group]),
-            {node: np.array([one.ud_px2[node] for one in measures]) for node in head.measures.ud_px2},
-            np.array([one.area_px2 for one in measures]),
-            np.array([one.fit for one in measures]),
-            agents,
-            np.array([[one.contribution[agent] for agent in agents] for one in measures]),
-            group.__getitem__,
-            np.array([one.hidden for one in group]),
-            {part: np.array([one.parts[part].area_px2 for one in measures]) for part in head.measures.parts},
-            {agent: np.array([_own_ud(one, agent) for one in group]) for agent in checked},
-            head.adaptable,
-            None if head.score is None else np.array([one.score for one in group]),
-            None if head.existence is None else np.array([one.existence for one in group]),
-            hiding,
-            {key: [one.inside[key] for one in measures] for key in head.measures.inside},
-            np.array([_asks(one) for one in group]),
-        )
+    def __len__(self) -> int:
+        """T."""
+        return len(self.statuses)
 
     def area_of(self, node: str) -> Floats:
         """(T,) areas of the estimates that a node is about: of the part, or of the whole target, px^2."""
-        return self.part_areas.get(node, self.areas)
-
-
-def _own_ud(inputs: RuleInputs, agent: str) -> float:
-    checks = agent in inputs.net.active and agent not in inputs.net.by_hand
-    return inputs.measures.agent_ud_px2.get(agent, np.nan) if checks else np.nan
-
-
-def _asks(inputs: RuleInputs) -> bool:
-    return bool(inputs.net.quarantined or inputs.missed or (inputs.call is not None and inputs.call.ran))
+        return self.measures.part_areas.get(node, self.measures.areas)
 
 
 def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools]:
@@ -133,7 +79,7 @@ def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools
     memory = _with_contributions(inputs, memory, _with_uds(inputs, memory))
     shape = memory.counts.shape
     streaks = Streaks(np.zeros(shape, np.bool_), np.zeros(shape), np.zeros(shape, np.bool_))
-    _check_selves(inputs, memory, streaks)
+    _read_agents(inputs, memory, streaks)
     for node in layout.nodes:
         _govern(inputs, memory, node, streaks)
     two_levels = _judge(inputs, memory, streaks)
@@ -144,8 +90,9 @@ def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools
     status = len(STATUS_STREAKS)
     if shape[1] > status:
         is_due |= (counts[:, status:] >= layout.frames[status:]).any(axis=1)
-    for agent in inputs.adaptable.intersection(layout.checked):
-        is_due |= counts[:, layout.streaks["self_check", agent]] > 0
+    for key, agent in layout.rules:
+        if AGENT_RULES[key].adapts_first and agent in inputs.adaptable:
+            is_due |= counts[:, layout.streaks[key, agent]] > 0
     if inputs.pending is not None:
         is_due |= inputs.pending
     if memory.missed.any():
@@ -174,20 +121,20 @@ def _with_contributions(
     inputs: RuleColumns, memory: RuleMemory, baselines: Mapping[tuple[str, frozenset[str]], Baseline]
 ) -> RuleMemory:
     """With what the active agents contributed, and the frame's baselines."""
-    layout = memory.layout
-    if tuple(inputs.agents) == tuple(layout.agents):
-        nats, frames = memory.nats + inputs.nats, memory.frames + 1
+    layout, agents, contributed = memory.layout, inputs.measures.agents, inputs.measures.nats
+    if tuple(agents) == tuple(layout.agents):
+        nats, frames = memory.nats + contributed, memory.frames + 1
     else:
         nats, frames = memory.nats.copy(), memory.frames.copy()
-        for place, agent in enumerate(inputs.agents):
-            nats[:, layout.agents[agent]] += inputs.nats[:, place]
+        for place, agent in enumerate(agents):
+            nats[:, layout.agents[agent]] += contributed[:, place]
             frames[:, layout.agents[agent]] += 1
     rates = memory.worth
     for node in layout.nodes:
         rules = inputs.plate.inference(node).adapt
         if rules is not None and goes_by_information(rules):
-            governed = [k for k, agent in enumerate(inputs.agents) if inputs.plate.governor[agent] == node]
-            contributions = [{inputs.agents[k]: row[k] for k in governed} for row in inputs.nats.tolist()]
+            governed = [k for k, agent in enumerate(agents) if inputs.plate.governor[agent] == node]
+            contributions = [{agents[k]: row[k] for k in governed} for row in contributed.tolist()]
             frames_kept = rules.information.memory_frames
             rates = tuple(
                 {**rate, node: rate.get(node, InformationRate()).after(contribution, frames_kept)}
@@ -199,7 +146,7 @@ def _with_contributions(
 def _with_uds(inputs: RuleColumns, memory: RuleMemory) -> Mapping[tuple[str, frozenset[str]], Baseline]:
     """The baselines with this frame's UD, where it is a quiet one."""
     baselines, is_tracked = dict(memory.baselines), inputs.statuses == 0
-    for node, ud in inputs.uds.items():
+    for node, ud in inputs.measures.uds.items():
         agents, adds = inputs.plate.below[node] & inputs.active, is_tracked
         if not agents:
             continue
@@ -229,22 +176,22 @@ def _read(
     Beside more agents than are on, the baseline of these counts where that of so few is unknown.
     """
     if level is not None and level.kind == "ud_px2":
-        values = inputs.uds[node]
+        values = inputs.measures.uds[node]
         return _Reading(values, values > level.settings, values < level.settings)
     if level is not None:
         scale = _scale(inputs, memory, node, level)
         if beside_more and level.kind == "ud_baseline":
             is_asked = ~(scale > 0.0) & (inputs.statuses == STATUSES.index("lost"))
             scale = np.where(is_asked, memory.levels_px2(node, frozenset()), scale)
-        values = _in_unit(inputs.uds[node], scale)
+        values = _in_unit(inputs.measures.uds[node], scale)
         return _Reading(values, values > level.settings, values < level.settings)
     insides = None
     if test is not None and test.concentrated is not None:
-        insides = inputs.insides.get((node, test.concentrated.within_box))
+        insides = inputs.measures.insides.get((node, test.concentrated.within_box))
     if insides is None or test is None or test.concentrated is None:
-        nothing = np.zeros(len(inputs.areas), np.bool_)
-        return _Reading(np.zeros(len(inputs.areas)), nothing, nothing)
-    pairs = zip(insides, inputs.uds[node].tolist(), strict=True)
+        nothing = np.zeros(len(inputs), np.bool_)
+        return _Reading(np.zeros(len(inputs)), nothing, nothing)
+    pairs = zip(insides, inputs.measures.uds[node].tolist(), strict=True)
     shares = np.array([apply_test(test.concentrated, inside, ud).value for inside, ud in pairs])
     is_above = shares < test.concentrated.share
     return _Reading(shares, is_above, ~is_above)
@@ -253,7 +200,7 @@ def _read(
 def _scale(inputs: RuleColumns, memory: RuleMemory, node: str, level: Level) -> Floats:
     """(T,) a level's unit, px^2; not above 0, or NaN, while it is unknown."""
     if level.kind == "ud_px2":
-        return np.ones(len(inputs.areas))
+        return np.ones(len(inputs))
     if level.kind == "ud_box":
         return inputs.area_of(node)
     return memory.levels_px2(node, inputs.plate.below[node] & inputs.active)
@@ -263,21 +210,23 @@ def _in_unit(ud_px2: Floats, scale: Floats) -> Floats:
     return np.asarray(np.divide(ud_px2, scale, out=np.full(len(scale), np.nan), where=scale > 0.0))
 
 
-def _check_selves(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> None:
-    """Agents whose own UD is above their level.
+def _read_agents(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> None:
+    """Fill in the streaks of the rules by which agents switch themselves.
 
     A streak ends when its agent gives no evidence, and while the target is lost: nobody can be sure of what
     cannot be seen, and the agents are needed when it comes back.
     """
-    for agent, ud in inputs.agent_uds.items():
-        check = inputs.plate.agent(agent).self_check
-        assert check is not None
-        column = memory.layout.streaks["self_check", agent]
-        values = _in_unit(ud, _scale(inputs, memory, inputs.plate.root, check.above))
-        streaks.holds[:, column] = (values > check.above.settings) & (
-            inputs.statuses < STATUSES.index("lost")
-        )
-        streaks.values[:, column] = values
+    rules = memory.layout.rules
+    rows = [inputs.see(row) for row in range(len(inputs))] if rules else ()
+    is_seen = inputs.statuses < STATUSES.index("lost")
+    for key, agent in rules:
+        rule, column = inputs.plate.agent(agent).rules[key], memory.layout.streaks[key, agent]
+        values, level = rule.values(AgentColumns(agent, rows)), rule.level
+        if isinstance(level, Level):
+            values = _in_unit(values, _scale(inputs, memory, inputs.plate.root, level))
+            level = level.settings
+        is_beyond = values > level if rule.relation == ">" else values < level
+        streaks.holds[:, column], streaks.values[:, column] = is_beyond & is_seen, values
 
 
 def _govern(inputs: RuleColumns, memory: RuleMemory, node: str, streaks: Streaks) -> None:
@@ -327,7 +276,7 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
     On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
     """
     reading = _read(inputs, memory, inputs.plate.root, rule.above, None)
-    fits, is_wide, columns = inputs.fits >= rule.fit_below, reading.is_above, memory.layout.streaks
+    fits, is_wide, columns = inputs.measures.fits >= rule.fit_below, reading.is_above, memory.layout.streaks
     if inputs.hidden is not None:
         fits |= inputs.hidden >= 0.5
     if inputs.is_hidden is not None:
@@ -335,7 +284,7 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
     looks_found, values = fits & ~is_wide, np.where(np.isnan(reading.values), 0.0, reading.values)
     for streak, holds, numbers in (
         (LOST, ~looks_found, np.where(fits, values, np.inf)),
-        (UNFIT, ~looks_found, np.where(is_wide, -np.inf, inputs.fits)),
+        (UNFIT, ~looks_found, np.where(is_wide, -np.inf, inputs.measures.fits)),
         (FOUND, looks_found, values),
     ):
         streaks.holds[:, columns[streak]], streaks.values[:, columns[streak]] = holds, numbers

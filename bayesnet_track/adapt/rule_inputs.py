@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Literal
 
-from bayesnet_track.adapt.memory import RuleMemory
+import numpy as np
+
+from bayesnet_track.adapt.memory import RuleMemory, Streak
 from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.rules.agent_rule import AgentMeasure, AgentRule
 from bayesnet_track.graph.spec import Concentrated, Level
-from bayesnet_track.journal.net.target_net import Cause, Concentration, HiddenCause, TargetNet
+from bayesnet_track.journal.net.target_net import Cause, Concentration, HiddenCause, RuleCause, TargetNet
+from bayesnet_track.journal.text.wording import UNIT
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import vouched_share
 
@@ -201,6 +205,50 @@ class Measures:
         return self.parts[node].area_px2 if node in self.parts else self.area_px2
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroupMeasures:
+    """Measures of T targets of a plate, as columns of what rules ask for in every frame.
+
+    Attributes:
+        uds: inference node -> (T,) UD of its belief, px^2.
+        areas: (T,) of the estimates, px^2.
+        fits: (T,) as in `Measures`.
+        agents: those who said something, A of them.
+        nats: (T, A) contributions.
+        of: row -> all that is measured of one target.
+        part_areas: part -> (T,) areas of the estimates, px^2.
+        insides: (node, radius) -> what of each belief lies within, for the windows that rules ask about.
+    """
+
+    uds: Mapping[str, Floats]
+    areas: Floats
+    fits: Floats
+    agents: Sequence[str]
+    nats: Floats
+    of: Callable[[int], Measures]
+    part_areas: Mapping[str, Floats] = field(default_factory=dict)
+    insides: Mapping[tuple[str, float], Sequence[Inside]] = field(default_factory=dict)
+
+    @classmethod
+    def of_each(cls, measures: Sequence[Measures]) -> GroupMeasures:
+        """The columns of targets that were measured one by one, by the same agents."""
+        head = measures[0]
+        agents = (*head.contribution,)
+        nats = [[one.contribution[agent] for agent in agents] for one in measures]
+        return cls(
+            uds={node: np.array([one.ud_px2[node] for one in measures]) for node in head.ud_px2},
+            areas=np.array([one.area_px2 for one in measures]),
+            fits=np.array([one.fit for one in measures]),
+            agents=agents,
+            nats=np.array(nats).reshape(len(measures), len(agents)),
+            of=measures.__getitem__,
+            part_areas={
+                part: np.array([one.parts[part].area_px2 for one in measures]) for part in head.parts
+            },
+            insides={key: [one.inside[key] for one in measures] for key in head.inside},
+        )
+
+
 @dataclass(frozen=True)
 class OnCallOutcome:
     """Outcome of the agents on call in one frame.
@@ -256,6 +304,29 @@ class RuleInputs:
     stride: int = 1
 
 
+@dataclass(frozen=True, eq=False)
+class AgentColumns:
+    """Measures of one agent for T targets in one frame.
+
+    Attributes:
+        agent: the agent.
+        rows: what the rules of each target see.
+    """
+
+    agent: str
+    rows: Sequence[RuleInputs]
+
+    def measured(self, quantity: AgentMeasure) -> Floats:
+        """(T,) the quantity; NaN where the agent gave no evidence, is off, or was switched by hand."""
+        return np.array([self._measured(row, quantity) for row in self.rows])
+
+    def _measured(self, row: RuleInputs, quantity: AgentMeasure) -> float:
+        if self.agent not in row.net.active or self.agent in row.net.by_hand:
+            return np.nan
+        values: Mapping[str, float] = getattr(row.measures, quantity)
+        return values.get(self.agent, np.nan)
+
+
 def baseline_level(
     plate: CheckedTarget, active: frozenset[str], memory: RuleMemory, node: str
 ) -> float | None:
@@ -286,3 +357,21 @@ def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) ->
         return 0
     below = plate.below[node]
     return sum(plate.governor[agent] not in (node, *below) for agent in active & below)
+
+
+def cause_of(
+    now: RuleInputs, memory: RuleMemory, streak: Streak, rule: AgentRule, frames: int
+) -> Cause | RuleCause:
+    """The numbers of a rule by which an agent switches itself, whose streak has reached so many frames."""
+    key, agent = streak
+    value, level, unit = float(rule.values(AgentColumns(agent, (now,)))[0]), rule.level, rule.unit
+    values = memory.streak_values(streak)[-frames:]
+    turning = min(values) if rule.relation == ">" else max(values)
+    if isinstance(level, Level):
+        quiet = baseline_level(now.plate, now.net.active, memory, now.plate.root)
+        reading = read_level(level, value, now.measures.area_px2, quiet)
+        assert reading is not None
+        if rule.cause == "ud":
+            return reading.cause(frames, turning)
+        value, level, unit = reading.value, reading.level, UNIT[reading.unit]
+    return RuleCause(key, rule.quantity, unit, rule.relation, level, value, frames, turning)

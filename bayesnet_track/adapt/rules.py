@@ -3,14 +3,14 @@
 All that is remembered is updated for many targets at once (`rule_columns.remember`). One of them is looked at
 by itself only where a condition has held for as many frames as its rule says.
 
-Order within a frame: agents that failed are tried again when their time is over; agents check themselves;
+Order within a frame: agents that failed are tried again when their time is over; agents stop themselves;
 then each inference node with `adapt` rules activates, or else deactivates one agent; then the target's
 status. Decisions take effect on the next frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +29,7 @@ from bayesnet_track.adapt.rule_inputs import (
     Tested,
     apply_test,
     baseline_level,
+    cause_of,
     count_left_out,
     read_level,
     read_ud,
@@ -65,7 +66,7 @@ def decide_row(
     """
     decisions, ended = readmit(now), list[Streak]()
     missed = give_up_on_missing(now, memory, decisions)
-    _check_selves(now, memory, decisions, ended)
+    _check_agents(now, memory, decisions, ended)
     for node in memory.layout.nodes:
         rules = now.plate.inference(node).adapt
         if rules is not None:
@@ -88,35 +89,42 @@ def _find(
     return None if inside is None else apply_test(test.concentrated, inside, now.measures.ud_px2[node])
 
 
-# ------------------------------------------------------------------------------------ self-checks
+# ------------------------------------------------------------------------------------ rules of agents
 
 
-def _check_selves(
+def _check_agents(
     now: RuleInputs, memory: RuleMemory, decisions: list[Decision], ended: list[Streak]
 ) -> None:
-    """Agents watch their own UD: act locally on each frame above, stop at the one that makes `frames`.
+    """Agents whose rules say so stop themselves; some try to help themselves on each frame before.
 
     The last active agent does not stop itself.
     """
     active = set(now.net.active)
-    quiet = baseline_level(now.plate, now.net.active, memory, now.plate.root)
-    for agent in now.measures.agent_ud_px2 if memory.layout.checked else ():
-        check, streak = now.plate.agent(agent).self_check, ("self_check", agent)
-        count = 0 if check is None else memory.count(streak)
-        if check is None or not count:
+    for streak in _ordered(memory.layout.rules, now):
+        key, agent = streak
+        rule, count = now.plate.agent(agent).rules[key], memory.count(streak)
+        if not count or agent not in active:
             continue
-        ud = now.measures.agent_ud_px2[agent]
-        reading = read_level(check.above, ud, now.measures.area_px2, quiet)
-        assert reading is not None
-        if count >= check.frames and len(active) > 1:
-            rest = check.rest * 2 ** min(now.net.rest_count.get(agent, 0), 20)
-            cause = reading.cause(check.frames, min(memory.streak_values(streak)))
+        if count >= rule.frames and len(active) > 1:
+            rest = rule.rest * 2 ** min(now.net.rest_count.get(agent, 0), 20)
+            cause = cause_of(now, memory, streak, rule, rule.frames)
             decisions.append(SelfStopped(now.frame, now.target, agent, cause, now.frame + 1 + rest))
             active.discard(agent)
-            ended.append(streak)
-        elif agent in now.adaptable and count < check.frames:
-            cause = reading.cause(1, reading.value)
+            ended += [streak for streak in memory.layout.rules if streak[1] == agent]
+        elif rule.adapts_first and agent in now.adaptable and count < rule.frames:
+            cause = cause_of(now, memory, streak, rule, 1)
             decisions.append(LocallyAdapted(now.frame, now.target, agent, count, cause))
+
+
+def _ordered(streaks: Sequence[Streak], now: RuleInputs) -> list[Streak]:
+    """The streaks of agents, those first that said something, in the order in which they were measured."""
+    places = {agent: place for place, agent in enumerate(now.measures.agent_ud_px2)}
+    return sorted(streaks, key=lambda streak: places.get(streak[1], len(places)))
+
+
+def _stopped(decisions: Iterable[Decision]) -> set[str]:
+    """Agents that stopped themselves in this frame."""
+    return {d.node for d in decisions if isinstance(d, SelfStopped)}
 
 
 # ------------------------------------------------------------------------------------ inference nodes
@@ -211,7 +219,7 @@ def _drop_index(
 
     Those that just stopped themselves are out, and those that a person switched on.
     """
-    stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
+    stopped = _stopped(decisions)
     agents = [
         agent
         for agent in now.measures.kl
@@ -238,8 +246,7 @@ def _count_held_on(now: RuleInputs, node: str) -> int:
 
 def _count_left_out_on(now: RuleInputs, node: str, decisions: list[Decision]) -> int:
     """Number of agents that stay on and that the node's rules may not switch."""
-    stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
-    return count_left_out(now.plate, now.net.active - stopped, node)
+    return count_left_out(now.plate, now.net.active - _stopped(decisions), node)
 
 
 def _choose_drop(
@@ -264,7 +271,7 @@ def _choose_drop(
 
 def _wake(now: RuleInputs, decisions: list[Decision]) -> None:
     """With no agent active, switch on all that may be: nothing else could bring the net back."""
-    stopped = {d.node for d in decisions if isinstance(d, SelfStopped | Deactivated)}
+    stopped = _stopped(decisions) | {d.node for d in decisions if isinstance(d, Deactivated)}
     readmitted = any(isinstance(d, Readmitted) and d.on for d in decisions)
     if now.net.active - stopped or readmitted:
         return

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from bayesnet_track.adapt.memory import RuleMemory, layout_of
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
-from bayesnet_track.adapt.rule_inputs import RuleInputs
+from bayesnet_track.adapt.rule_inputs import GroupMeasures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
@@ -18,7 +18,7 @@ from bayesnet_track.engine.groups import FilteredGroup, LiveGroup
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome, score_target
 from bayesnet_track.engine.state import inside_frame, inside_frame_all
 from bayesnet_track.inference.measure import measure
-from bayesnet_track.inference.measure_rows import GroupMeasures, measure_rows
+from bayesnet_track.inference.measure_rows import measure_rows
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
@@ -117,35 +117,18 @@ def rule_columns(
     hidden = filtered.hidden
     existences = [filtered.state(row).existence for row in rows]
     return RuleColumns(
-        compiled.plate,
-        nets[0].active,
-        np.array([STATUSES.index(net.status) for net in nets]),
-        measures.uds,
-        measures.areas,
-        measures.fits,
-        measures.agents,
-        measures.nats,
-        see,
-        np.array(hidden) if any(hidden) else None,
-        measures.part_areas,
-        {agent: _own_uds(agent, nets, measures) for agent in layout_of(compiled.plate).checked},
-        compiled.adaptable,
-        np.array([one.score for one in scores]) if scores else None,
-        None if existences[0] is None else np.array(existences),
-        _probably_hidden(beside),
-        measures.insides,
-        _asks(nets, beside),
+        plate=compiled.plate,
+        active=nets[0].active,
+        statuses=np.array([STATUSES.index(net.status) for net in nets]),
+        measures=measures,
+        see=see,
+        adaptable=compiled.adaptable,
+        hidden=np.array(hidden) if any(hidden) else None,
+        score=np.array([one.score for one in scores]) if scores else None,
+        existence=None if existences[0] is None else np.array(existences),
+        is_hidden=_probably_hidden(beside),
+        pending=_asks(nets, beside),
     )
-
-
-def _own_uds(agent: str, nets: Sequence[TargetNet], measures: GroupMeasures) -> Floats:
-    """(T,) UD of an agent with a self-check, px^2; NaN where it is not to check itself."""
-    checks = [agent in net.active and agent not in net.by_hand for net in nets]
-    uds = [
-        measures.of(row).agent_ud_px2.get(agent, np.nan) if is_checked else np.nan
-        for row, is_checked in enumerate(checks)
-    ]
-    return np.array(uds)
 
 
 def _probably_hidden(beside: Sequence[Filtered | None]) -> Bools | None:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from bayesnet_track.graph.rules.self_check import SelfCheck
 from bayesnet_track.graph.settings.adapt import (
     Activate,
     Adapt,
@@ -24,7 +25,6 @@ from bayesnet_track.graph.settings.adapt import (
     Learn,
     Level,
     Lost,
-    SelfCheck,
 )
 from bayesnet_track.graph.settings.base import AgentChoice, Choice, Empty, Model, Name, Number
 from bayesnet_track.graph.settings.beliefs import (

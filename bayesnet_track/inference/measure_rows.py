@@ -7,13 +7,13 @@ depends on who else is measured.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import Inside, Measures
+from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
@@ -44,48 +44,6 @@ def is_flat(target: CheckedTarget) -> bool:
 def is_alone(plan: Plan) -> bool:
     """True where only one agent says anything: without it the prior is left."""
     return len(plan.observations) == 1 and not plan.factors
-
-
-@dataclass(frozen=True, eq=False)
-class GroupMeasures:
-    """Measures of T targets of a plate, as columns of what rules ask for in every frame.
-
-    Attributes:
-        uds: inference node -> (T,) UD of its belief, px^2.
-        areas: (T,) of the estimates, px^2.
-        fits: (T,) as in `Measures`.
-        agents: those who said something, A of them.
-        nats: (T, A) contributions.
-        of: row -> all that is measured of one target.
-        part_areas: part -> (T,) areas of the estimates, px^2.
-        insides: (node, radius) -> what of each belief lies within, for the windows that rules ask about.
-    """
-
-    uds: Mapping[str, Floats]
-    areas: Floats
-    fits: Floats
-    agents: Sequence[str]
-    nats: Floats
-    of: Callable[[int], Measures]
-    part_areas: Mapping[str, Floats] = field(default_factory=dict)
-    insides: Mapping[tuple[str, float], Sequence[Inside]] = field(default_factory=dict)
-
-    @classmethod
-    def of_each(cls, measures: Sequence[Measures]) -> GroupMeasures:
-        """The columns of targets that were measured one by one, by the same agents."""
-        head = measures[0]
-        agents = (*head.contribution,)
-        nats = [[one.contribution[agent] for agent in agents] for one in measures]
-        return cls(
-            {node: np.array([one.ud_px2[node] for one in measures]) for node in head.ud_px2},
-            np.array([one.area_px2 for one in measures]),
-            np.array([one.fit for one in measures]),
-            agents,
-            np.array(nats).reshape(len(measures), len(agents)),
-            measures.__getitem__,
-            {part: np.array([one.parts[part].area_px2 for one in measures]) for part in head.parts},
-            {key: [one.inside[key] for one in measures] for key in head.inside},
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +117,9 @@ def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2
     heard = np.array([messages[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
     columns = {target.root: np.array(steps.uds)}, areas_px2, fits, agents, nats
     rest = cache(partial(_find_rest, target, plan, heard, steps))
-    return GroupMeasures(*columns, partial(_measures_of, columns, target.root, steps.silent, rest))
+    uds, areas, fits, agents, nats = columns
+    of = partial(_measures_of, columns, target.root, steps.silent, rest)
+    return GroupMeasures(uds=uds, areas=areas, fits=fits, agents=agents, nats=nats, of=of)
 
 
 Columns = tuple[Mapping[str, Floats], Floats, Floats, Sequence[str], Floats]

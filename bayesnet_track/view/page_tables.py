@@ -256,8 +256,8 @@ def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
 
     for name, node in target.spec.nodes.items():
         if isinstance(node, AgentNode):
-            if node.self_check is not None:
-                add(name, "self_check", node.self_check.above, node.self_check.frames)
+            for key, rule in node.rules.items():
+                add(name, key, rule.level if isinstance(rule.level, Level) else None, rule.frames)
         elif isinstance(node, InferenceNode):
             adapt = node.adapt
             if adapt is not None and adapt.activate is not None:
@@ -271,8 +271,8 @@ def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
             lost = (node.lost or Lost()) if name == target.root else None
             if lost is not None and lost.score_below is None and lost.existence_below is None:
                 add(name, "lost", lost.above, lost.frames)
-            for rule in ("score_below", "uncertain_below"):
-                level = None if lost is None else getattr(lost, rule)
+            for key in ("score_below", "uncertain_below"):
+                level = None if lost is None else getattr(lost, key)
                 if level is not None:
-                    rules.append({"node": name, "rule": rule, "unit": "score", "level": level, "frames": 1})
+                    rules.append({"node": name, "rule": key, "unit": "score", "level": level, "frames": 1})
     return rules

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_columns import RuleColumns
-from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
+from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
+from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -27,9 +28,37 @@ class Drive:
         return [d.frame for d in self.of(kind) if node is None or d.node == node]
 
 
+def columns_of(group):
+    """The columns of targets that are judged together, from what the rules see of each."""
+    head, hidden = group[0], [one.hidden for one in group]
+    hiding = [None if one.hiding is None else one.hiding.hidden > one.hiding.level for one in group]
+    ran = [one.call is not None and one.call.ran for one in group]
+    asked = [
+        bool(one.net.quarantined or one.missed or called) for one, called in zip(group, ran, strict=True)
+    ]
+    return RuleColumns(
+        plate=head.plate,
+        active=head.net.active,
+        statuses=np.array([STATUSES.index(one.net.status) for one in group]),
+        measures=GroupMeasures.of_each([one.measures for one in group]),
+        see=group.__getitem__,
+        adaptable=head.adaptable,
+        hidden=np.array(hidden),
+        score=None if head.score is None else np.array([one.score for one in group]),
+        existence=None if head.existence is None else np.array([one.existence for one in group]),
+        is_hidden=None if head.hiding is None else np.array(hiding),
+        pending=np.array(asked),
+    )
+
+
+@pytest.fixture(scope="session")
+def decide_all():
+    """The decisions of one frame for targets that are judged together, and what the rules remember."""
+    return lambda group, memory: decide(columns_of(group), memory)
+
+
 def _decide_one(situation, memory):
-    now = RuleColumns.of([situation], memory.layout.checked)
-    made, memory = decide(now, memory)
+    made, memory = decide(columns_of([situation]), memory)
     return made.get(0, ()), memory
 
 

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.memory import BASELINE_MINIMUM, BASELINE_WINDOW, Baseline, RuleMemory
-from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
-from bayesnet_track.adapt.rules import decide
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
 
@@ -34,19 +32,19 @@ NETS = {
 COUNT, FRAMES = 5, 80
 
 
-def of_one(now, memory):
-    """As `decide`, of one target."""
-    made, memory = decide(RuleColumns.of([now], memory.layout.checked), memory)
-    return made.get(0, ()), memory
+def kind_of(now):
+    """Equal for targets that make columns together."""
+    known = now.score is None, now.existence is None, now.hiding is None
+    return now.net.active, (*now.measures.contribution,), (*now.measures.parts,), known
 
 
-def of_many(several, memories):
+def of_many(several, memories, decide_all):
     """As `decide`, of those together that the rules see alike."""
     found = {}
-    for key in {RuleColumns.key(now) for now in several}:
-        rows = [row for row, now in enumerate(several) if RuleColumns.key(now) == key]
+    for key in {kind_of(now) for now in several}:
+        rows = [row for row, now in enumerate(several) if kind_of(now) == key]
         known = RuleMemory.join([memories[row] for row in rows])
-        made, after = decide(RuleColumns.of([several[row] for row in rows], known.layout.checked), known)
+        made, after = decide_all([several[row] for row in rows], known)
         found |= {row: (made.get(place, ()), after.take([place])) for place, row in enumerate(rows)}
     return [found[row] for row in range(len(several))]
 
@@ -60,7 +58,7 @@ def arrays_of(memory):
 
 
 @pytest.mark.parametrize("rules", NETS)
-def test_a_target_is_judged_as_if_it_were_alone(fakes, rules):
+def test_a_target_is_judged_as_if_it_were_alone(fakes, decide_one, decide_all, rules):
     root, agent = NETS[rules]
     nodes = {name: {"parent": "root", "agent": name, **agent} for name in "ab"}
     plate, _ = fakes.plate({"root": {"fuse": "product", **root}, **nodes})
@@ -85,8 +83,8 @@ def test_a_target_is_judged_as_if_it_were_alone(fakes, rules):
                     float(rng.choice([0.0, 0.6])), score, missed,
                 )
             )  # fmt: skip
-        by_one = [of_one(now, memory) for now, memory in zip(several, alone, strict=True)]
-        by_all = of_many(several, together)
+        by_one = [decide_one(now, memory) for now, memory in zip(several, alone, strict=True)]
+        by_all = of_many(several, together, decide_all)
         assert [made for made, _ in by_all] == [made for made, _ in by_one]
         alone, together = [memory for _, memory in by_one], [memory for _, memory in by_all]
         assert [arrays_of(memory) for memory in together] == [arrays_of(memory) for memory in alone]

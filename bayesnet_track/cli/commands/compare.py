@@ -267,11 +267,8 @@ def what_if(options: argparse.Namespace) -> int:
     if not options.force:
         check_cues(recipe, ())
         check_files(recipe)
-    if options.no_adaptation and not adapts(first.spec):
-        raise UsageError(
-            f"--no-adaptation: no node of {first.spec.name} has `adapt`, `active` or `self_check`: "
-            "all its agents are always on"
-        )
+    if options.no_adaptation:
+        _require_adaptation(first.spec)
     masks = recipe.read_masks()
     graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks)
     out = _folder(options)
@@ -347,11 +344,16 @@ def _track_again(
         return follow(options, results, summary, source.expected_frames, out)
 
 
-def adapts(spec: GraphSpec) -> bool:
-    """Whether anything in the graph switches agents, or begins with one off."""
-    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
-    return any(getattr(node, "adapt", None) or getattr(node, "self_check", None) for node in nodes) or any(
-        getattr(node, "active", True) is not True for node in nodes
+def _require_adaptation(spec: GraphSpec) -> None:
+    """Refuse `--no-adaptation` for a graph of which nothing switches an agent; raises UsageError."""
+    from bayesnet_track.graph.settings.net import ADAPTATION
+
+    if any(node.adapts for target in spec.targets.values() for node in target.nodes.values()):
+        return
+    *keys, final_key = (f"`{key}`" for kind in ADAPTATION.values() for key in kind)
+    raise UsageError(
+        f"--no-adaptation: no node of {spec.name} has {', '.join(keys)} or {final_key}: "
+        "all its agents are always on"
     )
 
 

@@ -92,7 +92,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     lost = root.lost or Lost()
     if lost.existence_below is not None and lost.uncertain_below is not None:
         return None
-    is_plain = node.self_check is None and association.floor is not None and association.appearance == 0.0
+    is_plain = not node.switches_itself and association.floor is not None and association.appearance == 0.0
     if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
         return None
     if not isinstance(motion, LinearMotion) or not _belief_fits(compiled, motion):

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
-from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
+from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.advancing import FilteredGaussians
@@ -44,16 +44,20 @@ def judge_rows(work: FrameWork, filtered: FilteredGaussians) -> JudgedRows:
     rows, updated, numbers = filtered.before, filtered.columns, filtered.numbers
     started, before, rule = work.engine.clock(), rows.columns, rows.rule
     plate, is_lost = rule.compiled.plate, before.is_lost
+    measures = GroupMeasures(
+        uds={rule.root: numbers[:, UD].copy()},
+        areas=numbers[:, AREA].copy(),
+        fits=numbers[:, FIT].copy(),
+        agents=(rule.agent,),
+        nats=numbers[:, NATS, None],
+        of=partial(_measures_of, rows, updated, numbers),
+    )
     now = RuleColumns(
-        plate,
-        rule.active,
-        is_lost * STATUSES.index("lost"),
-        {rule.root: numbers[:, UD].copy()},
-        numbers[:, AREA].copy(),
-        numbers[:, FIT].copy(),
-        (rule.agent,),
-        numbers[:, NATS, None],
-        partial(_see, work, rows, updated, numbers),
+        plate=plate,
+        active=rule.active,
+        statuses=is_lost * STATUSES.index("lost"),
+        measures=measures,
+        see=partial(_see, work, rows, updated, numbers),
         existence=None if rule.crowd is None else updated.existence,
     )
     made, memory = decide(now, before.memory)
@@ -66,20 +70,24 @@ def judge_rows(work: FrameWork, filtered: FilteredGaussians) -> JudgedRows:
     return JudgedRows(rows, after, RowMeasures(numbers, memory.levels_px2(rule.root, rule.active)), decisions)
 
 
+def _measures_of(rows: Rows, after: Columns, numbers: Floats, row: int) -> Measures:
+    """All that is measured of one target."""
+    ud, fit, area = numbers[row, [UD, FIT, AREA]].tolist()
+    silent = () if after.given[row] == GIVEN else (rows.rule.agent,)
+    return Measures({rows.rule.root: ud}, {}, {}, {}, {}, fit, area, silent)
+
+
 def _see(work: FrameWork, rows: Rows, after: Columns, numbers: Floats, row: int) -> RuleInputs:
     """Inputs of the rules of one target."""
     rule, target = rows.rule, rows.ids[row]
-    ud, fit, area = numbers[row, [UD, FIT, AREA]].tolist()
-    silent = () if after.given[row] == GIVEN else (rule.agent,)
     existence = None if rule.crowd is None else float(after.existence[row])
-    measures = Measures({rule.root: ud}, {}, {}, {}, {}, fit, area, silent)
     compiled, net = rule.compiled, work.net.targets[target]
     return RuleInputs(
         work.frame.index,
         target,
         compiled.plate,
         net,
-        measures,
+        _measures_of(rows, after, numbers, row),
         compiled.costs_ms,
         compiled.adaptable,
         existence=existence,

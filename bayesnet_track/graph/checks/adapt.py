@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from bayesnet_track.graph.checks.cues import declares
 from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.rules.agent_rule import AgentPlace
 from bayesnet_track.graph.settings.adapt import Concentrated, Information, Lost
 from bayesnet_track.graph.settings.scores import FEATURES
 from bayesnet_track.graph.text.messages import GraphMessage
@@ -142,7 +143,18 @@ def called_agents_begin_on(plate: Plate) -> Iterator[GraphMessage]:
                 yield plate.message(agent, found, "active: true", key=("active",))
 
 
+def rules_of_agents_fit(plate: Plate) -> Iterator[GraphMessage]:
+    """The settings of a rule by which an agent switches itself are possible where the agent stands."""
+    for name, node in plate.agents.items():
+        siblings = tuple(agent for agent in plate.agents if agent != name)
+        for key, rule in node.rules.items():
+            for flaw in rule.flaws(AgentPlace(name, plate.cues.get(node.agent.cue), siblings)):
+                problem = f"{key}.{flaw.key}: {flaw.problem}"
+                yield plate.message(name, problem, flaw.remedy, key=(key, flaw.key))
+
+
 ADAPT_CHECKS: tuple[Check, ...] = (
+    rules_of_agents_fit,
     calls_have_a_caller,
     calls_say_when_to_learn,
     called_agents_begin_on,

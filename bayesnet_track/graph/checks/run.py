@@ -40,6 +40,7 @@ from bayesnet_track.graph.checks.motion import (
     gaussians_are_looked_for,
 )
 from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
 from bayesnet_track.graph.text.explain import explain
@@ -172,14 +173,11 @@ def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
             found = f"deactivate can never fire: keep is {adapt.keep} of {count} agents"
             allowed = "more agents, a smaller keep, or no such rule"
             yield plate.message(name, found, allowed, key=("adapt", "deactivate"), on_key=True)
-        elif adapt.deactivate is None and all(_stays_on(plate, agent) for agent in agents):
+        elif adapt.deactivate is None and not any(plate.agents[agent].adapts for agent in agents):
             found = "activate can never fire: every agent here is on, and nothing switches one off"
-            allowed = "a deactivate rule, a self_check, active: false, or no such rule"
+            rules_of_agents = ", ".join(f"a {key}" for key in AGENT_RULES)
+            allowed = f"a deactivate rule, {rules_of_agents}, active: false, or no such rule"
             yield plate.message(name, found, allowed, key=("adapt", "activate"), on_key=True)
-
-
-def _stays_on(plate: Plate, agent: str) -> bool:
-    return plate.agents[agent].active and plate.agents[agent].self_check is None
 
 
 def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:

@@ -242,18 +242,3 @@ class Lost(Model):
         "0.3 is a good value; default: cuts are not noticed",
     )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
-
-
-class SelfCheck(Model):
-    """An agent whose own likelihood is too wide first tries to sharpen it, then stops itself.
-
-    After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule
-    above it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate.
-    The last active agent never stops itself, and none does while the target is lost.
-    """
-
-    above: Level = Field(description="level of UD")
-    frames: FrameCount = Field(default=10, description="consecutive frames above the level before it stops")
-    rest: FrameCount = Field(
-        default=50, description="frames before it may be switched on again; doubles each time"
-    )

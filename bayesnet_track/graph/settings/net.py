@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal
+from functools import cached_property
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Discriminator, Field, Tag
 
 from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
-from bayesnet_track.graph.settings.adapt import Adapt, Learn, Lost, SelfCheck
+from bayesnet_track.graph.rules.agent_rule import AgentRule
+from bayesnet_track.graph.rules.self_check import SelfCheck
+from bayesnet_track.graph.settings.adapt import Adapt, Learn, Lost
 from bayesnet_track.graph.settings.base import (
     AgentChoice,
     Choice,
@@ -267,6 +271,11 @@ class InferenceNode(Model):
         default=None, description="root only; an alarm that is seldom false in a whole video; needs `score`"
     )
 
+    @property
+    def adapts(self) -> bool:
+        """True where the node switches agents."""
+        return self.adapt is not None
+
 
 class AgentNode(Model):
     """A leaf: a visual cue that scores each hypothesis.
@@ -299,6 +308,33 @@ class AgentNode(Model):
         "`--executor` says",
     )
 
+    @cached_property
+    def rules(self) -> Mapping[str, AgentRule]:
+        """Key -> rule, of the rules by which the agent switches itself off."""
+        return {key: rule for key in AGENT_RULES if (rule := getattr(self, key)) is not None}
+
+    @property
+    def switches_itself(self) -> bool:
+        """True with a rule by which the agent switches itself off."""
+        return bool(self.rules)
+
+    @property
+    def adapts(self) -> bool:
+        """True for an agent that begins switched off, or has a rule of its own that stops it."""
+        return self.switches_itself or not self.active
+
+
+def _rule_of(annotation: Any) -> type[AgentRule] | None:
+    """The kind of rule that a field of an agent holds; None for every other field."""
+    kinds = [part for part in get_args(annotation) if isinstance(part, type) and issubclass(part, AgentRule)]
+    return kinds[0] if kinds else None
+
+
+AGENT_RULES: Mapping[str, type[AgentRule]] = MappingProxyType(
+    {key: rule for key, field in AgentNode.model_fields.items() if (rule := _rule_of(field.annotation))}
+)
+"""Key of an agent node -> the rule that it holds, by which the agent switches itself off."""
+
 
 class FactorNode(Model):
     """A leaf that weighs each hypothesis by an [expression](expressions.md) or a mask, not by the frame.
@@ -329,6 +365,11 @@ class FactorNode(Model):
         """What it says, the default included."""
         return "mask(x, y)" if self.factor is None else self.factor
 
+    @property
+    def adapts(self) -> bool:
+        """False: a factor is always on."""
+        return False
+
 
 def node_kind(value: Any) -> str:
     """Which of the nodes a value is, or is to be: agent, factor or inference."""
@@ -337,6 +378,12 @@ def node_kind(value: Any) -> str:
     if not isinstance(value, Mapping):
         return "inference"
     return "agent" if "agent" in value else "factor" if {"factor", "mask"} & value.keys() else "inference"
+
+
+ADAPTATION: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"inference": ("adapt",), "agent": ("active", *AGENT_RULES), "factor": ()}
+)
+"""Kind of node -> its keys that switch agents, or leave one off at the start."""
 
 
 Node = Annotated[

@@ -11,6 +11,7 @@ import yaml
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.settings.net import ADAPTATION, node_kind
 from bayesnet_track.graph.text.messages import GraphError, listed, nearest, shown_name
 from bayesnet_track.graph.text.write import flow_text
 from bayesnet_track.observation.image_files import Mask
@@ -59,7 +60,7 @@ def always_on(data: Mapping[str, Any]) -> dict[str, Any]:
     changed = deepcopy(dict(data))
     for target in changed["targets"].values():
         for node in target["nodes"].values():
-            for key in ("active", "self_check") if "agent" in node else ("adapt",):
+            for key in ADAPTATION[node_kind(node)]:
                 node.pop(key, None)
     return changed
 

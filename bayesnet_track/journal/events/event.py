@@ -15,6 +15,7 @@ from __future__ import annotations
 from bayesnet_track.journal.events import beliefs, faults, joins, lives, load, runs, statuses, switches
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, Released, SpareTime, Toggled
+from bayesnet_track.journal.net.net import Decision
 
 Input = Toggled | Released | AgentMissed | LateFrame | SpareTime
 """A line of ``inputs.jsonl``."""
@@ -41,17 +42,12 @@ Event = (
     | statuses.AlarmRaised
     | statuses.AlarmEnded
     | statuses.FoundAgain
-    | lives.TargetStarted
     | lives.CandidateConfirmed
     | lives.BirthsRefused
     | lives.DetectorFailed
     | lives.DetectionsCut
-    | faults.Quarantined
-    | faults.Readmitted
     | faults.AgentMissed
     | faults.VerifierFailed
-    | load.Toggled
-    | load.Released
     | load.InputRefused
     | faults.FactorFlawed
     | faults.MotionFlawed
@@ -61,20 +57,5 @@ Event = (
     | joins.AttachmentChanged
     | joins.RingChanged
     | runs.RunEnded
-    | switches.Activated
-    | switches.Deactivated
-    | switches.Scheduled
-    | switches.LocallyAdapted
-    | switches.SelfStopped
-    | load.Shed
-    | load.TakenBack
-    | load.ParticlesLimited
-    | statuses.StatusChanged
-    | statuses.SceneCut
-    | lives.Returned
-    | lives.Reacquired
-    | lives.TargetDied
-    | lives.DuplicateEnded
-    | joins.Joined
-    | joins.Parted
+    | Decision
 )

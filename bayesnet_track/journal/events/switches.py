@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from bayesnet_track.journal.net.target_net import Cause, Concentration, TargetNet, Turn
+from bayesnet_track.journal.net.target_net import Cause, Concentration, RuleCause, TargetNet, Turn
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 
 
@@ -228,6 +228,24 @@ def _chosen_among(event: Deactivated) -> str:
     return f" ({what} {own:.2f} against {second} {others[second]:.2f})"
 
 
+def _own(cause: Cause | RuleCause) -> str:
+    """The condition of an agent's own rule in numbers."""
+    if isinstance(cause, Cause):
+        return f"own {held(cause, '>')}"
+    value, level = distinct_texts(cause.value, cause.level)
+    span = plural(cause.frames, "frame")
+    return f"{cause.quantity} {value}{cause.unit} {cause.relation} {level} for {span}"
+
+
+def _own_turn(cause: Cause | RuleCause) -> str:
+    """The key of an agent's own rule, and the level at which it would not have fired."""
+    if isinstance(cause, Cause):
+        return f"self_check ≥ {show_turn(cause, up=True)}"
+    is_above = cause.relation == ">"
+    turn = round_away(cause.turning, decimals(cause.turning, cause.level), is_above)
+    return f"{cause.rule} {'≥' if is_above else '≤'} {turn}{cause.unit}"
+
+
 @dataclass(frozen=True)
 class LocallyAdapted:
     """An agent whose own likelihood was too wide sharpened it instead of stopping.
@@ -237,18 +255,18 @@ class LocallyAdapted:
         target: target id.
         node: the agent.
         attempt: how often it has tried in this episode, from 1.
-        cause: the numbers (the agent's own UD).
+        cause: the numbers (the agent's own UD, or of another rule).
     """
 
     frame: int
     target: str
     node: str
     attempt: int
-    cause: Cause
+    cause: Cause | RuleCause
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        return f"{self.node}: its own {held(self.cause, '>')} → adapted itself, attempt {self.attempt}"
+        return f"{self.node}: its {_own(self.cause)} → adapted itself, attempt {self.attempt}"
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
@@ -263,22 +281,21 @@ class SelfStopped:
         frame: frame whose numbers caused it.
         target: target id.
         node: the agent.
-        cause: the numbers (the agent's own UD).
+        cause: the numbers (the agent's own UD, or of another rule).
         rests_until: first frame at which it may be switched on again.
     """
 
     frame: int
     target: str
     node: str
-    cause: Cause
+    cause: Cause | RuleCause
     rests_until: int
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         return (
-            f"{self.node}: its own {held(self.cause, '>')} → stopped itself; may be switched on again "
-            f"from frame {self.rests_until}; would have continued at self_check ≥ "
-            f"{show_turn(self.cause, up=True)}"
+            f"{self.node}: its {_own(self.cause)} → stopped itself; may be switched on again "
+            f"from frame {self.rests_until}; would have continued at {_own_turn(self.cause)}"
         )
 
     def shorten(self) -> str:

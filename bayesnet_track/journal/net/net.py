@@ -16,30 +16,6 @@ from bayesnet_track.journal.events.load import TakenBack, Toggled
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.target_net import TargetNet
 
-Decision = (
-    lives.TargetStarted
-    | switches.Activated
-    | switches.Deactivated
-    | switches.Scheduled
-    | switches.LocallyAdapted
-    | switches.SelfStopped
-    | faults.Quarantined
-    | faults.Readmitted
-    | load.Toggled
-    | load.Released
-    | load.Shed
-    | load.TakenBack
-    | load.ParticlesLimited
-    | statuses.StatusChanged
-    | statuses.SceneCut
-    | lives.Returned
-    | lives.Reacquired
-    | lives.TargetDied
-    | lives.DuplicateEnded
-    | joins.Joined
-    | joins.Parted
-)
-
 Switch = (
     switches.Activated
     | switches.Deactivated
@@ -51,6 +27,23 @@ Switch = (
     | load.TakenBack
 )
 """A decision that switches an agent."""
+
+Decision = (
+    lives.TargetStarted
+    | Switch
+    | switches.Scheduled
+    | switches.LocallyAdapted
+    | load.Released
+    | load.ParticlesLimited
+    | statuses.StatusChanged
+    | statuses.SceneCut
+    | lives.Returned
+    | lives.Reacquired
+    | lives.TargetDied
+    | lives.DuplicateEnded
+    | joins.Joined
+    | joins.Parted
+)
 
 STARTS = (lives.TargetStarted, lives.Returned)
 """Decisions that a net starts with."""

@@ -111,6 +111,31 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class RuleCause:
+    """The numbers that made an agent's own rule fire, whose threshold is a plain number, with their words.
+
+    Attributes:
+        rule: the key of the rule.
+        quantity: what was compared, in words.
+        unit: its unit, with the space before it.
+        relation: `>` if the rule fires above the threshold, `<` if below.
+        level: the threshold.
+        value: the quantity at this frame.
+        frames: how many consecutive frames it had to hold.
+        turning: the threshold at which the rule would not have fired.
+    """
+
+    rule: str
+    quantity: str
+    unit: str
+    relation: str
+    level: float
+    value: float
+    frames: int
+    turning: float
+
+
+@dataclass(frozen=True)
 class ScoreCause:
     """The numbers that made a threshold of the score fire.
 

@@ -18,7 +18,7 @@ from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded, S
 from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled, SelfStopped
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.net.target_net import Cause, Concentration, FitCause, ScoreCause
+from bayesnet_track.journal.net.target_net import Cause, Concentration, FitCause, RuleCause, ScoreCause
 from bayesnet_track.journal.text.wording import UNIT
 
 
@@ -285,6 +285,9 @@ def _levels(events: Sequence[Event]) -> list[str]:
             found[f"{'below' if cause.fell else 'from'} a score of {cause.level:g} {event.status}"] = None
         if isinstance(cause, FitCause):
             found[f"lost below a likelihood of {cause.level:g} of a perfect match"] = None
+        if isinstance(cause, RuleCause) and isinstance(event, SelfStopped):
+            side = "above" if cause.relation == ">" else "below"
+            found[f"{event.node} stops itself {side} {cause.level:g}{cause.unit} ({cause.rule})"] = None
         if not isinstance(cause, Cause):
             continue
         level = f"{cause.level:g}{UNIT[cause.unit]}"

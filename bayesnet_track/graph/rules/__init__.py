@@ -1,0 +1,1 @@
+"""Rules by which agents switch themselves, one file each."""
