@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter, defaultdict
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from bayesnet_track.journal.blocks import Blocks, spans
+from bayesnet_track.journal.compare_measures import (
+    COLUMNS,
+    Apart,
+    Distances,
+    Evidence,
+    Figures,
+    Total,
+    pair_targets,
+    target_ids,
+)
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import Joined, Parted
-from bayesnet_track.journal.events.lives import CandidateConfirmed, Returned, TargetStarted
+from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision, Switch
-from bayesnet_track.journal.text.wording import plural
+from bayesnet_track.journal.net.net import Decision
 
 SHIFT = 10
 """Frames by which the same decision may come earlier or later and still count as the same moment."""
@@ -61,10 +71,11 @@ def find_moments(
         agreed += len(same)
         shifted, rest_a, rest_b = _match(rest_a, rest_b, SHIFT, named)
         moments += [Moment(min(x.frame, y.frame), *place, (x,), (y,)) for x, y in shifted]
-        for frame in sorted({event.frame for event in (*rest_a, *rest_b)}):
-            only_a = tuple(event for event in rest_a if event.frame == frame)
-            only_b = tuple(event for event in rest_b if event.frame == frame)
-            moments.append(Moment(frame, *place, only_a, only_b))
+        alone: dict[int, tuple[list[Decision], list[Decision]]] = {}
+        for side, rest in enumerate((rest_a, rest_b)):
+            for event in rest:
+                alone.setdefault(event.frame, ([], []))[side].append(event)
+        moments += [Moment(frame, *place, tuple(x), tuple(y)) for frame, (x, y) in alone.items()]
     return agreed, tuple(sorted(moments, key=lambda moment: (moment.frame, moment.pair, moment.node)))
 
 
@@ -86,11 +97,12 @@ def _match(
     a: Sequence[Decision], b: Sequence[Decision], within: int, named: bool
 ) -> tuple[list[tuple[Decision, Decision]], list[Decision], list[Decision]]:
     """Decisions of the same effect at most `within` frames apart, the nearest first; and what is left."""
+    frames = [event.frame for event in b]  # in order, as a journal is
     near = [
-        (abs(x.frame - y.frame), i, j)
+        (abs(x.frame - b[j].frame), i, j)
         for i, x in enumerate(a)
-        for j, y in enumerate(b)
-        if abs(x.frame - y.frame) <= within and _effect(x, named) == _effect(y, named)
+        for j in range(bisect_left(frames, x.frame - within), bisect_right(frames, x.frame + within))
+        if _effect(x, named) == _effect(b[j], named)
     ]
     used: dict[int, int] = {}
     taken: set[int] = set()
@@ -121,13 +133,6 @@ def _effect(event: Decision, named: bool) -> tuple[object, ...]:
     return type(event), getattr(event, "on", None)
 
 
-MOST = 0.9
-"""Share of the frames that must have evidence of the same agents for one run to explain the video better."""
-
-NEAR = 0.5
-"""Two boxes hold the same target when their centres are nearer than this share of their mean size."""
-
-
 class RunRecord(Protocol):
     """A run as it was read back."""
 
@@ -153,32 +158,6 @@ class RunRecord(Protocol):
 
 
 @dataclass(frozen=True)
-class Distance:
-    """Distance of the two estimates of a target in one frame: centres in px, and the overlap (IoU)."""
-
-    frame: int
-    px: float
-    iou: float
-
-
-@dataclass(frozen=True)
-class Total:
-    """One figure of both runs; None where it was not measured.
-
-    Attributes:
-        name: what it is, with its unit.
-        first: the first run's.
-        second: the second run's.
-        less_is_better: True or False; None where neither is better in itself.
-    """
-
-    name: str
-    first: float | None
-    second: float | None
-    less_is_better: bool | None = None
-
-
-@dataclass(frozen=True)
 class Comparison:
     """Common parts and differences of two runs.
 
@@ -190,6 +169,7 @@ class Comparison:
         distances: pair -> distance in each frame that both have.
         first_apart: first frame in which an estimate differs at all; None when none does.
         totals: figures of both, over the frames that are compared.
+        evidence: log-evidence of both, which compares graphs with the same agents.
         last_frames: last frame of each; what is beyond the earlier one is not compared.
     """
 
@@ -197,9 +177,10 @@ class Comparison:
     alone: tuple[tuple[str, ...], tuple[str, ...]]
     agreed: int
     moments: tuple[Moment, ...]
-    distances: Mapping[tuple[str, str], tuple[Distance, ...]]
+    distances: Mapping[tuple[str, str], Distances]
     first_apart: int | None
     totals: tuple[Total, ...]
+    evidence: Total
     last_frames: tuple[int, int]
 
 
@@ -208,166 +189,39 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
 
     Given targets are paired by id; those that were born by detection by where they are.
     """
-    last_frames = (_last_frame(first), _last_frame(second))
-    first, second = _Cut(first, min(last_frames)), _Cut(second, min(last_frames))
-    pairs = pair_targets(first, second)
-    agreed, moments = find_moments(
-        [event for event in first.events if isinstance(event, Decision)],
-        [event for event in second.events if isinstance(event, Decision)],
-        pairs,
+    runs = first, second
+    sides = [Blocks(run.metrics, COLUMNS) for run in runs]
+    last = [max(side.last, *run.seconds, -1) for side, run in zip(sides, runs, strict=True)]
+    end = min(last) + 1
+    events = [[event for event in run.events if getattr(event, "frame", 0) < end] for run in runs]
+    pairs = pair_targets(events, [Blocks(run.metrics, ["box"]) for run in runs], end)
+    decisions = [[event for event in of_run if isinstance(event, Decision)] for of_run in events]
+    agreed, moments = find_moments(decisions[0], decisions[1], pairs)
+    apart, evidence, figures = Apart(pairs, sides), Evidence(), [Figures(side) for side in sides]
+    for span in spans(sides, end):
+        blocks = [side.read(*span) for side in sides]
+        for of_run, block in zip(figures, blocks, strict=True):
+            of_run.add(block)
+        evidence.add(blocks[0], blocks[1], *apart.add(blocks[0], blocks[1]))
+    ids = [target_ids(of_run) for of_run in events]
+    paired = [{pair[side] for pair in pairs} for side in (0, 1)]
+    a, b = (
+        of_run.table(some, {frame: s for frame, s in run.seconds.items() if frame < end}, run.costs_ms)
+        for of_run, some, run in zip(figures, events, runs, strict=True)
     )
-    distances = {pair: _distances(first.metrics, second.metrics, pair) for pair in pairs}
-    apart = [one.frame for line in distances.values() for one in line if one.px > 0 or one.iou < 1]
-    known = (_ids(first), _ids(second))
+    # A clock's figures differ as much between equal runs on a busy machine.
+    better = ("agents per frame", "declared ms per frame", "frames lost", "median UD, px²")
     return Comparison(
         pairs=pairs,
         alone=(
-            tuple(target for target in known[0] if target not in dict(pairs)),
-            tuple(target for target in known[1] if target not in {b for _, b in pairs}),
+            tuple(target for target in ids[0] if target not in paired[0]),
+            tuple(target for target in ids[1] if target not in paired[1]),
         ),
         agreed=agreed,
         moments=moments,
-        distances=distances,
-        first_apart=min(apart, default=None),
-        totals=_totals(first, second),
-        last_frames=last_frames,
+        distances=apart.distances(),
+        first_apart=apart.first_apart,
+        totals=tuple(Total(name, a[name], b[name], True if name in better else None) for name in a),
+        evidence=evidence.total(),
+        last_frames=(last[0], last[1]),
     )
-
-
-class _Cut:
-    """A run up to a frame."""
-
-    def __init__(self, run: RunRecord, last: int) -> None:
-        self.name, self.costs_ms = run.name, run.costs_ms
-        self.events = [event for event in run.events if getattr(event, "frame", 0) <= last]
-        self.metrics = [line for line in run.metrics if line.frame <= last]
-        self.seconds = {frame: seconds for frame, seconds in run.seconds.items() if frame <= last}
-
-
-def _last_frame(run: RunRecord) -> int:
-    return max((*(line.frame for line in run.metrics), *run.seconds), default=-1)
-
-
-# ------------------------------------------------------------------------------------ which target is which
-
-
-def pair_targets(first: RunRecord, second: RunRecord) -> tuple[tuple[str, str], ...]:
-    """Ids of the same target in both runs: equal where given, else those that are together the longest."""
-    born = {
-        event.target
-        for run in (first, second)
-        for event in run.events
-        if isinstance(event, CandidateConfirmed)
-    }
-    given = [target for target in _ids(first) if target in _ids(second) and target not in born]
-    left = [_by_frame(run.metrics, set(given)) for run in (first, second)]
-    together: Counter[tuple[str, str]] = Counter()
-    for frame in left[0].keys() & left[1].keys():
-        for a in left[0][frame]:
-            for b in left[1][frame]:
-                size = math.sqrt(math.sqrt(math.prod(a.centre_box[2:]) * math.prod(b.centre_box[2:])))
-                if math.dist(a.centre_box[:2], b.centre_box[:2]) < NEAR * size:
-                    together[a.target, b.target] += 1
-    pairs = {target: target for target in given}
-    for (mine, theirs), _ in sorted(together.items(), key=lambda item: (-item[1], item[0])):
-        if mine not in pairs and theirs not in pairs.values():
-            pairs[mine] = theirs
-    return tuple((target, pairs[target]) for target in _ids(first) if target in pairs)
-
-
-def _ids(run: RunRecord) -> list[str]:
-    started = TargetStarted | Returned
-    return list(dict.fromkeys(event.target for event in run.events if isinstance(event, started)))
-
-
-def _by_frame(metrics: Iterable[FrameMetrics], without: set[str]) -> dict[int, list[FrameMetrics]]:
-    found: dict[int, list[FrameMetrics]] = defaultdict(list)
-    for line in metrics:
-        if line.target not in without:
-            found[line.frame].append(line)
-    return found
-
-
-# ------------------------------------------------------------------------------------ what differs in numbers
-
-
-def _distances(
-    first: Sequence[FrameMetrics], second: Sequence[FrameMetrics], pair: tuple[str, str]
-) -> tuple[Distance, ...]:
-    theirs = {line.frame: line.centre_box for line in second if line.target == pair[1]}
-    mine = ((line.frame, line.centre_box) for line in first if line.target == pair[0])
-    return tuple(_distance(frame, box, theirs[frame]) for frame, box in mine if frame in theirs)
-
-
-def _distance(frame: int, a: Sequence[float], b: Sequence[float]) -> Distance:
-    sides = [
-        max(
-            0.0, min(a[k] + a[k + 2] / 2, b[k] + b[k + 2] / 2) - max(a[k] - a[k + 2] / 2, b[k] - b[k + 2] / 2)
-        )
-        for k in (0, 1)
-    ]
-    shared = math.prod(sides)
-    union = a[2] * a[3] + b[2] * b[3] - shared
-    same = tuple(a) == tuple(b)
-    return Distance(frame, math.hypot(a[0] - b[0], a[1] - b[1]), 1.0 if same else shared / union)
-
-
-def _totals(first: RunRecord, second: RunRecord) -> tuple[Total, ...]:
-    mine, theirs = _figures(first), _figures(second)
-    # A clock's figures differ as much between equal runs on a busy machine.
-    better = ("agents per frame", "declared ms per frame", "frames lost", "median UD, px²")
-    return tuple(Total(name, mine[name], theirs[name], True if name in better else None) for name in mine)
-
-
-def total_evidence(first: RunRecord, second: RunRecord, pairs: Iterable[tuple[str, str]]) -> Total:
-    """The log-evidence of both, over the frames of `pairs` in which the same agents gave evidence.
-
-    It compares models of one and the same evidence: the graphs must have the same agents. The name says how
-    many frames count. Where less than `MOST` of them do, neither is called better: a run that lost its target
-    has no evidence in the frames that would have told against it.
-    """
-    sums, frames, common = [0.0, 0.0], 0, 0
-    for mine, theirs in pairs:
-        others = {line.frame: line for line in second.metrics if line.target == theirs}
-        for line in first.metrics:
-            other = others.get(line.frame)
-            if line.target != mine or other is None or not (line.kl or other.kl):
-                continue
-            common += 1
-            values = line.log_evidence, other.log_evidence
-            if line.kl.keys() == other.kl.keys() and all(map(math.isfinite, values)):
-                sums = [total + value for total, value in zip(sums, values, strict=True)]
-                frames += 1
-    if not frames:
-        return Total("log-evidence, nats", None, None)
-    name = f"log-evidence, nats ({frames} of {plural(common, 'frame')})"
-    return Total(name, sums[0], sums[1], False if frames >= MOST * common else None)
-
-
-def _figures(run: RunRecord) -> dict[str, float | None]:
-    frames = {line.frame for line in run.metrics} | run.seconds.keys()
-    count = len(frames)
-    kinds = {e.target: e.template for e in run.events if isinstance(e, TargetStarted | Returned)}
-    declared = [
-        run.costs_ms.get((kinds.get(line.target, ""), agent)) for line in run.metrics for agent in line.active
-    ]
-    known = [cost for cost in declared if cost is not None]
-    # The first frame of a process pays for compiling and loading.
-    measured = sorted(seconds for frame, seconds in run.seconds.items() if frame != min(run.seconds))
-    uds = sorted(line.ud_px2 for line in run.metrics if math.isfinite(line.ud_px2))
-
-    def per_frame(total: float) -> float | None:
-        return total / count if count else None
-
-    return {
-        "frames": float(count),
-        "targets": float(len(_ids(run))),
-        "agents per frame": per_frame(sum(len(line.active) for line in run.metrics)),
-        "declared ms per frame": per_frame(sum(known)) if len(known) == len(declared) else None,
-        "measured ms per frame": 1000 * sum(measured) / len(measured) if measured else None,
-        "measured ms, median frame": 1000 * measured[len(measured) // 2] if measured else None,
-        "hypotheses per frame": per_frame(sum(line.particles for line in run.metrics)),
-        "reconfigurations": float(sum(isinstance(event, Switch) for event in run.events)),
-        "frames lost": float(sum(line.status == "lost" for line in run.metrics)),
-        "median UD, px²": uds[len(uds) // 2] if uds else None,
-    }

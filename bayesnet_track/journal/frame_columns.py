@@ -43,6 +43,11 @@ _BETWEEN = 1e-4
 
 def columns_of(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[str, NDArray[Any]]:
     """The columns of the lines of one frame, at least one; their `cloud` only with `hypotheses`."""
+    return narrowed(all_columns(lines, hypotheses))
+
+
+def all_columns(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[str, NDArray[Any]]:
+    """The same in double precision, also columns that say nothing."""
     first = lines[0]
     columns: dict[str, NDArray[Any]] = {
         "frame": np.array(first.frame, dtype="<i8"),
@@ -71,7 +76,7 @@ def columns_of(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[s
     columns |= _parts(lines)
     if hypotheses:
         columns |= _clouds(lines)
-    return narrowed(columns)
+    return columns
 
 
 def narrowed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

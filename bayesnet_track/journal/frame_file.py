@@ -20,7 +20,7 @@ import struct
 import tokenize
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import FileIO
@@ -126,7 +126,19 @@ class FrameFile:
                 try:
                     yield unpacked(file.read(place.size))
                 except (ValueError, zlib.error) as error:
-                    raise self._damaged(place, error) from error
+                    raise self.damaged(place, error) from error
+
+    def contents(self, places: Sequence[Place]) -> Iterator[tuple[Place, bytes, bytes]]:
+        """Place, header and numbers of some frames, in order, for `structured`."""
+        with self.path.open("rb") as file:
+            for place in places:
+                file.seek(place.start)
+                try:
+                    content = _content(file.read(place.size))
+                    start = _start_of_data(content)
+                    yield place, content[:start], content[start:]
+                except (ValueError, zlib.error) as error:
+                    raise self.damaged(place, error) from error
 
     def lines(
         self, places: Sequence[Place] | None = None, target: str | None = None
@@ -138,10 +150,11 @@ class FrameFile:
                 target_columns = columns if target is None else _of_target(columns, target)
                 lines = list(lines_of(target_columns)) if len(target_columns["target"]) else []
             except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as error:
-                raise self._damaged(place, error) from error
+                raise self.damaged(place, error) from error
             yield from lines
 
-    def _damaged(self, place: Place, error: Exception) -> JournalError:
+    def damaged(self, place: Place, error: Exception) -> JournalError:
+        """The error that names the place of a damaged record."""
         return JournalError(f"{self.path}: frame {place.frame} (byte {place.start}) is damaged: {error}")
 
 
@@ -151,12 +164,7 @@ def unpacked(data: bytes) -> Columns:
     Raises:
         ValueError, zlib.error: it is damaged.
     """
-    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
-    content = unpacker.decompress(data[_HEAD.size :], _LARGEST)
-    if not unpacker.eof or len(unpacker.unused_data) != _TAIL.size:
-        raise ValueError("it does not end where it should")
-    if _TAIL.unpack(unpacker.unused_data) != (zlib.crc32(content), len(content) & 0xFFFF_FFFF):
-        raise ValueError("its checksum is another")
+    content = _content(data)
     start = _start_of_data(content)
     fields, length = _fields(content[:start])
     if len(content) != start + length:
@@ -165,6 +173,39 @@ def unpacked(data: bytes) -> Columns:
         name: np.frombuffer(content, kind, size, start + offset).reshape(shape)
         for name, kind, shape, size, offset in fields
     }
+
+
+def structured(contents: Sequence[bytes], header: bytes, names: Container[str]) -> NDArray[Any]:
+    """(N,) records of the same header, one below the other, with those of their columns that are in `names`.
+
+    Raises:
+        ValueError: they are damaged.
+    """
+    fields, length = _fields(header)
+    data = contents[0] if len(contents) == 1 else b"".join(contents)
+    if any(len(content) != length for content in contents):
+        raise ValueError(f"not {length} bytes of columns")
+    chosen = [field for field in fields if field[0] in names or f"{field[0].partition('/')[0]}/" in names]
+    kind = np.dtype(
+        {
+            "names": [name for name, *_ in chosen],
+            "formats": [(kind, shape) for _, kind, shape, _, _ in chosen],
+            "offsets": [offset for *_, offset in chosen],
+            "itemsize": length,
+        }
+    )
+    return np.frombuffer(data, kind, len(contents))
+
+
+def _content(data: bytes) -> bytes:
+    """A record, decompressed; raises ValueError or zlib.error where it is damaged."""
+    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
+    content = unpacker.decompress(data[_HEAD.size :], _LARGEST)
+    if not unpacker.eof or len(unpacker.unused_data) != _TAIL.size:
+        raise ValueError("it does not end where it should")
+    if _TAIL.unpack(unpacker.unused_data) != (zlib.crc32(content), len(content) & 0xFFFF_FFFF):
+        raise ValueError("its checksum is another")
+    return content
 
 
 def _places(file: FileIO, path: Path, notice: Notice | None) -> Iterator[Place]:

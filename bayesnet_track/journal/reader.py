@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
-from itertools import accumulate
+from itertools import accumulate, takewhile
 from pathlib import Path
 from typing import Any, overload
 
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
 from bayesnet_track.journal.encoder import short
 from bayesnet_track.journal.events.event import Event, Input
-from bayesnet_track.journal.frame_columns import strings
 from bayesnet_track.journal.frame_file import FrameFile, Place
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 
@@ -108,10 +107,6 @@ class Measurements(Sequence[FrameMetrics]):
     def __repr__(self) -> str:
         return f"Measurements({str(self.file.path)!r}: {len(self)} lines)"
 
-    def targets(self) -> dict[str, None]:
-        """The targets that it has, in order."""
-        return {name: None for columns in self.file.columns() for name in strings(columns["target"])}
-
     def _read(self, number: int) -> list[FrameMetrics]:
         place = self.file.places[number]
         lines = list(_checked(self.file, [place]))
@@ -120,6 +115,12 @@ class Measurements(Sequence[FrameMetrics]):
                 f"{self.file.path}: frame {place.frame}: {len(lines)} lines, not {place.targets}"
             )
         return lines
+
+
+def lines_of_frame(metrics: Sequence[FrameMetrics], frame: int) -> Sequence[FrameMetrics]:
+    """The lines of one frame, of measurements in the order of frames."""
+    start = bisect_left(metrics, frame, key=lambda line: line.frame)
+    return [*takewhile(lambda line: line.frame == frame, (metrics[at] for at in range(start, len(metrics))))]
 
 
 def read_inputs(path: Path, notice: Notice | None = None) -> Iterator[Input]:

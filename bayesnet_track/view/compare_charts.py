@@ -9,51 +9,53 @@ import base64
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
+from bayesnet_track.journal.compare import Comparison, Moment, RunRecord
+from bayesnet_track.journal.compare_measures import Distances
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.compare_text import whose_text
 from bayesnet_track.journal.text.explain import explain
-from bayesnet_track.view.svg import decades, element, stretches, text_of, ticks
+from bayesnet_track.view.histories import History
+from bayesnet_track.view.svg import Points, decades, element, text_of, thin, ticks
 
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
 UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0
 MOST_MOMENTS = 2000
 """Partings that the page tells of; the text tells of all with --all."""
-COLUMNS = 900
-"""Curves are thinned to this many columns, each with its lowest and highest value."""
-
-Points = list[tuple[float, float]]
 
 
-def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: tuple[str, str]) -> str:
-    """The chart of one target, given as its ids in both runs, for a page.
+def draw_pair(
+    first: RunRecord,
+    second: RunRecord,
+    compared: Comparison,
+    pair: tuple[str, str],
+    sides: Sequence[History],
+) -> str:
+    """The chart of one target, given as its ids and its histories in both runs, for a page.
 
     Raises:
         ValueError: neither run has a line of it.
     """
-    lines = [
-        sorted((line for line in run.metrics if line.target == target), key=lambda line: line.frame)
-        for run, target in zip((first, second), pair, strict=True)
-    ]
-    frames = [line.frame for side in lines for line in side]
+    frames = [int(frame) for side in sides for frame in side.frame[[0, -1]] if len(side)]
     if not frames:
         raise ValueError(f"neither run has measurements of target {pair[0]}")
     x = _Scale(min(frames), max(max(frames), min(frames) + 1), LEFT, WIDTH - RIGHT)
-    agents = _agents((first, second), pair, lines)
+    agents = _agents((first, second), pair, sides)
     apart_top = UD_TOP + UD_HEIGHT + GAP
     bars_top = apart_top + APART_HEIGHT + GAP
     bottom = bars_top + len(agents) * (2 * ROW + 10.0)
     body = [
         *_grid(x, bottom),
-        *_ud(lines, x),
-        *_distances(compared.distances.get(pair, ()), x, apart_top),
-        *_bars(lines, agents, x, bars_top),
+        *_ud(sides, x),
+        *_distances(compared.distances.get(pair), x, apart_top),
+        *_bars(sides, agents, x, bars_top),
         *_marks(compared.moments, pair, x, bottom),
     ]
     height = bottom + FOOT
@@ -77,9 +79,7 @@ class _Scale:
         return self.start + (clamped - self.low) / (self.high - self.low) * (self.end - self.start)
 
 
-def _agents(
-    runs: Iterable[RunRecord], pair: tuple[str, str], lines: Sequence[Sequence[FrameMetrics]]
-) -> list[str]:
+def _agents(runs: Iterable[RunRecord], pair: tuple[str, str], sides: Sequence[History]) -> list[str]:
     agents: dict[str, None] = {}
     for run, target in zip(runs, pair, strict=True):
         for event in run.events:
@@ -87,7 +87,7 @@ def _agents(
                 agents |= dict.fromkeys(event.active)
             if isinstance(event, Switch):
                 agents |= {event.node: None} if event.target == target else {}
-    return list(agents | dict.fromkeys(name for side in lines for line in side for name in line.active))
+    return list(agents | dict.fromkeys(name for side in sides for name in side.agents))
 
 
 # ------------------------------------------------------------------------------------ what is drawn
@@ -101,8 +101,9 @@ def _grid(x: _Scale, bottom: float) -> list[str]:
     return [*elements, _text("frame", LEFT - 8.0, bottom + 15.0, "soft", "end")]
 
 
-def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
-    values = sorted(line.ud_px2 for side in lines for line in side if 1e-6 < line.ud_px2 < 1e15) or [1.0]
+def _ud(sides: Sequence[History], x: _Scale) -> list[str]:
+    uds = np.concatenate([side.ud_px2 for side in sides])
+    values = np.sort(uds[(uds > 1e-6) & (uds < 1e15)]).tolist() or [1.0]
     # The first frames start from certainty: a few of them must not stretch the scale.
     low = values[min(len(values) // 50 + 1, len(values) - 1)] / 1.6
     high = max(values[-1] * 1.2, low * 10)
@@ -114,41 +115,42 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
             _line(LEFT, row, WIDTH - RIGHT, row, "grid"),
             _text(f"{value:g}", LEFT - 8.0, row + 4.0, "soft", "end"),
         ]
-    for side, name in zip(lines, "ab", strict=True):
-        lost = {line.frame for line in side if line.status == "lost"}
+    for side, name in zip(sides, "ab", strict=True):
         top = UD_TOP if name == "a" else UD_TOP + UD_HEIGHT - 8.0
-        for start, end in stretches(side, lost):
+        for start, end in side.stretches(side.is_lost):
             tip = element("title", text_of(f"{name.upper()} lost in frames {start} to {end}"))
             left, right = x(start - 0.5), x(end + 0.5)
             elements.append(
                 element("rect", tip, x=left, y=top, width=right - left, height=8.0, class_=f"lost {name}")
             )
-    for side, name in zip(lines, "ab", strict=True):
-        usable = {line.frame for line in side if math.isfinite(line.ud_px2) and line.ud_px2 > 0}
-        uds = {line.frame: line.ud_px2 for line in side}
-        for start, end in stretches(side, usable):
+    for side, name in zip(sides, "ab", strict=True):
+        is_usable = np.isfinite(side.ud_px2) & (side.ud_px2 > 0)
+        for start, end in side.stretches(is_usable):
+            rows = slice(*np.searchsorted(side.frame, [start, end + 1]))
             points = [
-                (x(f), y(math.log10(uds[f]))) for f in range(start, end + 1) if f in uds and f in usable
+                (x(frame), y(math.log10(ud)))
+                for frame, ud in zip(side.frame[rows].tolist(), side.ud_px2[rows].tolist(), strict=True)
             ]
             elements.append(_curve(points, f"curve {name}"))
     return elements
 
 
-def _distances(distances: Sequence[Distance], x: _Scale, top: float) -> list[str]:
+def _distances(distances: Distances | None, x: _Scale, top: float) -> list[str]:
     head = _text("estimates apart, px", LEFT, top - 10.0, "soft")
-    high = max((distance.px for distance in distances), default=0.0)
+    values = [] if distances is None else [*zip(distances.frame.tolist(), distances.px.tolist(), strict=True)]
+    high = max((px for _, px in values), default=0.0)
     y = _Scale(0.0, high if high > 0 else 1.0, top + APART_HEIGHT, top)
     elements = [head, _line(LEFT, y(0.0), WIDTH - RIGHT, y(0.0), "grid")]
     elements.append(_text("0", LEFT - 8.0, y(0.0) + 4.0, "soft", "end"))
     if high == 0.0:
         return [*elements, _text("never", LEFT + 8.0, top + APART_HEIGHT / 2, "soft")]
     elements.append(_text(f"{high:.3g}", LEFT - 8.0, y(high) + 4.0, "soft", "end"))
-    points = _thin([(x(distance.frame), y(distance.px)) for distance in distances])
+    points = thin([(x(frame), y(px)) for frame, px in values])
     outline = [(points[0][0], y(0.0)), *points, (points[-1][0], y(0.0))]
     return [*elements, element("polygon", points=_path(outline), class_="apart")]
 
 
-def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Scale, top: float) -> list[str]:
+def _bars(sides: Sequence[History], agents: Sequence[str], x: _Scale, top: float) -> list[str]:
     elements = [_text("active agents, A above B", LEFT, top - 10.0, "soft")]
     for number, agent in enumerate(agents):
         row = top + number * (2 * ROW + 10.0)
@@ -156,12 +158,12 @@ def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Sc
         elements.append(
             element("text", name, x=LEFT - 8.0, y=row + ROW + 4.0, class_="ink", text_anchor="end")
         )
-        for side, letter in zip(lines, "ab", strict=True):
+        for side, letter in zip(sides, "ab", strict=True):
             y = row + (ROW if letter == "b" else 0.0)
             elements.append(
                 element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=ROW - 1.0, class_="ground")
             )
-            for start, end in stretches(side, {line.frame for line in side if agent in line.active}):
+            for start, end in side.stretches(side.is_active(agent)):
                 left, right = x(start - 0.5), x(end + 0.5)
                 tip = element("title", text_of(f"{letter.upper()}: {agent} in frames {start} to {end}"))
                 elements.append(
@@ -197,20 +199,8 @@ def _marks(moments: Sequence[Moment], pair: tuple[str, str], x: _Scale, bottom: 
 # ------------------------------------------------------------------------------------ small things
 
 
-def _thin(points: Points) -> Points:
-    """At most two points per column: the lowest and the highest, in their order."""
-    if len(points) <= 2 * COLUMNS:
-        return points
-    thinned: Points = []
-    for start in range(COLUMNS):
-        some = points[start * len(points) // COLUMNS : (start + 1) * len(points) // COLUMNS]
-        ends = {some.index(min(some, key=lambda p: p[1])), some.index(max(some, key=lambda p: p[1]))}
-        thinned += [some[k] for k in sorted(ends)]
-    return thinned
-
-
 def _curve(points: Points, look: str) -> str:
-    return element("polyline", points=_path(_thin(points)), class_=look)
+    return element("polyline", points=_path(thin(points)), class_=look)
 
 
 def _path(points: Points) -> str:
@@ -251,19 +241,17 @@ class TellingFrame:
 
 def telling_frames(compared: Comparison) -> tuple[TellingFrame, ...]:
     """At most four frames of the pair that is farthest apart, in order; none where no estimate differs."""
-    lines = {
-        pair: line for pair, line in compared.distances.items() if any(distance.px > 0 for distance in line)
-    }
-    if not lines:
+    differing = {pair: line for pair, line in compared.distances.items() if (line.px > 0).any()}
+    if not differing:
         return ()
-    pair, line = max(lines.items(), key=lambda item: max(distance.px for distance in item[1]))
-    farthest = max(line, key=lambda distance: distance.px)
-    reasons = {farthest.frame: f"they are farthest apart, {farthest.px:.3g} px"}
+    pair, line = max(differing.items(), key=lambda item: float(item[1].px.max()))
+    frames, farthest = line.frame.tolist(), line.farthest
+    reasons = {frames[farthest]: f"they are farthest apart, {line.px[farthest]:.3g} px"}
     for level, reason in LEVELS.items():
-        first = next((distance.frame for distance in line if distance.iou < level), farthest.frame)
-        reasons.setdefault(first, reason)
+        below = np.flatnonzero(line.iou < level)
+        reasons.setdefault(frames[below[0] if len(below) else farthest], reason)
     decided = next((moment.frame for moment in compared.moments if moment.pair == pair), None)
-    if decided is not None and any(distance.frame == decided for distance in line):
+    if decided is not None and (line.frame == decided).any():
         also = f"; {reasons[decided]}" if decided in reasons else ""
         reasons[decided] = f"their decisions first diverge{also}"
     return tuple(TellingFrame(frame, pair, reasons[frame]) for frame in sorted(reasons))
@@ -288,7 +276,8 @@ def draw_pictures(
 
 def _lines_of(run: RunRecord, telling: Sequence[TellingFrame], side: int) -> Mapping[int, FrameMetrics]:
     ids = {frame_reason.frame: frame_reason.pair[side] for frame_reason in telling}
-    return {line.frame: line for line in run.metrics if ids.get(line.frame) == line.target}
+    lines = chain.from_iterable(lines_of_frame(run.metrics, frame) for frame in ids)
+    return {line.frame: line for line in lines if ids[line.frame] == line.target}
 
 
 def _figure(

@@ -6,7 +6,8 @@ import base64
 import hashlib
 from collections.abc import Sequence
 
-from bayesnet_track.journal.compare import Comparison, RunRecord, Total
+from bayesnet_track.journal.compare import Comparison, RunRecord
+from bayesnet_track.journal.compare_measures import Total
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.text.compare_text import (
     change,
@@ -23,6 +24,7 @@ from bayesnet_track.journal.text.compare_text import (
 from bayesnet_track.journal.text.explain import name_targets
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
+from bayesnet_track.view.histories import histories
 from bayesnet_track.view.svg import element, text_of
 
 OPEN_CHARTS = 3
@@ -234,7 +236,7 @@ def _better(total: Total) -> str:
 def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
     """The targets that differ the most first; some of them open."""
     divergence = {
-        pair: sum(distance.px for distance in line) + 1e6 * sum(m.pair == pair for m in compared.moments)
+        pair: float(line.px.sum()) + 1e6 * sum(m.pair == pair for m in compared.moments)
         for pair, line in compared.distances.items()
     }
     ordered = sorted(compared.pairs, key=lambda pair: -divergence[pair])
@@ -244,9 +246,13 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
         "that only one took, or that came later in one; they lead to the reasons below. Blocks along the "
         "edge of UD: lost (A above, B below).</p>",
     ]
+    by_target = [
+        histories(run.metrics, [pair[side] for pair in ordered]) for side, run in enumerate((first, second))
+    ]
     for number, pair in enumerate(ordered):
         name = _capital(whose_text(pair))
-        chart = f'<div class="wide">{draw_pair(first, second, compared, pair)}</div>'
+        sides = [of_run[target] for of_run, target in zip(by_target, pair, strict=True)]
+        chart = f'<div class="wide">{draw_pair(first, second, compared, pair, sides)}</div>'
         if len(ordered) == 1:
             parts.append(chart)
         else:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence, Set
 from html import escape
-
-from bayesnet_track.journal.metrics import FrameMetrics
 
 _ILLEGAL = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 does not allow even when escaped."""
@@ -30,6 +27,11 @@ def element(name: str, content: str | None = None, /, **attributes: object) -> s
         if value is not None
     )
     return f"<{name}{pairs}/>" if content is None else f"<{name}{pairs}>{content}</{name}>"
+
+
+COLUMNS = 900
+"""Curves are thinned to this many columns, each with its lowest and highest value."""
+Points = list[tuple[float, float]]
 
 
 def document(width: float, height: float, title: str, description: str, body: list[str]) -> str:
@@ -82,13 +84,13 @@ def decades(low: float, high: float, max_ticks: int = 8) -> list[float]:
     return levels[:: math.ceil(len(levels) / max_ticks)]
 
 
-def stretches(lines: Sequence[FrameMetrics], frames: Set[int]) -> list[tuple[int, int]]:
-    """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
-    ranges: list[tuple[int, int]] = []
-    previous = False
-    for line in lines:
-        if line.frame in frames:
-            first = ranges.pop()[0] if previous else line.frame
-            ranges.append((first, line.frame))
-        previous = line.frame in frames
-    return ranges
+def thin(points: Points) -> Points:
+    """At most two points per column of a picture: the lowest and the highest, in their order."""
+    if len(points) <= 2 * COLUMNS:
+        return points
+    thinned: Points = []
+    for start in range(COLUMNS):
+        some = points[start * len(points) // COLUMNS : (start + 1) * len(points) // COLUMNS]
+        ends = {some.index(min(some, key=lambda p: p[1])), some.index(max(some, key=lambda p: p[1]))}
+        thinned += [some[k] for k in sorted(ends)]
+    return thinned

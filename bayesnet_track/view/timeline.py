@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed
@@ -15,7 +17,8 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch, turns_on
 from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.text.explain import explain
-from bayesnet_track.view.svg import decades, document, element, stretches, text_of, ticks
+from bayesnet_track.view.histories import History, histories
+from bayesnet_track.view.svg import decades, document, element, text_of, thin, ticks
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
 PLOT_HEIGHT, BAR, BAR_GAP, FOOT = 230.0, 15.0, 8.0, 46.0
@@ -45,7 +48,7 @@ class Axes:
         return TOP + PLOT_HEIGHT * (1.0 - share)
 
 
-def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], target: str | None = None) -> str:
+def draw_timeline(events: Iterable[Event], metrics: Sequence[FrameMetrics], target: str | None = None) -> str:
     """The picture of one target's run (the first target when None) as an SVG file.
 
     Shows UD at the root, each threshold that a decision of the journal names, the measured baseline, the
@@ -55,10 +58,9 @@ def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], targ
     Raises:
         ValueError: `metrics` has no line of the target.
     """
-    lines = list(metrics)
-    target = target if target is not None else next((line.target for line in lines), "")
-    lines = sorted((line for line in lines if line.target == target), key=lambda line: line.frame)
-    if not lines:
+    target = target if target is not None else next((line.target for line in metrics), "")
+    lines = histories(metrics, [target])[target]
+    if not len(lines):
         raise ValueError(f"no metrics of target {target!r}")
     mine = [event for event in events if getattr(event, "target", None) == target]
     switches = [event for event in mine if isinstance(event, Switch)]
@@ -84,10 +86,10 @@ def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], targ
 # ------------------------------------------------------------------------------------ what there is
 
 
-def _agents(events: Sequence[Event], lines: Sequence[FrameMetrics]) -> list[str]:
+def _agents(events: Sequence[Event], lines: History) -> list[str]:
     initial = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
     switched = [event.node for event in events if isinstance(event, Switch)]
-    return list(dict.fromkeys([*initial, *switched, *(name for line in lines for name in line.active)]))
+    return list(dict.fromkeys([*initial, *switched, *lines.agents]))
 
 
 def _thresholds(events: Sequence[Event]) -> list[tuple[str, str, list[tuple[int, float]]]]:
@@ -104,23 +106,21 @@ def _thresholds(events: Sequence[Event]) -> list[tuple[str, str, list[tuple[int,
     return [(name, colour, levels) for (name, colour), levels in thresholds.items()]
 
 
-def _axes(lines: Sequence[FrameMetrics], events: Sequence[Event]) -> Axes:
-    values = [line.ud_px2 for line in lines] + [
-        level for _, _, levels in _thresholds(events) for _, level in levels
-    ]
+def _axes(lines: History, events: Sequence[Event]) -> Axes:
+    values = lines.ud_px2.tolist() + [level for _, _, levels in _thresholds(events) for _, level in levels]
     positive = sorted(value for value in values if 1e-6 < value < 1e15) or [1.0]
     # The first frames start from certainty: a few of them must not stretch the scale.
     low = positive[min(len(positive) // 50 + 1, len(positive) - 1)] / 1.6
     high = max(positive[-1] * 1.25, low * 10)
-    return Axes(lines[0].frame, lines[-1].frame, low, high)
+    return Axes(int(lines.frame[0]), int(lines.frame[-1]), low, high)
 
 
 # ------------------------------------------------------------------------------------ what is drawn
 
 
-def _lost(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
+def _lost(lines: History, axes: Axes) -> list[str]:
     elements = []
-    for first, end in stretches(lines, {line.frame for line in lines if line.status == "lost"}):
+    for first, end in lines.stretches(lines.is_lost):
         left, right = _edges(first, end, axes)
         tip = element("title", text_of(f"lost in frames {first} to {end}"))
         look = {"fill": LOST, "fill_opacity": 0.4}
@@ -147,7 +147,7 @@ def _grid(axes: Axes, bottom: float) -> list[str]:
     return elements
 
 
-def _levels(lines: Sequence[FrameMetrics], events: Sequence[Event], axes: Axes) -> list[str]:
+def _levels(lines: History, events: Sequence[Event], axes: Axes) -> list[str]:
     """Dashed lines of the thresholds, held from one firing to the next; their names stand at the right."""
     elements, names = [], []
     for name, colour, levels in _thresholds(events):
@@ -160,12 +160,14 @@ def _levels(lines: Sequence[FrameMetrics], events: Sequence[Event], axes: Axes) 
         ]
         elements.append(_polyline(points, colour, 1.3, dash="6 4"))
         names.append((axes.y(levels[-1][1]), f"{name} {_number(levels[-1][1])}", colour))
-    with_baseline = [line for line in lines if line.quiet_px2 is not None and line.quiet_px2 > 0]
-    if with_baseline:
-        points = [(axes.x(line.frame), axes.y(line.quiet_px2 or axes.low)) for line in with_baseline]
+    has_baseline = lines.quiet_px2 > 0
+    if has_baseline.any():
+        quiet = lines.quiet_px2[has_baseline].tolist()
+        points = _points(lines.frame[has_baseline].tolist(), quiet, axes)
         elements.append(_polyline(points, QUIET, 1.3, dash="2 3"))
-        names.append((points[-1][1], f"quiet {_number(with_baseline[-1].quiet_px2 or 0.0)}", QUIET))
-    names.append((axes.y(lines[-1].ud_px2), f"UD {_number(lines[-1].ud_px2)}", UD_LINE))
+        names.append((points[-1][1], f"quiet {_number(quiet[-1])}", QUIET))
+    last = float(lines.ud_px2[-1])
+    names.append((axes.y(last), f"UD {_number(last)}", UD_LINE))
     row = -math.inf
     for y, name, colour in sorted(names):
         row = max(y + 4.0, row + 13.0)
@@ -173,26 +175,28 @@ def _levels(lines: Sequence[FrameMetrics], events: Sequence[Event], axes: Axes) 
     return elements
 
 
-def _curves(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
-    usable = {line.frame for line in lines if math.isfinite(line.ud_px2)}
-    by_frame = {line.frame: line for line in lines}
-    return [
-        _polyline(
-            [(axes.x(f), axes.y(by_frame[f].ud_px2)) for f in sorted(usable) if first <= f <= end],
-            UD_LINE,
-            1.8,
-        )
-        for first, end in stretches(lines, usable)
-    ]
+def _curves(lines: History, axes: Axes) -> list[str]:
+    curves = []
+    for first, end in lines.stretches(np.isfinite(lines.ud_px2)):
+        rows = slice(*np.searchsorted(lines.frame, [first, end + 1]))
+        points = _points(lines.frame[rows].tolist(), lines.ud_px2[rows].tolist(), axes)
+        curves.append(_polyline(points, UD_LINE, 1.8))
+    return curves
 
 
-def _bars(lines: Sequence[FrameMetrics], agents: Sequence[str], axes: Axes, top: float) -> list[str]:
+def _points(frames: Sequence[int], values: Sequence[float], axes: Axes) -> list[tuple[float, float]]:
+    """Points of a curve; of a long one the lowest and the highest of each column of the picture."""
+    points = [(axes.x(frame), axes.y(value)) for frame, value in zip(frames, values, strict=True)]
+    return thin(points)
+
+
+def _bars(lines: History, agents: Sequence[str], axes: Axes, top: float) -> list[str]:
     elements = []
     for number, agent in enumerate(agents):
         y, colour = top + number * (BAR + BAR_GAP), BAR_COLOURS[number % len(BAR_COLOURS)]
         ground = element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=BAR, rx=3.0, fill="#f2f4f7")
-        runs = stretches(lines, {line.frame for line in lines if agent in line.active})
-        share = sum(agent in line.active for line in lines) / len(lines)
+        is_active = lines.is_active(agent)
+        runs, share = lines.stretches(is_active), float(is_active.mean())
         elements += [
             ground,
             _text(_cut(agent), LEFT - 8.0, y + BAR - 4.0, 11.0, INK, anchor="end", tip=agent),
@@ -208,10 +212,11 @@ def _bars(lines: Sequence[FrameMetrics], agents: Sequence[str], axes: Axes, top:
 
 
 def _marks(
-    switches: Sequence[Switch], agents: Sequence[str], lines: Sequence[FrameMetrics], axes: Axes, top: float
+    switches: Sequence[Switch], agents: Sequence[str], lines: History, axes: Axes, top: float
 ) -> list[str]:
     """A triangle on the curve (up: on, down: off), a stem to the agent's bar, and the frame number."""
-    ud = {line.frame: line.ud_px2 for line in lines if math.isfinite(line.ud_px2)}
+    is_usable = np.isfinite(lines.ud_px2)
+    ud = dict(zip(lines.frame[is_usable].tolist(), lines.ud_px2[is_usable].tolist(), strict=True))
     elements, free = [], -math.inf
     for event in sorted(switches, key=lambda event: event.frame):
         x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from bayesnet_track.journal.compare import compare, total_evidence
+from bayesnet_track.journal.compare import compare
+from bayesnet_track.journal.compare_measures import Total
 from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
@@ -29,7 +30,7 @@ def line(frame, target="1", box=BOX, ud=10.0, active=("color",), status="trackin
         frame=frame, time_s=frame / 25, target=target, centre_box=box, map=box, sd=(1.0,) * 4, ud_px2=ud,
         ud_nodes={}, quiet_px2=None, status=status, score=0.5, log_evidence=0.0, surprise=0.0, ess=90.0,
         particles=100, active=active, kl={}, contribution={}, agent_ud_px2={}, strength={}, learn_rate=0.0,
-        region50=(), region90=(), cloud=(),
+        region50=(0.0,) * 4, region90=(0.0,) * 4, cloud=(),
     )  # fmt: skip
 
 
@@ -96,9 +97,9 @@ def test_a_status_parts_by_what_it_becomes():
 def test_distances_are_of_centres_and_boxes():
     moved = (53.0, 44.0, 20.0, 10.0)
     found = compare(record("a"), record("b", box=moved))
-    one = found.distances["1", "1"][3]
+    apart = found.distances["1", "1"]
     shared = 17.0 * 6.0
-    assert (one.px, one.iou) == (5.0, pytest.approx(shared / (400.0 - shared)))
+    assert (apart.px[3], apart.iou[3]) == (5.0, pytest.approx(shared / (400.0 - shared)))
     assert found.first_apart == 0
 
 
@@ -132,7 +133,7 @@ def crowd(name, places, decisions=()):
     for target, box in places.items():
         events += [CandidateConfirmed(0, target, "plate", "d", 0, 1, 1, 1.0, None), start(target, box)]
         metrics += [line(frame, target, box) for frame in range(20)]
-    return Record(name, [*events, *decisions], metrics)
+    return Record(name, [*events, *decisions], sorted(metrics, key=lambda one: one.frame))
 
 
 def test_born_targets_are_paired_by_where_they_are_not_by_id():
@@ -168,7 +169,7 @@ def with_evidence(name, *frames):
 def test_evidence_counts_where_the_same_agents_gave_it():
     one = with_evidence("a", (0.0, ()), (-3.0, ("color",)), (-4.0, ("color", "motion")), (-5.0, ("color",)))
     other = with_evidence("b", (0.0, ()), (-2.0, ("color",)), (-9.0, ("color",)), (float("-inf"), ("color",)))
-    found = total_evidence(one, other, [("1", "1")])
+    found = compare(one, other).evidence
     assert (found.name, found.first, found.second) == ("log-evidence, nats (1 of 3 frames)", -3.0, -2.0)
     assert found.less_is_better is None
 
@@ -178,12 +179,12 @@ def test_the_larger_evidence_is_better_where_most_frames_have_it():
         with_evidence(name, *[(value, ("color",))] * 9, (0.0, ()))
         for name, value in (("a", -3.0), ("b", -2.0))
     )
-    found = total_evidence(one, other, [("1", "1")])
+    found = compare(one, other).evidence
     assert (found.name, found.first, found.second) == ("log-evidence, nats (9 of 9 frames)", -27.0, -18.0)
     assert found.less_is_better is False
 
 
 def test_without_a_frame_of_the_same_agents_there_is_no_evidence():
     one, other = with_evidence("a", (-3.0, ("color",))), with_evidence("b", (-3.0, ("motion",)))
-    found = total_evidence(one, other, [("1", "1")])
-    assert (found.name, found.first, found.second) == ("log-evidence, nats", None, None)
+    found = compare(one, other).evidence
+    assert found == Total("log-evidence, nats", None, None)

@@ -1,13 +1,12 @@
-"""Round numbers on scales, and stretches of frames."""
+"""Round numbers on scales."""
 
 from itertools import pairwise
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.view.svg import decades, stretches, ticks
+from bayesnet_track.view.svg import decades, ticks
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**6), st.integers(2, 12))
@@ -34,9 +33,3 @@ def test_decades(scale, expected):
 
 def test_more_decades_than_fit_are_thinned():
     assert decades(1.0, 1e20, max_ticks=8) == pytest.approx([10.0**e for e in range(0, 21, 3)])
-
-
-def test_stretches_end_where_a_frame_is_not_wanted():
-    lines = [SimpleNamespace(frame=frame) for frame in (0, 1, 2, 5, 6, 7)]
-    assert stretches(lines, {1, 2, 5, 7}) == [(1, 5), (7, 7)]
-    assert stretches(lines, {0}) == [(0, 0)] and stretches(lines, {9}) == [] == stretches([], {0})

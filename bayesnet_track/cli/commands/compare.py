@@ -30,7 +30,8 @@ from bayesnet_track.cli.arguments import (
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.graph.spec import GraphSpec
-    from bayesnet_track.journal.compare import Comparison, Total
+    from bayesnet_track.journal.compare import Comparison
+    from bayesnet_track.journal.compare_measures import Total
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.runtime.recording.run_reader import Run
 
@@ -58,12 +59,17 @@ def check_page(options: argparse.Namespace) -> None:
 
 def sources_apart(first: Run, second: Run) -> list[str]:
     """What shows that two runs did not see the same pictures; empty when nothing does."""
+    import numpy as np
+
+    from bayesnet_track.journal.blocks import Blocks
+
     a, b = first.started, second.started
     said = _origins_apart(first, second)
     if (a.width, a.height, a.has_color) != (b.width, b.height, b.has_color):
         sizes = [f"{one.width}x{one.height}{'' if one.has_color else ' gray'}" for one in (a, b)]
         said.append(" and ".join(sizes))
-    if not said and not {line.frame for line in first.metrics} & {line.frame for line in second.metrics}:
+    frames = [Blocks(run.metrics, ()).all_frames for run in (first, second)]
+    if not said and not np.isin(frames[0], frames[1]).any():
         said.append("they have no frame in common")
     return said
 
@@ -138,7 +144,6 @@ def _pictures(first: Run, second: Run, compared: Comparison) -> list[str]:
 def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
     """Which graph explains the video better, where both have the same agents."""
     from bayesnet_track.graph.spec import AgentNode
-    from bayesnet_track.journal.compare import total_evidence
 
     agents = [
         {
@@ -149,7 +154,7 @@ def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
         }
         for run in (first, second)
     ]
-    return [total_evidence(first, second, compared.pairs)] if agents[0] == agents[1] else []
+    return [compared.evidence] if agents[0] == agents[1] else []
 
 
 def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Namespace) -> list[Total]:
@@ -158,7 +163,7 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
     from bayesnet_track.evaluate.mot_pairs import read_pair
     from bayesnet_track.evaluate.runs import frames_of_run, score_run
     from bayesnet_track.evaluate.truth import is_mot
-    from bayesnet_track.journal.compare import Total
+    from bayesnet_track.journal.compare_measures import Total
 
     given, form = options.truth, options.truth_format
     truth = Path(given) if given is not None else first.directory.truth
@@ -194,6 +199,8 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
 def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str]) -> str:
     import json
 
+    import numpy as np
+
     from bayesnet_track.journal.codec import to_json
 
     return json.dumps(
@@ -219,7 +226,7 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
             "last_frames": compared.last_frames,
             "totals": {one.name: (one.first, one.second) for one in compared.totals},
             "distances": [
-                {"pair": pair, "frames": [(one.frame, one.px, one.iou) for one in line]}
+                {"pair": pair, "frames": np.stack([line.frame, line.px, line.iou], axis=1).tolist()}
                 for pair, line in compared.distances.items()
             ],
         }

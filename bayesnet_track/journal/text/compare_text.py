@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Sequence
-from itertools import islice, takewhile
 
-from bayesnet_track.journal.compare import Comparison, Moment, RunRecord, Total
+from bayesnet_track.journal.compare import Comparison, Moment, RunRecord
+from bayesnet_track.journal.compare_measures import Total
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.explain import explain, kinds_of, name_targets
 from bayesnet_track.journal.text.wording import plural
 
@@ -162,8 +162,7 @@ def _standing(run: RunRecord, moment: Moment, target: str) -> str:
     """The reason why nothing was decided, as far as the measurements tell."""
     if not target:
         return "it has no such target"
-    start = bisect_left(run.metrics, moment.frame, key=lambda measured: measured.frame)
-    of_frame = takewhile(lambda measured: measured.frame == moment.frame, islice(run.metrics, start, None))
+    of_frame = lines_of_frame(run.metrics, moment.frame)
     line = next((measured for measured in of_frame if measured.target == target), None)
     if line is None:
         return f"target {target} is not live"
@@ -229,17 +228,18 @@ def estimate_lines(comparison: Comparison) -> list[str]:
     lines = []
     for (a, b), distances in comparison.distances.items():
         name = whose_text((a, b))
-        if not distances:
+        if not len(distances):
             lines.append((math.inf, f"{name}: never live in the same frame"))
             continue
-        far = max(distances, key=lambda one: one.px)
-        mean = sum(one.px for one in distances) / len(distances)
-        off = sum(one.iou < 0.5 for one in distances)
+        far = distances.farthest
+        mean = float(distances.px.mean())
+        off = int((distances.iou < 0.5).sum())
         lines.append(
             (
                 -mean,
                 f"{name}: estimates {mean:.3g} px apart on average over {plural(len(distances), 'frame')}, "
-                f"{far.px:.3g} px at most (frame {far.frame}); overlap below 0.5 in {plural(off, 'frame')}",
+                f"{distances.px[far]:.3g} px at most (frame {distances.frame[far]}); "
+                f"overlap below 0.5 in {plural(off, 'frame')}",
             )
         )
     said = [line for _, line in sorted(lines)]

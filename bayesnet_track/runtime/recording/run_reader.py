@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.load import read_graph
+from bayesnet_track.journal.blocks import Blocks, targets_of
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
@@ -58,7 +59,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
     try:
         events = tuple(read_events(directory.journal, notice))
         measured = Measurements(directory.frames, notice)
-        targets = {*measured.targets()}
+        targets = targets_of(measured)
         metrics = tuple(measured) if len(measured) <= MOST_KEPT else measured
         text = directory.graph.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -66,7 +67,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
     except UnicodeDecodeError as error:
         raise JournalError(f"{directory.graph}: not a text: {error}") from error
     run = Run(directory, events, metrics, text)
-    unknown = targets - run.kinds.keys()
+    unknown = {*targets} - run.kinds.keys()
     if unknown:
         raise JournalError(
             f"{directory.frames}: target {min(unknown)!r} never starts in {directory.journal.name}"
@@ -92,7 +93,7 @@ class Run:
     graph_text: str
 
     def __repr__(self) -> str:
-        frames = len({line.frame for line in self.metrics})
+        frames = len(Blocks(self.metrics, ()).frames())
         return f"Run({self.name!r}: {plural(frames, 'frame')}, {plural(len(self.targets), 'target')})"
 
     @property

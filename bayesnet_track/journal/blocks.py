@@ -1,0 +1,211 @@
+"""Measurements of many frames as columns: what is shown is read, and nothing else.
+
+A line per target and frame is a row of each column; a `Block` holds the rows of some successive frames.
+Memory is that of one block, however long the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.encoder import JournalError
+from bayesnet_track.journal.frame_columns import ABSENT, REGIONS, all_columns, region_of
+from bayesnet_track.journal.frame_file import FrameFile, Place, structured
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.reader import MOST, Measurements
+from bayesnet_track.numerics.arrays import Floats
+
+ROWS = 40_000
+"""Rows of a block, about."""
+
+
+class Texts:
+    """Codes of texts, by which a column of them is one of integers."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self._codes: dict[bytes, int] = {}
+        self._columns: dict[tuple[str, bytes], NDArray[np.int32]] = {}
+
+    def codes(self, column: NDArray[Any]) -> NDArray[np.int32]:
+        """(N,) the codes of (N,) texts; raises UnicodeDecodeError, a ValueError, of what is no UTF-8."""
+        key = column.dtype.str, column.tobytes()
+        codes = self._columns.get(key)
+        if codes is None:
+            codes = np.array([self.code(text) for text in column.tolist()], dtype=np.int32)
+            if len(self._columns) > 10_000:
+                self._columns.clear()
+            self._columns[key] = codes
+        return codes
+
+    def code(self, text: bytes) -> int:
+        """The code of a text."""
+        code = self._codes.get(text)
+        if code is None:
+            self.texts.append(text.decode("utf-8"))
+            code = self._codes[text] = len(self.texts) - 1
+        return code
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows of successive frames: one for each target in a frame, in order.
+
+    Attributes:
+        frame: (N,) of which frame.
+        columns: name -> (N,) numbers, or (4, N) of boxes; of texts their codes, see `Blocks.texts`.
+    """
+
+    frame: NDArray[np.int64]
+    columns: Mapping[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def numbers(self, name: str) -> Floats:
+        """(N,) or (4, N) in double precision; `ABSENT` where a target does not have it."""
+        column = self.columns.get(name)
+        if column is None:
+            return np.full(len(self), ABSENT)
+        return np.asarray(column, dtype=np.float64)
+
+    def codes(self, name: str) -> NDArray[np.int32]:
+        """(N,) codes of a column of texts."""
+        return np.asarray(self.columns[name], dtype=np.int32) if len(self) else np.zeros(0, dtype=np.int32)
+
+
+class Blocks:
+    """The measurements of a run by columns.
+
+    Args:
+        metrics: the run's, in the order of frames; `Measurements` are read from their file.
+        names: the columns to read, as `frame_columns` calls them, besides ``target``. One that ends with
+            ``/`` stands for those of each node.
+
+    Attributes:
+        texts: name of a column of texts -> them and their codes.
+        all_frames: frame of each record, in order.
+        step: frames of a block.
+        last: last frame; -1 where there is none.
+
+    Raises:
+        JournalError: a record is damaged, when it is read.
+    """
+
+    def __init__(self, metrics: Sequence[FrameMetrics], names: Iterable[str]) -> None:
+        self.texts: Mapping[str, Texts] = {name: Texts() for name in TEXTS}
+        self._names = frozenset({"target", *names})
+        if self._names & {*REGIONS}:
+            self._names |= {"map", "sd"}
+        self._lines = metrics
+        self._file = metrics.file if isinstance(metrics, Measurements) else None
+        if self._file is not None:
+            places = self._file.places
+            self.all_frames = np.array([place.frame for place in places], dtype=np.int64)
+            most = max((place.targets for place in places), default=1)
+        else:
+            self.all_frames = np.array([line.frame for line in metrics], dtype=np.int64)
+            most = int(np.unique(self.all_frames, return_counts=True)[1].max(initial=1))
+        self.step = max(1, ROWS // max(1, most))
+        self.last = int(self.all_frames[-1]) if len(self.all_frames) else -1
+
+    def frames(self) -> NDArray[np.int64]:
+        """(F,) frames that hold a target, in order."""
+        return np.unique(self.all_frames)
+
+    def __iter__(self) -> Iterator[Block]:
+        return (self.read(*span) for span in spans([self], self.last + 1))
+
+    def read(self, start: int, end: int) -> Block:
+        """The rows of the frames from `start` to before `end`."""
+        first, after = np.searchsorted(self.all_frames, [start, end]).tolist()
+        if self._file is None:
+            return self._of_lines(self._lines[first:after])
+        return self._of_places(self._file, self._file.places[first:after])
+
+    def _of_lines(self, lines: Sequence[FrameMetrics]) -> Block:
+        columns = {} if not lines else all_columns(lines, False)
+        kept = {
+            name: self.texts[name].codes(column) if name in TEXTS else column
+            for name, column in columns.items()
+            if name in self._names or f"{name.partition('/')[0]}/" in self._names
+        }
+        return Block(np.array([line.frame for line in lines], dtype=np.int64), kept)
+
+    def _of_places(self, file: FrameFile, places: Sequence[Place]) -> Block:
+        """Records with the same header stand below each other in one array, and are taken apart together."""
+        pieces: list[tuple[int, dict[str, NDArray[Any]]]] = []
+        frames = np.repeat([place.frame for place in places], [place.targets for place in places])
+        if len(frames) and not 0 <= frames.min() <= frames.max() <= MOST:
+            raise JournalError(f"{file.path}: frame {frames.max()} is not an integer from 0 to {MOST}")
+        for header, group in groupby(file.contents(places), key=lambda record: record[1]):
+            members = list(group)
+            place = members[0][0]
+            try:
+                records = structured([content for _, _, content in members], header, self._names)
+                pieces.append((place.targets * len(members), self._piece(records, place.targets)))
+            except (KeyError, ValueError, TypeError, IndexError) as error:
+                raise file.damaged(place, error) from error
+        names = dict.fromkeys(name for _, piece in pieces for name in piece)
+        if pieces:
+            names |= dict.fromkeys(name for name in TEXTS if name in self._names)
+        return Block(frames.astype(np.int64), {name: self._joined(name, pieces) for name in names})
+
+    def _piece(self, records: NDArray[Any], targets: int) -> dict[str, NDArray[Any]]:
+        piece: dict[str, NDArray[Any]] = {}
+        for name in records.dtype.names or ():
+            column, shape = records[name], (4, targets) if name in BOXES else (targets,)
+            if column.shape[1:] != shape:
+                raise ValueError(f"{name} of shape {column.shape[1:]}, not {shape}")
+            if name in TEXTS:
+                codes = [self.texts[name].codes(row) for row in column]
+                piece[name] = codes[0] if len(codes) == 1 else np.concatenate(codes)
+            elif name in BOXES:
+                piece[name] = column.transpose(1, 0, 2).reshape(4, -1)
+            else:
+                piece[name] = column.reshape(-1)
+        return piece | {
+            name: region_of(piece, name) for name in REGIONS if name in self._names and name not in piece
+        }
+
+    def _joined(self, name: str, pieces: Sequence[tuple[int, Mapping[str, NDArray[Any]]]]) -> NDArray[Any]:
+        columns = []
+        for rows, piece in pieces:
+            if name in piece:
+                columns.append(piece[name])
+            elif name in TEXTS:
+                columns.append(np.full(rows, self.texts[name].code(b""), dtype=np.int32))
+            else:
+                columns.append(np.full((4, rows) if name in BOXES else rows, ABSENT, dtype="<f4"))
+        return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=-1)
+
+
+def spans(runs: Sequence[Blocks], end: int) -> Iterator[tuple[int, int]]:
+    """First frame and end of blocks, the same for all `runs`, that cover their frames below `end`."""
+    step, start = min(run.step for run in runs), 0
+    while True:
+        starts = [run.all_frames[run.all_frames >= start][:1] for run in runs]
+        start = int(min((one[0] for one in starts if len(one)), default=end))
+        if start >= end:
+            return
+        yield start, min(start + step, end)
+        start += step
+
+
+def targets_of(metrics: Sequence[FrameMetrics]) -> list[str]:
+    """The targets that are measured, in the order in which they appear."""
+    blocks = Blocks(metrics, ())
+    for _ in blocks:
+        pass
+    return blocks.texts["target"].texts
+
+
+TEXTS = ("target", "status", "active", "silent")
+"""Columns of texts that can be read; `active` and `silent` hold names with blanks between them."""
+BOXES = ("box", "map", "sd", "region50", "region90")
