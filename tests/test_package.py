@@ -35,7 +35,7 @@ HEAVY = {"cv2", "av", "numba", "scipy", "matplotlib"}
 LIGHT = [
     "import bayesnet_track.sources.sources",
     "import bayesnet_track.evaluate.runs",
-    "from bayesnet_track.journal import reader, writer; from bayesnet_track.journal.text import explain",
+    "from bayesnet_track.journal import reader, writer; from bayesnet_track.journal.text import sentences",
     "from bayesnet_track.observation.cue import installed_cues; installed_cues()",
     "from bayesnet_track.cli.main import main; main(['validate', 'general', 'two_squares'])",
     "from bayesnet_track.cli.main import main; main(['list'])",

@@ -42,7 +42,7 @@ def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
 
     Of `what-if` the object is the comparison.
     """
-    from bayesnet_track.journal.text.explain import explain
+    from bayesnet_track.journal.text.sentences import explain
 
     for notice in summary.notices[:SHOWN_NOTICES]:
         complain(explain(notice))
@@ -310,7 +310,7 @@ class Narrator:
 
     def event(self, event: Event) -> None:
         """One sentence."""
-        from bayesnet_track.journal.text.explain import kinds_of, narrate
+        from bayesnet_track.journal.text.sentences import kinds_of, narrate
 
         self._kinds |= kinds_of([event])
         complain(narrate(event, self._kinds, True))

@@ -21,7 +21,7 @@ from bayesnet_track.journal.text.compare_text import (
     sides,
     whose_text,
 )
-from bayesnet_track.journal.text.explain import name_targets
+from bayesnet_track.journal.text.sentences import name_targets
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
 from bayesnet_track.view.histories import histories

@@ -17,7 +17,7 @@ from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.text.explain import has_several_targets, kinds_of
+from bayesnet_track.journal.text.sentences import has_several_targets, kinds_of
 from bayesnet_track.journal.text.story import narrate_all
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.graph_picture import graph_svg

@@ -31,7 +31,7 @@ from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
 from bayesnet_track.journal.net.net import Switch, turns_on
-from bayesnet_track.journal.text.explain import explain, kinds_of, name_targets
+from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets
 from bayesnet_track.journal.text.story import CallsFolded, fold
 from bayesnet_track.view.graph_layout import MARGIN, lay_out
 

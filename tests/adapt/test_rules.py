@@ -16,7 +16,7 @@ from bayesnet_track.graph.spec import Level
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
 from bayesnet_track.journal.net.target_net import Cause, FitCause, TargetNet
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}
 

@@ -8,7 +8,7 @@ from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import Measurement

@@ -11,7 +11,7 @@ from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
-from bayesnet_track.journal.text.explain import explain, why
+from bayesnet_track.journal.text.sentences import explain, why
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.recording.rundir import FILES
 from bayesnet_track.sources.scenes import make_scene

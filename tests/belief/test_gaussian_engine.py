@@ -12,7 +12,7 @@ from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import DegenerateBelief, MeasurementGated
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.observation.cue import Measurement, Reference, blend_arrays
 
 SPEED = 2.0

@@ -12,7 +12,7 @@ from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import BeliefReset
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.sources.scenes import make_scene
 

@@ -16,7 +16,7 @@ from bayesnet_track.belief.particles.importance import surprise
 from bayesnet_track.belief.particles.proposals import neighbourhoods
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.log_weights import LogWeights
 
 BOX = np.array([160.0, 120.0, 60.0, 50.0])

@@ -8,7 +8,7 @@ import pytest
 from bayesnet_track import GraphSpec, Start, load_graph
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import SecondPass
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes.library import SceneSource

@@ -21,7 +21,7 @@ from bayesnet_track.belief.particles.sample_size import (
 )
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import ParticlesResized
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics import sample_size
 from bayesnet_track.numerics.log_weights import LogWeights
 

@@ -3,7 +3,7 @@
 import pytest
 
 from bayesnet_track.journal.events.lives import TargetStarted
-from bayesnet_track.journal.text.explain import kinds_of, name_targets, narrate
+from bayesnet_track.journal.text.sentences import kinds_of, name_targets, narrate
 
 BORN = TargetStarted(3, "2", "ball", (30.0, 35.0, 41.0, 31.0), ("color",))
 

@@ -34,7 +34,13 @@ def log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.reader import read_events
-    from bayesnet_track.journal.text.explain import has_several_targets, kinds_of, name_targets, narrate, why
+    from bayesnet_track.journal.text.sentences import (
+        has_several_targets,
+        kinds_of,
+        name_targets,
+        narrate,
+        why,
+    )
     from bayesnet_track.journal.text.story import check_target, describe_life, narrate_all
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
@@ -89,7 +95,7 @@ def _lines(directory: RunDirectory, frame: int | None, target: str | None) -> It
 
 def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[Event]:
     """The events that --target, --node, --kind and --frames leave."""
-    from bayesnet_track.journal.text.explain import Filter
+    from bayesnet_track.journal.text.sentences import Filter
 
     frames = None
     if options.frames is not None:

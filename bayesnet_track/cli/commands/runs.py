@@ -74,7 +74,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.reader import read_events
-    from bayesnet_track.journal.text.explain import has_several_targets, kinds_of
+    from bayesnet_track.journal.text.sentences import has_several_targets, kinds_of
     from bayesnet_track.journal.text.story import narrate_all
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Start

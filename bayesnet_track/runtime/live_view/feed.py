@@ -20,7 +20,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.text.explain import kinds_of
+from bayesnet_track.journal.text.sentences import kinds_of
 from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.view.page_data import run_data

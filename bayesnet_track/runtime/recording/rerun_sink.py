@@ -15,7 +15,7 @@ from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.settings import setting
