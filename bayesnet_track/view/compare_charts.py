@@ -21,14 +21,9 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.compare_text import whose_text
-<<<<<<< HEAD
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.view.histories import History
 from bayesnet_track.view.svg import Points, decades, element, text_of, thin, ticks
-=======
-from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.view.svg import decades, element, stretches, text_of, ticks
->>>>>>> 9c5b19ef (Call the file of a journal's sentences sentences, as another room has an explain)
 
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
 UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0

@@ -16,14 +16,9 @@ from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch, turns_on
 from bayesnet_track.journal.net.target_net import Cause
-<<<<<<< HEAD
-from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.view.histories import History, histories
 from bayesnet_track.view.svg import decades, document, element, text_of, thin, ticks
-=======
-from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.view.svg import decades, document, element, stretches, text_of, ticks
->>>>>>> 9c5b19ef (Call the file of a journal's sentences sentences, as another room has an explain)
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
 PLOT_HEIGHT, BAR, BAR_GAP, FOOT = 230.0, 15.0, 8.0, 46.0

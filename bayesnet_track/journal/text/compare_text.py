@@ -9,12 +9,8 @@ from bayesnet_track.journal.compare import Comparison, Moment, RunRecord
 from bayesnet_track.journal.compare_measures import Total
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision
-<<<<<<< HEAD
 from bayesnet_track.journal.reader import lines_of_frame
-from bayesnet_track.journal.text.explain import explain, kinds_of, name_targets
-=======
 from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets
->>>>>>> 9c5b19ef (Call the file of a journal's sentences sentences, as another room has an explain)
 from bayesnet_track.journal.text.wording import plural
 
 SHOWN_MOMENTS = 5
