@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from bayesnet_track.belief.contract import Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.motion.averaged import without_modes
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_of, turning
@@ -93,6 +95,11 @@ class CompiledPlate:
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
     modes: Modes | None = None
     verifiers: Mapping[str, VerifierAtWork] = field(default_factory=dict)
+
+    @cached_property
+    def moments(self) -> MotionModel:
+        """The motion of what is kept as one Gaussian: what may become a target, or was one."""
+        return without_modes(self.motion)
 
     @property
     def first_existence(self) -> float | None:

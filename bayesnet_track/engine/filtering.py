@@ -39,6 +39,7 @@ from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,4 +224,10 @@ def _evaluation(work: FrameWork, modes: Modes | None, observer: Observer, plan: 
     visible = partial(evaluate, plan, observer)
     if modes is None:
         return visible
-    return partial(evaluate_modes, plan, Sight(modes, work.frame.width, work.frame.height), visible)
+    unasked = frozenset(
+        agent
+        for agent, reference in observer.references.items()
+        if isinstance(observer.cues.get(agent), AssociatingCue) and OWN_DETECTION not in reference
+    )
+    sight = Sight(modes, work.frame.width, work.frame.height, unasked)
+    return partial(evaluate_modes, plan, sight, visible)

@@ -26,11 +26,13 @@ class Sight:
         modes: the modes.
         width: columns of the frame.
         height: rows.
+        unasked: agents that measure by detections, in a frame in which nobody detected: they missed nothing.
     """
 
     modes: Modes
     width: int
     height: int
+    unasked: frozenset[str] = frozenset()
 
     def background(
         self, unseen: Hidden, measured: Measurement | None, temperature: float, hypotheses: Hypotheses
@@ -71,6 +73,8 @@ class Sight:
         message, measured = seen.messages[step.agent], seen.measured.get(step.agent)
         if step.agent in seen.measured and measured is None:
             return message
+        if measured is not None and measured.choices:  # the association weighed them against none
+            return np.where(np.array(self.modes.hidden)[modes], 0.0, message)
         unseen = self.modes.unseen
         levels = np.array(
             [
@@ -86,8 +90,13 @@ class Sight:
 
     def log_detected(self, evidence: Evidence) -> Floats:
         """(K,) log-probability that the agents that measure see something, or nothing, as they did."""
-        silent = sum(own is None for own in evidence.measured.values())
-        sighted, missed = len(evidence.measured) - silent, self.modes.missed
+        measured = {
+            agent: own
+            for agent, own in evidence.measured.items()
+            if agent not in self.unasked and not (own is not None and own.choices)
+        }
+        silent = sum(own is None for own in measured.values())
+        sighted, missed = len(measured) - silent, self.modes.missed
         seen = silent * np.log(missed) + sighted * np.log1p(-missed)
         # What of a measurement is `mistaken` is in its background.
         rest = [0.0 if one is None else silent * np.log1p(-one.mistaken) for one in self.modes.unseen]

@@ -167,11 +167,17 @@ def test_existence_needs_births_and_an_agent_that_measures_by_detections(cues):
     assert "existence without an agent that measures by detections" in text
 
 
-def test_born_targets_have_no_modes(cues):
+def test_a_gap_is_not_filtered_anew_in_modes():
     modes = "modes: {seen: {mean_frames: 40}, behind: {mean_frames: 9, hidden: {}}}"
-    text = HEAD + "    birth: {detector: motion}" + NODES.replace("{x: 9}}}}", "{x: 9}}}, " + modes + "}")
+    text = (
+        HEAD
+        + """    birth: {detector: detections}
+    nodes:
+      s: {belief: {gaussian: {filter: kalman}}, motion: {random_walk: {sd_px: {x: 9}}}, MODES}
+      a: {parent: s, agent: {detection: {re_update: true}}}
+""".replace("MODES", modes)
+    )
     with pytest.raises(GraphError) as caught:
-        spec, at = read_graph(text, "g.yaml")
-        check(spec, at, cues)
-    said = "modes of targets with birth: detections are associated by one way to move; allowed: no birth"
+        check(*read_graph(text, "g.yaml"))
+    said = "a: modes of s beside re_update, which filters a gap anew in one mode; allowed: no re_update"
     assert said in str(caught.value)

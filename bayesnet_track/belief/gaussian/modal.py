@@ -30,7 +30,15 @@ from bayesnet_track.belief.gaussian.belief import (
     report_gated,
     require_linear,
 )
-from bayesnet_track.belief.gaussian.update import Asked, Gated, ask, fit_moments, match_moments, take
+from bayesnet_track.belief.gaussian.update import (
+    Asked,
+    Gated,
+    ask,
+    fit_moments,
+    match_moments,
+    take,
+    update_by,
+)
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.modes import FIELD, Modal, Modes
 from bayesnet_track.graph import spec
@@ -155,7 +163,7 @@ class ModalFilter:
         Raises:
             ValueError: the filter is `kalman` and a mode's motion is not linear with noise in px.
         """
-        modal = _modal(motion)
+        modal = modal_in(motion)
         if self.settings.filter == "kalman":
             for part in modal.parts:
                 require_linear(part)
@@ -190,11 +198,17 @@ class ModalFilter:
         used, gated = self._gate(predicted, evidence)
         log_gated = self._log_gated(gated, evidence, together.states[:, -1])
         sampled = evidence.log_likelihood if evidence.sampled is None else evidence.sampled
+        shared = {agent: one for agent, one in used.items() if one.choices}
+        chosen, log_chosen = self._choose(predicted, shared)
+        used = {agent: one for agent, one in used.items() if agent not in shared}
         parts, log_evidence = [], np.empty(len(asked))
         ends = np.cumsum([len(one.states) for one in asked])
         for mode, (part, one, end) in enumerate(zip(predicted.parts, asked, ends, strict=True)):
             own = sampled[end - len(one.states) : end] + log_gated[mode]
+            own_choices = take(part.mean, part.covariance, part.fields, chosen[mode], 1.0)
+            part = replace(part, mean=own_choices.mean, covariance=own_choices.covariance)
             after, log_evidence[mode] = self._update(part, one, own, {} if self.modes.hidden[mode] else used)
+            log_evidence[mode] += log_chosen[mode]
             parts.append(after)
         with np.errstate(divide="ignore"):
             log_prior = np.log(predicted.mode_probabilities)
@@ -204,7 +218,9 @@ class ModalFilter:
             step = _step(predicted, -np.inf, together, together.weights, evidence)
             return replace(step, degenerate=str(fault))
         posterior = ModalPosterior(tuple(parts), np.array(weights.weights))
-        reports = tuple(partial(report_gated, one, self.settings.gate, len(used)) for one in gated)
+        reports = tuple(
+            partial(report_gated, one, self.settings.gate, len(used) + len(shared)) for one in gated
+        )
         try:
             held = together.weights.times(evidence.log_likelihood)[0]
         except DegenerateWeights:
@@ -233,6 +249,45 @@ class ModalFilter:
         after = take(mean, covariance, part.fields, used, 1.0, self.settings.filter == "unscented")
         held = replace(part, mean=_held(after.mean), covariance=after.covariance)
         return held, log_evidence + after.log_evidence
+
+    def _choose(
+        self, predicted: ModalPosterior, shared: Mapping[str, Measurement]
+    ) -> tuple[list[dict[str, Measurement]], Floats]:
+        """What each mode is given of detections that may be the target's, and (K,) its log-evidence by them.
+
+        The weights are those of the association, w_j of detection j and w_0 of none. Given j, mode m has the
+        probability mu_m N_m(z_j) / sum; given none, mu_m q_m / sum, q_m the probability that it is missed. So
+        the mode has sum_j w_j P(m | j), and in it detection j the weight w_j P(m | j) / P(m).
+        """
+        prior, hidden = predicted.mode_probabilities, np.array(self.modes.hidden)
+        given: list[dict[str, Measurement]] = [{} for _ in predicted.parts]
+        log = np.zeros(len(prior))
+        for agent, one in shared.items():
+            weights = np.array([one.missed, *(weight for weight, _ in one.choices)])
+            fit = np.zeros((len(prior), len(weights)))
+            fit[:, 0] = np.where(hidden, 1.0, self.modes.missed if self.modes.can_hide else 1.0)
+            for mode in np.flatnonzero(~hidden).tolist():
+                part = predicted.parts[mode]
+                fit[mode, 1:] = [
+                    np.exp(update_by(part.mean, part.covariance, part.fields, choice).log_likelihood)
+                    for _, choice in one.choices
+                ]
+            joint = prior[:, None] * fit
+            total = joint.sum(axis=0)
+            # What no mode explains says nothing of the mode.
+            share = weights * np.where(total > 0.0, joint / np.where(total > 0.0, total, 1.0), prior[:, None])
+            after = share.sum(axis=1)
+            with np.errstate(divide="ignore"):
+                log += np.log(after) - np.log(prior) + np.log(max(float(weights @ total), 1e-300))
+            for mode, own in enumerate(share):
+                if hidden[mode] or after[mode] <= 0.0:
+                    continue
+                choices = tuple(
+                    (float(weight / after[mode]), choice)
+                    for weight, (_, choice) in zip(own[1:], one.choices, strict=True)
+                )
+                given[mode][agent] = replace(one, choices=choices)
+        return given, log
 
     def _gate(
         self, predicted: ModalPosterior, evidence: Evidence
@@ -271,7 +326,12 @@ class ModalFilter:
         return np.where(self.modes.hidden, 0.0, total)
 
 
-def _modal(motion: MotionModel) -> Modal:
+def modal_in(motion: MotionModel) -> Modal:
+    """The motion in modes, also inside a confined one.
+
+    Raises:
+        TypeError: it has no modes.
+    """
     free = motion.motion if isinstance(motion, Confined) else motion
     if not isinstance(free, Modal):
         raise TypeError(f"a {type(free).__name__} has no modes")
@@ -280,7 +340,7 @@ def _modal(motion: MotionModel) -> Modal:
 
 def _motions(motion: MotionModel) -> tuple[MotionModel, ...]:
     """Motions of the target in each mode, confined where the motion is."""
-    modal = _modal(motion)
+    modal = modal_in(motion)
     if isinstance(motion, Confined):
         return tuple(replace(motion, motion=one) for one in modal.motions)
     return modal.motions

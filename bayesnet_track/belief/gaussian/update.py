@@ -267,7 +267,7 @@ def take(
             used[agent] = one
             continue
         else:
-            d2 = _update_by(mean, covariance, fields, one).d2
+            d2 = update_by(mean, covariance, fields, one).d2
         degrees = len(one.fields)
         limit = chi_square_quantile(gate, degrees)
         if d2 > limit:
@@ -281,7 +281,7 @@ def take(
             log_evidence += log_own
             continue
         if one.seen is None:
-            after = _update_by(mean, covariance, fields, one)
+            after = update_by(mean, covariance, fields, one)
         else:
             by_function = update_seen(mean, covariance, fields, one, is_unscented)
             if by_function is None:
@@ -292,7 +292,7 @@ def take(
     return Taken(mean, covariance, log_evidence, used, tuple(gated))
 
 
-def _update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement) -> Updated:
+def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement) -> Updated:
     """The update by a measurement of fields of the state."""
     if one.variances is not None:
         columns = columns_of(one.fields, fields)
@@ -342,7 +342,7 @@ def _mix(
     """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none."""
     weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
     for weight, one in measured.choices:
-        after = _update_by(mean, covariance, fields, one)
+        after = update_by(mean, covariance, fields, one)
         weights.append(weight)
         means.append(after.mean)
         covariances.append(after.covariance)

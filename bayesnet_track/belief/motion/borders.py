@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
+from bayesnet_track.belief.motion.averaged import Averaged
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.numerics.arrays import Floats
@@ -132,6 +133,8 @@ def confined(motion: MotionModel, width: int, height: int) -> Confined:
 
 def framed(motion: MotionModel, frame: tuple[int, int]) -> MotionModel:
     """The motion with the frame (width, height) where it, or one inside it, depends on that."""
+    if isinstance(motion, Averaged):
+        return Averaged(cast(Modal, framed(motion.modal, frame)))
     if isinstance(motion, Modal):
         return motion.each(lambda one: framed(one, frame))
     changes: dict[str, Any] = {"frame": frame} if hasattr(motion, "frame") else {}

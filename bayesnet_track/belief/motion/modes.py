@@ -97,6 +97,12 @@ def mode_probabilities(posterior: Posterior, size: int) -> Floats:
     return np.asarray(counted, dtype=np.float64)
 
 
+def moments_of(posterior: Posterior) -> tuple[Floats, Floats]:
+    """Mean and covariance of a belief's state without the mode, which is no quantity."""
+    size = len(posterior.fields) - (posterior.fields[-1] == FIELD)
+    return posterior.mean[:size], posterior.covariance[:size, :size]
+
+
 def make_modes(settings: Mapping[str, Mode]) -> Modes:
     """The modes that a graph asks for."""
     names = tuple(settings)

@@ -154,10 +154,13 @@ def score_looks(work: FrameWork, target: str, state: TargetState, boxes: Floats)
     return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
 
 
-def give_detection(state: TargetState, agents: Mapping[str, AssociationRule], own: Floats) -> TargetState:
-    """The target with what its agents are given of the detections."""
+def give_detection(
+    state: TargetState, agents: Mapping[str, AssociationRule], own: Floats | None
+) -> TargetState:
+    """The target with what its agents are given of the detections; None where nobody detected."""
+    detection = {} if own is None else {OWN_DETECTION: own}
     given = {
-        agent: {**state.references[agent], OWN_DETECTION: own}
+        agent: {k: v for k, v in state.references[agent].items() if k != OWN_DETECTION} | detection
         for agent in agents
         if agent in state.references
     }

@@ -18,7 +18,9 @@ from bayesnet_track.adapt.association import NOBODY, first_observed, remembered
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
 from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.assigning import (
@@ -162,11 +164,13 @@ class Several:
         agent, rule = next(iter(compiled.association_rules.items()))
         seen = Found.none() if found is None else found
         waiting = tentative_tracks(compiled, history)
-        expect, before = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
-        expected = Tracks(*expect(before.mean, before.covariance), before.observed)
+        expecting, before = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
+        expected = Tracks(*expecting(before.mean, before.covariance), before.observed)
+        for row, mixture in self._in_modes(expecting.elapsed).items():
+            expected.mean[row], expected.covariance[row] = mixture.moments
         owner = assign_detections(rule, expected, seen, self._log_looks)
         own = own_detections(owner, seen.boxes, seen.scores)
-        after, refiltered = follow(rule, before, expected, owner, own, expect)
+        after, refiltered = follow(rule, before, expected, owner, own, expecting)
         if waiting:
             left = advance_tentative(compiled, waiting, after, own, found is not None)
             history = changed(history, candidates={**history.candidates, compiled.plate.name: left})
@@ -184,7 +188,8 @@ class Several:
             )
         others = {}
         for row, (target, state) in enumerate(self.others.items(), count):
-            state = give_detection(state, compiled.association_rules, own[row : row + is_given[row]])
+            given = None if found is None else own[row : row + is_given[row]]
+            state = give_detection(state, compiled.association_rules, given)
             others[target] = remember_detections(state, agent, after.observed[row], refiltered.get(row))
         return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
 
@@ -194,7 +199,11 @@ class Several:
         rule, seen = CrowdRule.of(compiled), Found.none() if found is None else found
         assert rule is not None
         before = self._tracks()
-        mean, covariance = predictor(work, compiled)(before.mean, before.covariance)
+        expecting = predictor(work, compiled)
+        mean, covariance = expecting(before.mean, before.covariance)
+        mixtures = self._in_modes(expecting.elapsed)
+        for row, mixture in mixtures.items():
+            mean[row], covariance[row] = mixture.moments
         existence = np.array(
             [1.0 if one.existence is None else one.existence for one in self.others.values()]
         )
@@ -207,6 +216,7 @@ class Several:
             existence,
             self.names,
             self._log_looks,
+            mixtures,
         )
         done = divide(rule, work.cache.frames, crowd, history.populations.get(plate), found)
         history = changed(history, populations={**history.populations, plate: done.population})
@@ -228,7 +238,7 @@ class Several:
             own = np.column_stack([seen.boxes[done.columns[which]], seen.scores[done.columns[which]]])
             if rule.is_marginal:
                 own = np.column_stack([own, done.weights[which]])
-            state = give_detection(state, compiled.association_rules, own)
+            state = give_detection(state, compiled.association_rules, None if found is None else own)
             others[target] = changed(state, existence=float(done.existence[row]))
         return Shared(rows, others, name_owners(done.owner, self.names, len(seen.boxes)), history)
 
@@ -246,16 +256,20 @@ class Several:
     def _tracks(self) -> Tracks:
         """Their beliefs after the last frame, and what is remembered of their detections."""
         agent, rule = next(iter(self.compiled.association_rules.items()))
-        now, size = None if self.rows is None else self.rows.columns, len(self.compiled.motion.fields)
+        now, size = None if self.rows is None else self.rows.columns, len(self.compiled.moments.fields)
         if now is not None and not self.others:
             return Tracks(now.mean, now.covariance, now.observed)
         states = self.others.values()
         beliefs = [one.belief for one in states]
         width = first_observed(rule, np.empty((0, 4)), size).shape[1]
-        observed = [remembered(rule, one.references.get(agent, {}), one.belief.mean) for one in states]
+        moments = [moments_of(one) for one in beliefs]
+        observed = [
+            remembered(rule, one.references.get(agent, {}), mean)
+            for one, (mean, _) in zip(states, moments, strict=True)
+        ]
         tracks = Tracks(
-            np.array([one.mean for one in beliefs]).reshape(-1, size),
-            np.array([one.covariance for one in beliefs]).reshape(-1, size, size),
+            np.array([mean for mean, _ in moments]).reshape(-1, size),
+            np.array([covariance for _, covariance in moments]).reshape(-1, size, size),
             np.array(observed).reshape(len(states), width),
         )
         if now is None:
@@ -265,6 +279,17 @@ class Several:
             np.concatenate([now.covariance, tracks.covariance]),
             np.concatenate([now.observed, tracks.observed]),
         )
+
+    def _in_modes(self, elapsed: float) -> dict[int, ExpectedInModes]:
+        """Row -> the target as it is expected, a Gaussian for each mode, of targets that have modes."""
+        compiled, frame = self.compiled, self.work.frame
+        if compiled.modes is None:
+            return {}
+        motion = confined(compiled.motion, frame.width, frame.height)
+        settings = getattr(compiled.belief, "settings", None)
+        by = settings if isinstance(settings, Gaussian) else Gaussian(filter="extended")
+        beliefs = enumerate((one.belief for one in self.others.values()), self.count)
+        return {row: expect(belief, motion, elapsed, by) for row, belief in beliefs}
 
     def _log_looks(self, row: int, boxes: Floats) -> Floats:
         """(M,) log-likelihood of boxes (M, 4) by what a target looks like; 0 of one that nobody knows."""
@@ -284,7 +309,7 @@ def predictor(work: FrameWork, compiled: CompiledPlate) -> Predict:
     elapsed = 1.0 if previous is None else frame.time - previous.time
     rule = row_rule(work.engine, compiled.plate.name)
     if rule is None:
-        motion = confined(compiled.motion, frame.width, frame.height)
+        motion = confined(compiled.moments, frame.width, frame.height)
         return Predict(elapsed, partial(_predict_each, motion))
     return Predict(elapsed, partial(_predict_rows, rule, image_of(rule, frame.width, frame.height)))
 
@@ -328,6 +353,7 @@ def _expected_boxes(work: FrameWork, targets: Targets, names: Sequence[str]) -> 
     boxes = []
     for target in names:
         belief = targets[target].belief
-        mean, _ = predictor(work, work.plate_of(target))(belief.mean[None], belief.covariance[None])
+        mean, covariance = moments_of(belief)
+        mean, _ = predictor(work, work.plate_of(target))(mean[None], covariance[None])
         boxes.append(mean[0, :4])
     return np.array(boxes).reshape(-1, 4)

@@ -93,7 +93,7 @@ def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:
     compiled = now.work.engine.plates[now.plate]
     rule = next(iter(compiled.association_rules.values()))
     new = [
-        start_tentative(rule, box, float(score), (frame, birth), compiled.motion.start_moments(box))
+        start_tentative(rule, box, float(score), (frame, birth), compiled.moments.start_moments(box))
         for box, score, birth in zip(found.boxes, found.scores, births, strict=True)
     ]
     return keep_best([*before, *new], now.birth)

@@ -11,6 +11,8 @@ import numpy as np
 from bayesnet_track.adapt.association import alike
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackRecord, is_refusal_notable
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
+from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.recognise import Match, match
@@ -120,6 +122,10 @@ def with_belief(state: TargetState, candidate: Candidate, rules: Iterable[str]) 
         return state
     if isinstance(belief, GaussianPosterior):
         belief = replace(belief, mean=candidate.mean, covariance=candidate.covariance)
+    elif isinstance(belief, ModalPosterior):
+        mean, covariance = candidate.mean, candidate.covariance
+        parts = tuple(replace(part, mean=mean, covariance=covariance) for part in belief.parts)
+        belief = replace(belief, parts=parts)
     references, observed = dict(state.references), candidate.observed
     if observed is not None and len(observed):
         references |= {agent: {**references.get(agent, {}), OBSERVED: observed} for agent in rules}
@@ -160,7 +166,7 @@ def match_known(
 
 def start_record(state: TargetState, since: int, frame: Frame) -> TrackRecord:
     """The record of a target that starts now, of a net born in frame `since`."""
-    return TrackRecord(since, state.belief.mean, state.belief.covariance, frame.time)
+    return TrackRecord(since, *moments_of(state.belief), frame.time)
 
 
 def box_of(box: Floats) -> tuple[float, float, float, float]:

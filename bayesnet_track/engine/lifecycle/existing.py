@@ -8,14 +8,15 @@ given is up to their beliefs; prospects are Gaussian beliefs that move as the pl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from bayesnet_track.adapt.association import NOBODY, assign_pairs
 from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, Shared, share
 from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
+from bayesnet_track.belief.gaussian.expected import ExpectedInModes
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.prospects import (
     CrowdRule,
@@ -46,6 +47,7 @@ class Crowd:
         existence: (T,) probability that each exists, as of the last frame.
         names: of the targets.
         log_looks: row, boxes (M, 4) -> (M,) log-likelihood by what the target looks like.
+        modes: row -> what is expected of a target in each of its modes.
     """
 
     mean: Floats
@@ -53,6 +55,7 @@ class Crowd:
     existence: Floats
     names: Sequence[str]
     log_looks: Callable[[int, Floats], Floats] | None = None
+    modes: Mapping[int, ExpectedInModes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +115,14 @@ def divide(
     cover = _cover(all_of)
     hidden = _expect_hidden(rule, crowd.names, cover, population)
     most = population.detection(rule.existence)
-    shared = _share(rule, all_of, detection_of(most, cover, hidden), population, found.boxes, area)
+    detection = detection_of(most, cover, hidden)
+    for row, expected in crowd.modes.items():
+        detection[row] *= expected.visible
+    shared = _share(rule, all_of, detection, population, found.boxes, area)
     pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.boxes))
     prospects = advance_prospects(rule, prospects, pairs, shared, found)
     prospects = prospects.extend(begin_prospects(rule, population, found, shared.free, frame))
-    population = _learn(rule, population, shared, crowd.names, (cover, hidden))
+    population = _learn(rule, population, shared, crowd, (cover, hidden))
     return _of_targets(
         pairs, shared, count, changed(population, prospects=prune(rule, population, prospects))
     )
@@ -138,6 +144,8 @@ def _share(
     rate = population.clutter_rate(settings) + settings.births
     log_nobody = population.log_density(boxes, area_px2) + math.log(rate)
     pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
+    if crowd.modes:
+        pairs = _in_modes(rule.association, pairs, crowd.modes, boxes)
     if crowd.log_looks is not None and rule.association.appearance > 0:
         pairs = with_looks(rule.association, pairs, crowd.log_looks, boxes)
     likelihoods = changed(pairs, values=pairs.values - 2.0 * LOG_TURN)
@@ -161,6 +169,23 @@ def gate(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: Floats)
     starts = np.searchsorted(places, mean[:, 0] - reach)
     ends = np.searchsorted(places, mean[:, 0] + reach, side="right")
     return Pairs(*gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap))
+
+
+def _in_modes(
+    rule: AssociationRule, pairs: Pairs, modes: Mapping[int, ExpectedInModes], boxes: Floats
+) -> Pairs:
+    """The pairs with the density of a mixture, a Gaussian for each mode, of targets that have modes."""
+    values, variances = pairs.values.copy(), rule.variances(boxes)
+    for number, (row, column) in enumerate(zip(pairs.rows.tolist(), pairs.columns.tolist(), strict=True)):
+        if row in modes:
+            expected = modes[row]
+            spread = expected.covariances[:, :4, :4] + np.diag(variances[column])
+            away = boxes[column] - expected.means[:, :4]
+            d2 = np.einsum("mi,mi->m", away, np.linalg.solve(spread, away[:, :, None])[:, :, 0])
+            with np.errstate(divide="ignore"):
+                log = np.log(expected.shares) - 0.5 * (d2 + np.linalg.slogdet(spread)[1])
+            values[number] = np.logaddexp.reduce(log)
+    return changed(pairs, values=values)
 
 
 def with_looks(
@@ -197,11 +222,11 @@ def _learn(
     rule: CrowdRule,
     population: Population,
     shared: Shared,
-    names: Sequence[str],
+    crowd: Crowd,
     covers: tuple[Floats, Floats],
 ) -> Population:
     """The estimates after the look; `covers` are how probably each is covered, and hidden if it is."""
-    count = len(names)
+    names, count = crowd.names, len(crowd.names)
     cover, hidden = (one[:count] for one in covers)
     seen, existence = shared.seen[:count], shared.existence[:count]
     false = float(shared.free.sum()) * (1.0 - population.new_share(rule.existence))
@@ -209,7 +234,13 @@ def _learn(
     given = np.minimum(seen[rows] / np.maximum(existence[rows], 1e-300), 1.0)
     after = learn_hidden(hidden[rows], given, population.detection(rule.existence))
     now = {names[row]: value for row, value in zip(rows.tolist(), after.tolist(), strict=True)}
-    return changed(population.after_look(false).after_chances(cover, seen, existence), hidden=now)
+    chances = existence.copy()
+    for row, expected in crowd.modes.items():  # one that its mode hides was not missed
+        missed = expected.visible * (1.0 - population.detection(rule.existence))
+        chances[row] -= (existence[row] - seen[row]) * (
+            1.0 - missed / (missed + 1.0 - expected.visible + 1e-300)
+        )
+    return changed(population.after_look(false).after_chances(cover, seen, chances), hidden=now)
 
 
 def _of_targets(pairs: Pairs, shared: Shared, count: int, population: Population) -> Division:

@@ -60,7 +60,7 @@ class CrowdRule:
         association = next(iter(compiled.association_rules.values()))
         is_marginal = compiled.plate.spec.associate == "marginal"
         most = max(PROSPECTS * life.birth.max_targets, 32)
-        return cls(association, life.existence, is_marginal, compiled.motion, most)
+        return cls(association, life.existence, is_marginal, compiled.moments, most)
 
 
 def first_population(rule: CrowdRule, found: Found, frame: Frame) -> Population:

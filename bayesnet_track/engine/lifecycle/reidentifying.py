@@ -25,7 +25,7 @@ def compare(
 ) -> Compared:
     """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
     compiled, frame = work.engine.plates[plate], work.frame
-    motion = confined(compiled.motion, frame.width, frame.height)
+    motion = confined(compiled.moments, frame.width, frame.height)
     area = float(frame.width * frame.height)
     fading, place, distance = weigh_place(known, motion, boxes, frame.time, area, rule)
     agents = tuple(

@@ -10,6 +10,7 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.adapt.memory import LOST
+from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.metrics import Lines
 from bayesnet_track.engine.outcome import Outcome
@@ -100,7 +101,7 @@ class LiveTable:
             if record is None or not (lost or state.memory.count(LOST)):
                 since = frame.index if record is None else record.since
                 unseen = 0 if record is None else record.unseen_frames
-                record = TrackRecord(since, state.belief.mean, state.belief.covariance, frame.time, 0, unseen)
+                record = TrackRecord(since, *moments_of(state.belief), frame.time, 0, unseen)
             records[target] = replace(
                 record,
                 lost_frames=record.lost_frames + 1 if lost else 0,

@@ -116,12 +116,10 @@ def _expressions_move_alone(plate: Plate, name: str, mode: str, motion: Motion) 
 
 
 def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
-    """Particles by bootstrap or Gaussians; no births; no latent node where it can be hidden."""
+    """Particles by bootstrap or Gaussians; no latent node where it can be hidden."""
     for name, node, modes in _with_modes(plate):
         belief = node.belief
-        if plate.spec.birth is not None:
-            found = "modes of targets with birth: detections are associated by one way to move"
-            yield plate.message(name, found, "no birth, or no modes", key=("modes",), on_key=True)
+        yield from _detections_are_not_filtered_anew(plate, name)
         if belief is not None and belief.grid is not None:
             found = "modes beside a grid, which has no cells for them"
             yield plate.message(name, found, "particles or gaussian", key=("modes",), on_key=True)
@@ -136,6 +134,13 @@ def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
             if below.fuse is not None and below.fuse.latent is not None:
                 found = "fuse: latent in a target that can be hidden"
                 yield plate.message(other, found, "product or pool", key=("fuse", "latent"), on_key=True)
+
+
+def _detections_are_not_filtered_anew(plate: Plate, name: str) -> Iterator[GraphMessage]:
+    for agent, node in plate.agents.items():
+        if node.agent.parameters.get("re_update"):
+            found = f"modes of {name} beside re_update, which filters a gap anew in one mode"
+            yield plate.message(agent, found, "no re_update, or no modes", key=("agent",))
 
 
 def noise_has_the_same_fields(plate: Plate) -> Iterator[GraphMessage]:
