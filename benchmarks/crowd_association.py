@@ -26,7 +26,6 @@ from crowd_peers import STONE_SOUP, ask, rows_of
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import Outcome, State, make_engine, step
 from bayesnet_track.evaluate.gospa import gospa
@@ -103,12 +102,8 @@ def graphs(changes: dict[str, Any]) -> dict[str, CheckedGraph]:
 
 def reported(outcome: Outcome) -> list[tuple[int, Floats]]:
     """Identities and centre boxes of targets that are not lost."""
-    metrics = outcome.metrics
-    if not isinstance(metrics, RowMetrics):
-        return [(int(one.target), np.array(one.centre_box)) for one in metrics if one.status != "lost"]
-    known = zip(metrics.rows.ids, metrics.boxes, metrics._was_lost.tolist(), strict=True)
-    found = [(int(target), box) for target, box, is_lost in known if not is_lost]
-    return found + [(int(one.target), np.array(one.centre_box)) for one in metrics.born]
+    ids, boxes = outcome.metrics.held()
+    return [(int(target), box) for target, box in zip(ids, boxes, strict=True)]
 
 
 def tracked(graph: CheckedGraph, detector: FileDetector, frames: int, size: tuple[int, int]) -> Tracks:

@@ -28,9 +28,9 @@ from crowd_peers import FIELD, ask, rows_of
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track import DetectionsTracker
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import Outcome, make_engine, step
+from bayesnet_track.engine.targets import Targets
 from bayesnet_track.evaluate.mot import score_mot_files
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -77,7 +77,7 @@ def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, int]:
             outcome = start_targets(graph, engine, frame, ())
         else:
             outcome = step(engine, outcome.state, frame)
-        rows += isinstance(outcome.metrics, RowMetrics)
+        rows += bool(Targets.of(outcome.state.targets).gaussians)
         live = [one for one in outcome.metrics if not one.silent and one.target in outcome.state.targets]
         tracks.append([[float(one.target), *own_box(outcome, one)] for one in live])
     return tracks, rows

@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, settings
 from bayesnet_track import CueDeclaration, CueParameters, GraphSpec
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
 from bayesnet_track.belief.particles.belief import ParticleSet
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.run import check_graph
@@ -281,7 +282,7 @@ def play(
         state = outcomes[-1].state
     if len(outcomes) > 1:
         events = tuple(event for outcome in outcomes for event in outcome.events)
-        outcomes = [Outcome(state, tuple(m for o in outcomes for m in o.metrics), events)]
+        outcomes = [Outcome(state, Lines(born=[m for o in outcomes for m in o.metrics]), events)]
     for picture in pictures[1:]:
         outcomes.append(step(engine, outcomes[-1].state, picture))
     return outcomes

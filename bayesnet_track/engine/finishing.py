@@ -6,22 +6,24 @@ functions of the targets' states and the frame; time is read for the timings onl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
-from typing import Any
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
+from typing import Any, Generic, TypeVar
 
-from bayesnet_track.belief.contract import Step
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.rule_columns import STATUSES
 from bayesnet_track.belief.particles.belief import find_maps
-from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.groups import FilteredEach, LiveGroup
+from bayesnet_track.engine.groups import FilteredEach, FilteredGroup, Heard, LiveGroup
 from bayesnet_track.engine.judging import JudgedGroup, judge_group
 from bayesnet_track.engine.learning import LearntGroup, learn_group
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.metrics import (
-    Heard,
     Measured,
     Summary,
     find_covariances,
@@ -29,11 +31,12 @@ from bayesnet_track.engine.metrics import (
     frame_metrics,
 )
 from bayesnet_track.engine.modes import with_modes
+from bayesnet_track.engine.rows.advancing import FilteredGaussians
+from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure_rows import StepArrays
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
@@ -43,41 +46,68 @@ from bayesnet_track.journal.events.statuses import DistractorSeen
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, apply_decisions
 from bayesnet_track.journal.net.target_net import TargetNet
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.records import Found, changed
 from bayesnet_track.observation.cue import Reference
-from bayesnet_track.observation.planes import FramePair, PlaneCache
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+
+NO_IMAGE = np.zeros((0, 0, 3), dtype=np.uint8)
+
+Table = TypeVar("Table", covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
-class FinishedGroup:
+class FinishedGroup(Generic[Table]):
     """Outcome of a frame for the targets of a group.
 
     Attributes:
-        work: the frame, without planes: lines may be asked for much later.
+        work: the frame, without image and planes: lines may be asked for much later.
+        filtered: the first half of the frame.
         judged: measures and decisions.
         learnt: what the agents learnt.
-        summaries: target -> its belief in a few numbers.
-        table: the targets of which columns say all that is known of them after the frame; None without any.
-        singles: row -> its target, of all others.
+        singles: row -> target, of those that are an object each after the frame.
+        summaries: (whether with hypotheses) -> target -> its belief in a few numbers.
     """
 
     work: FrameWork
+    filtered: FilteredGroup[Table]
     judged: JudgedGroup
     learnt: LearntGroup
-    summaries: Mapping[str, Summary]
-    table: ParticleTable | None
     singles: Mapping[int, str]
+    summaries: Callable[[bool], Mapping[str, Summary]]
 
     @property
     def ids(self) -> Sequence[str]:
         """The targets."""
-        return self.judged.filtered.ids
+        return self.filtered.ids
 
     @property
     def boxes(self) -> Floats:
         """(T, 4) estimates, centre boxes in px."""
         return self.judged.boxes
+
+    @property
+    def is_lost(self) -> Bools:
+        """(T,) whether the status was lost in the frame."""
+        return np.asarray(self.judged.statuses == STATUSES.index("lost"))
+
+    @property
+    def holds_frame(self) -> bool:
+        """True where the frame and its planes are held."""
+        return self.filtered.holds_frame
+
+    def table(self, nets: Mapping[str, TargetNet]) -> Table | None:
+        """The targets of which columns say all that is known of them after the frame; None without any."""
+        decided = self.judged.chosen.keys() | self.learnt.beside.keys()
+        time, memory = self.work.frame.time, self.judged.memory
+        return self.filtered.then(time, self.learnt.references, memory, decided, nets)
+
+    @property
+    def decided(self) -> tuple[Decision, ...]:
+        """Decisions about the targets of the table, in order."""
+        if not self.filtered.keeps_status:
+            return ()
+        return tuple(decision for of in self.judged.chosen.values() for decision in of)
 
     def state(self, row: int) -> TargetState:
         """The state of one target after the frame, still with the plan that the frame began with."""
@@ -130,21 +160,29 @@ class FinishedGroup:
             events += changes(frame, target, before.watched, beside.watched, beside.judged, rule)
         return tuple(events)
 
-    def line(self, row: int) -> FrameMetrics:
-        """Line of metrics of one target."""
-        judged, one, outcome = self.judged, self.judged.filtered.of(row), self.judged.score(row)
+    def lines(self, hypotheses: bool) -> list[FrameMetrics]:
+        """Lines of metrics of all; without `hypotheses` those may be left out."""
+        summaries = self.summaries(hypotheses)
+        return [self._line(row, summaries[target]) for row, target in enumerate(self.ids)]
+
+    def _line(self, row: int, summary: Summary) -> FrameMetrics:
+        judged, outcome, existence = self.judged, self.judged.score(row), self.filtered.existence
         measured = Measured(
-            judged.boxes[row], judged.measures.of(row), outcome.scored, outcome.score, outcome.bound
+            judged.boxes[row],
+            judged.measures.of(row),
+            outcome.scored,
+            outcome.score,
+            outcome.bound,
+            None if existence is None else float(existence[row]),
         )
         learnt = self.learnt.rates[row], self.learnt.angle(row)
-        baseline_px2, summary = judged.baselines_px2[row], self.summaries[one.target]
-        line = frame_metrics(self.work, one, measured, baseline_px2, learnt, summary)
-        return with_modes(line, one.modes, outcome.score is not None)
+        line = frame_metrics(self.work, self.ids[row], measured, judged.baselines_px2[row], learnt, summary)
+        beside = self.filtered.beside(row)
+        return with_modes(line, None if beside is None else beside.modes, outcome.score is not None)
 
-    def heard(self, row: int) -> Heard:
-        """Answers of the agents of one target."""
-        one = self.judged.filtered.of(row)
-        return _heard(one.step, one.plan.active)
+    def columns(self) -> Mapping[str, NDArray[Any]] | None:
+        """The columns of their lines without hypotheses; None where lines have to be made."""
+        return self.filtered.line_columns(self.work, self.judged.boxes, self.is_lost, self.judged.levels_px2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,93 +190,86 @@ class Results:
     """Outcome of a frame for all targets, by groups.
 
     Attributes:
-        groups: of targets that were finished together.
-        order: all targets.
+        gaussians: of tables of Gaussian beliefs, one a plate.
+        groups: of other targets that were finished together.
+        others: the targets of these.
         covariances: target -> (D, D) of its belief.
     """
 
-    groups: Sequence[FinishedGroup]
-    order: Sequence[str]
-    covariances: Mapping[str, Floats]
-
-    @cached_property
-    def places(self) -> Mapping[str, tuple[FinishedGroup, int]]:
-        """Target -> its group, and its row there, in the order of the targets."""
-        found = {target: (group, row) for group in self.groups for row, target in enumerate(group.ids)}
-        return {target: found[target] for target in self.order}
+    gaussians: Sequence[FinishedGroup[Rows]] = ()
+    groups: Sequence[FinishedGroup[ParticleTable]] = ()
+    others: Sequence[str] = ()
+    covariances: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
-    def singles(self) -> Mapping[str, tuple[FinishedGroup, int]]:
-        """The same of the targets that are in no table."""
+    def order(self) -> Sequence[str]:
+        """All targets."""
+        own = [group.ids for group in self.gaussians]
+        return own[0] if len(own) == 1 and not self.others else [*chain(*own, self.others)]
+
+    @property
+    def singles(self) -> Mapping[str, tuple[FinishedGroup[ParticleTable], int]]:
+        """Target -> its group, and its row there, of those that are in no table."""
         found = {target: (group, row) for group in self.groups for row, target in group.singles.items()}
-        return {target: found[target] for target in self.order if target in found} if found else {}
+        return {target: found[target] for target in self.others if target in found} if found else {}
 
     @property
-    def lines(self) -> list[Callable[[], FrameMetrics]]:
-        """Makers of the lines, one a target."""
-        return [partial(group.line, row) for group, row in self.places.values()]
-
-    @property
-    def boxes(self) -> dict[str, Floats]:
-        """Target -> its box (4,)."""
-        return {target: group.boxes[row] for target, (group, row) in self.places.items()}
+    def lines(self) -> Lines:
+        """Lines of metrics."""
+        return Lines((*self.gaussians, *self.groups), self.order)
 
     @property
     def heard(self) -> Mapping[str, Heard]:
         """Target -> what its agents said."""
-        return Found(
-            self.order,
-            lambda: {target: group.heard(row) for target, (group, row) in self.places.items()},
-        )
+        return Found(self.order, self._find_heard)
+
+    def _find_heard(self) -> dict[str, Heard]:
+        groups: Iterable[FinishedGroup[Any]] = (*self.gaussians, *self.groups)
+        return {target: of.filtered.heard(row) for of in groups for row, target in enumerate(of.ids)}
 
 
-def finish_targets(work: FrameWork, filtered: Together) -> Results:
+def finish_targets(
+    work: FrameWork, filtered: Together, gaussians: Sequence[FilteredGaussians] = ()
+) -> Results:
     """Measure the beliefs, decide what changes, let the agents learn, and describe them.
 
     One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
     """
     started = work.engine.clock()
-    groups = _groups_of(work, filtered)
+    groups = [LiveGroup(one, one.nets(work.net.targets)) for one in gaussians] + _groups_of(work, filtered)
     started = work.charge("belief", started)
-    bare = changed(work, cache=PlaneCache(FramePair(work.frame, None)))
-    covariances = find_covariances(filtered)
-    summaries = find_summaries(bare, filtered, covariances)
+    bare = changed(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
     judged = [judge_group(work, group) for group in groups]
     started = work.charge("measure", started)
     learnt = [learn_group(work, group) for group in judged]
     work.charge("learn", started)
-    done = [_finished(bare, group, found, summaries) for group, found in zip(judged, learnt, strict=True)]
-    return Results(done, [*filtered], covariances)
-
-
-def _finished(
-    work: FrameWork, judged: JudgedGroup, learnt: LearntGroup, summaries: Mapping[str, Summary]
-) -> FinishedGroup:
-    filtered = judged.filtered
-    kept: list[int] = []
-    if isinstance(filtered, FilteredRows) and columns_say_all(filtered.compiled):
-        kept = [row for row in range(len(judged.nets)) if row not in learnt.beside]
-    if not kept:
-        return FinishedGroup(work, judged, learnt, summaries, None, dict(enumerate(filtered.ids)))
-    assert isinstance(filtered, FilteredRows)
-    table = filtered.before.then(
-        work.frame.time, filtered.clouds, learnt.references, judged.memory, work.net.targets
+    count = len(gaussians)
+    tables = [
+        FinishedGroup(bare, own, of, found, {}, partial(own.summaries, bare))
+        for own, of, found in zip(gaussians, judged, learnt, strict=False)
+    ]
+    others = [*filtered]
+    covariances = Found(
+        [*chain(*(one.ids for one in gaussians), others)], partial(_covariances, gaussians, filtered)
     )
-    singles = {row: filtered.ids[row] for row in learnt.beside}
-    return FinishedGroup(work, judged, learnt, summaries, table.take(kept) if singles else table, singles)
+    summaries = find_summaries(bare, filtered, covariances)
+    done = [
+        FinishedGroup(
+            bare, of.filtered, of, found, of.filtered.apart(found.beside), lambda hypotheses: summaries
+        )
+        for of, found in zip(judged[count:], learnt[count:], strict=True)
+    ]
+    return Results(tables, done, others, covariances)
 
 
-@lru_cache(maxsize=64)
-def columns_say_all(compiled: CompiledPlate) -> bool:
-    """True where belief, references and rule memory are a target's state while nothing is decided."""
-    root = compiled.plate.inference(compiled.plate.root)
-    return (
-        root.score is None
-        and compiled.guard is None
-        and compiled.moving is None
-        and compiled.modes is None
-        and not any(is_elsewhere(cue) for cue in compiled.cues.values())
-    )
+def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> dict[str, Floats]:
+    """Target -> (D, D) covariance of its belief."""
+    rows = (zip(one.ids, one.columns.covariance, strict=True) for one in gaussians)
+    return {**dict(chain(*rows)), **find_covariances(filtered)}
+
+
+def _without_image(frame: Frame) -> Frame:
+    return Frame(frame.index, frame.time, NO_IMAGE, time_s=frame.time_s, stride=frame.stride)
 
 
 def _with_level(seen: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
@@ -264,19 +295,6 @@ def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
         ),
         *(FlawEnded(frame, target, part) for part in sorted(before - after)),
     ]
-
-
-def _heard(step: Step[Any], agents: frozenset[str]) -> Heard:
-    """Answers of the active `agents` in a step, for the hypotheses that are still the belief's."""
-    evidence = step.evidence
-    is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
-    messages = {name: evidence.messages[name] for name in evidence.messages if is_aligned and name in agents}
-    measured = {
-        name: one
-        for name, one in evidence.gaussians.items()
-        if name in agents and one.seen is None and not one.choices
-    }
-    return Heard(messages, measured)
 
 
 # ------------------------------------------------------------------------------------ groups

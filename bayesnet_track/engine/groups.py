@@ -6,28 +6,72 @@ as arrays are a group as they are; the others are grouped by what has to be equa
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.belief.contract import estimate
+from bayesnet_track.adapt.rule_columns import STATUSES
+from bayesnet_track.adapt.rule_inputs import GroupMeasures
+from bayesnet_track.belief.contract import Step, estimate
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure_rows import StepArrays, is_flat
+from bayesnet_track.inference.measure import measure
+from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
 from bayesnet_track.journal.net.target_net import TargetNet
-from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import Reference
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
+from bayesnet_track.observation.cue import Measurement, Reference
 
 
-class FilteredGroup(Protocol):
-    """The first half of the frame of T targets of a plate."""
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """Answers of the agents of one target.
+
+    Attributes:
+        log_likelihoods: active agent -> (N,) its log-likelihood of each particle of the belief; none for
+            other beliefs.
+        measured: agent that found the target -> what it measured, in fields of the state.
+    """
+
+    log_likelihoods: Mapping[str, Floats] = field(default_factory=dict)
+    measured: Mapping[str, Measurement] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, step: Step[Any], agents: frozenset[str]) -> Heard:
+        """Answers of the active `agents` in a step, for the hypotheses that are still the belief's."""
+        evidence = step.evidence
+        is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
+        messages = {name: one for name, one in evidence.messages.items() if is_aligned and name in agents}
+        measured = {
+            name: one
+            for name, one in evidence.gaussians.items()
+            if name in agents and one.seen is None and not one.choices
+        }
+        return cls(messages, measured)
+
+
+Table = TypeVar("Table", covariant=True)
+
+
+class FilteredGroup(Protocol[Table]):
+    """The first half of the frame of T targets of a plate.
+
+    Attributes:
+        keeps_status: True where columns hold the status, so that a target stays a row when it changes.
+        holds_frame: True where it holds the frame and its planes.
+    """
+
+    keeps_status: bool
+    holds_frame: bool
 
     @property
     def ids(self) -> Sequence[str]:
@@ -58,11 +102,31 @@ class FilteredGroup(Protocol):
         """Of each target the expected share that cannot be seen."""
 
     @property
-    def arrays(self) -> StepArrays | None:
-        """Inputs of measures of a flat net; None where each target is measured by itself."""
+    def existence(self) -> Floats | None:
+        """(T,) probabilities that they exist; None where the plate has no `existence`."""
+
+    @property
+    def is_hidden(self) -> Bools | None:
+        """(T,) whether targets probably cannot be seen, by their modes; None where these do not say."""
+
+    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
+        """(T,) places in `adapt.rule_columns.STATUSES`."""
+
+    def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
+        """(T,) whether something else than a streak asks for a decision; None where nothing does."""
+
+    def measures(self, areas_px2: Floats) -> GroupMeasures:
+        """UD, KL, ... of the beliefs, whose estimates have these areas (T,)."""
 
     def of(self, row: int) -> Filtered:
-        """The first half of the frame of one target."""
+        """The first half of the frame of one target.
+
+        Raises:
+            LookupError: columns say all of these targets.
+        """
+
+    def heard(self, row: int) -> Heard:
+        """Answers of the agents of one target."""
 
     def beside(self, row: int) -> Filtered | None:
         """The same where it says more than the columns."""
@@ -72,6 +136,32 @@ class FilteredGroup(Protocol):
 
     def estimates(self, rule: Estimate | None) -> Floats:
         """(T, D) states that stand for the beliefs."""
+
+    def apart(self, decided: Collection[int]) -> Mapping[int, str]:
+        """Row -> target, of those that are an object each after the frame, where some were `decided` on."""
+
+    def then(
+        self,
+        time: float,
+        references: Mapping[str, Sequence[Reference]],
+        memory: RuleMemory,
+        decided: Collection[int],
+        nets: Mapping[str, TargetNet],
+    ) -> Table | None:
+        """The table of the other targets after the frame; None without any."""
+
+    def line_columns(
+        self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats
+    ) -> Mapping[str, NDArray[Any]] | None:
+        """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made.
+
+        Of the estimates (T, 4) px, whether each was lost, and the baselines of UD, NaN while unknown.
+        """
+
+
+def statuses_of(nets: Sequence[TargetNet]) -> Ints:
+    """(T,) places in `adapt.rule_columns.STATUSES`."""
+    return np.array([STATUSES.index(net.status) for net in nets])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +175,8 @@ class FilteredEach:
 
     compiled: CompiledPlate
     targets: Sequence[Filtered]
+    keeps_status = False
+    holds_frame = True
 
     @property
     def ids(self) -> Sequence[str]:
@@ -118,16 +210,47 @@ class FilteredEach:
         return [one.hidden for one in self.targets]
 
     @property
-    def arrays(self) -> StepArrays | None:
-        """Inputs of measures of a flat net; None where each target is measured by itself."""
-        plate, steps = self.compiled.plate, [one.step for one in self.targets]
-        if not is_flat(plate) or steps[0].evidence.latent:
+    def existence(self) -> Floats | None:
+        """(T,) probabilities that they exist; None where the plate has no `existence`."""
+        known = [one.before.existence for one in self.targets]
+        return None if known[0] is None else np.array(known)
+
+    @property
+    def is_hidden(self) -> Bools | None:
+        """(T,) whether targets probably cannot be seen, by their modes; None where these do not say."""
+        causes = [None if one.modes is None else one.modes.hiding for one in self.targets]
+        if causes[0] is None:
             return None
-        return StepArrays.of(plate, self.plan, steps)
+        return np.array([cause is not None and cause.hidden > cause.level for cause in causes])
+
+    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
+        """(T,) places in `adapt.rule_columns.STATUSES`."""
+        return statuses_of(nets)
+
+    def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
+        """(T,) whether something else than a streak asks for a decision; None where nothing does."""
+        asks = [
+            bool(net.quarantined or one.missed or (one.call is not None and one.call.ran))
+            for net, one in zip(nets, self.targets, strict=True)
+        ]
+        return np.array(asks) if any(asks) else None
+
+    def measures(self, areas_px2: Floats) -> GroupMeasures:
+        """UD, KL, ... of the beliefs, whose estimates have these areas (T,)."""
+        plate, steps = self.compiled.plate, [one.step for one in self.targets]
+        if is_flat(plate) and not steps[0].evidence.latent:
+            return measure_rows(plate, self.plan, StepArrays.of(plate, self.plan, steps), areas_px2)
+        pairs = zip(self.targets, areas_px2.tolist(), strict=True)
+        return GroupMeasures.of_each([measure(plate, one.plan, one.step, area) for one, area in pairs])
 
     def of(self, row: int) -> Filtered:
         """The first half of the frame of one target."""
         return self.targets[row]
+
+    def heard(self, row: int) -> Heard:
+        """Answers of the agents of one target."""
+        one = self.targets[row]
+        return Heard.of(one.step, one.plan.active)
 
     def beside(self, row: int) -> Filtered | None:
         """The same: it may say more than the columns."""
@@ -141,6 +264,23 @@ class FilteredEach:
         """(T, D) states that stand for the beliefs."""
         return np.array([estimate(rule, one.step) for one in self.targets])
 
+    def apart(self, decided: Collection[int]) -> Mapping[int, str]:
+        """Row -> target, of all."""
+        return dict(enumerate(self.ids))
+
+    def then(
+        self,
+        time: float,
+        references: Mapping[str, Sequence[Reference]],
+        memory: RuleMemory,
+        decided: Collection[int],
+        nets: Mapping[str, TargetNet],
+    ) -> None:
+        """No target is in a table after the frame."""
+
+    def line_columns(self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
+        """Lines have to be made."""
+
 
 @dataclass(frozen=True, eq=False)
 class LiveGroup:
@@ -151,5 +291,5 @@ class LiveGroup:
         nets: as a person switched them, without agents that failed or gave no answer: the same are active.
     """
 
-    filtered: FilteredGroup
+    filtered: FilteredGroup[Any]
     nets: Sequence[TargetNet]

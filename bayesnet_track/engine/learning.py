@@ -93,7 +93,7 @@ def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
     is_learning = any(any(one) for one in rates.values())
     fields = filtered.fields
     angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
-    if not is_learning and not group.chosen:
+    if not is_learning and (filtered.keeps_status or not group.chosen):
         return LearntGroup(filtered.references, shares, angles=angles)
     lesson, checks, free = partial(_lesson, work, group), dict[int, DriftCheck](), rates
     if is_learning and compiled.guard is not None:

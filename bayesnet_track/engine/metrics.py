@@ -1,4 +1,4 @@
-"""Lines of metrics: measures, score and belief of a target in one frame, made when somebody asks for them.
+"""The line of metrics of a target in one frame: its measures, score and belief in numbers.
 
 Particles of many targets are summarised as arrays, with the bits that each target has alone, and only when
 somebody asks for a line of metrics: no rule depends on it.
@@ -6,15 +6,14 @@ somebody asks for a line of metrics: no rule depends on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TypeVar, overload
 
 import numpy as np
 
 from bayesnet_track.adapt.rule_inputs import Measures
-from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
@@ -24,11 +23,10 @@ from bayesnet_track.engine.scoring.outcome import e_value, reported_status
 from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
 from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.encoder import written
-from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
+from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import effective, kl
 from bayesnet_track.numerics.records import Found
-from bayesnet_track.observation.cue import Measurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +39,7 @@ class Measured:
         scored: what the score remembers.
         score: probability of being on target; None where the graph does not say how it comes about.
         bound: the most that the score may be.
+        existence: probability that the target exists; None where the plate has no `existence`.
     """
 
     box: Floats
@@ -48,94 +47,7 @@ class Measured:
     scored: ScoreState
     score: float | None = None
     bound: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Heard:
-    """Answers of the agents of one target.
-
-    Attributes:
-        log_likelihoods: active agent -> (N,) its log-likelihood of each particle of the belief; none for
-            other beliefs.
-        measured: agent that found the target -> what it measured, in fields of the state.
-    """
-
-    log_likelihoods: Mapping[str, Floats] = field(default_factory=dict)
-    measured: Mapping[str, Measurement] = field(default_factory=dict)
-
-
-Value = TypeVar("Value")
-
-
-class Lines(Sequence[FrameMetrics]):
-    """The lines of one frame, made when the first of them is asked for.
-
-    Which targets they are of and their centre boxes, `boxes`, are known before.
-
-    >>> lines = Lines([lambda: "first", lambda: "second"])
-    >>> len(lines), lines[1], lines == ("first", "second")
-    (2, 'second', True)
-    """
-
-    def __init__(
-        self, makers: Sequence[Callable[[], FrameMetrics]], boxes: Mapping[str, Floats] | None = None
-    ) -> None:
-        self._makers, self._count, self._boxes = makers, len(makers), boxes
-        self._made: tuple[FrameMetrics, ...] | None = None
-
-    def boxes(self) -> Iterator[tuple[str, tuple[float, ...]]]:
-        """Target and centre box of each line, in their order."""
-        if self._made is None and self._boxes is not None:
-            return ((target, _floats(box)) for target, box in self._boxes.items())
-        return ((line.target, line.centre_box) for line in self._lines())
-
-    def _lines(self) -> tuple[FrameMetrics, ...]:
-        if self._made is None:
-            self._made = tuple(make() for make in self._makers)
-            self._makers = ()  # what they were made of is not needed any more
-        return self._made
-
-    @overload
-    def __getitem__(self, at: int) -> FrameMetrics: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> tuple[FrameMetrics, ...]: ...
-
-    def __getitem__(self, at: int | slice) -> FrameMetrics | tuple[FrameMetrics, ...]:
-        return self._lines()[at]
-
-    def __iter__(self) -> Iterator[FrameMetrics]:
-        return iter(self._lines())
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and self._lines() == tuple(other)
-
-    def __hash__(self) -> int:
-        return hash(self._lines())
-
-    def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
-        return tuple, (self._lines(),)
-
-
-class WhenAsked(Mapping[str, Value]):
-    """Target -> what `make` makes of it, such as a covariance, when it is asked for."""
-
-    def __init__(self, targets: Iterable[str], make: Callable[[str], Value]) -> None:
-        self._targets, self._make = dict.fromkeys(targets), make
-
-    def __getitem__(self, target: str) -> Value:
-        if target not in self._targets:
-            raise KeyError(target)
-        return self._make(target)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._targets)
-
-    def __len__(self) -> int:
-        return len(self._targets)
+    existence: float | None = None
 
 
 def index(measures: Measures, root: str) -> float:
@@ -145,7 +57,7 @@ def index(measures: Measures, root: str) -> float:
 
 def frame_metrics(
     work: FrameWork,
-    filtered: Filtered,
+    target: str,
     measured: Measured,
     baseline_px2: float | None,
     learnt: tuple[float, float],
@@ -156,9 +68,8 @@ def frame_metrics(
     `learnt` is the share of the largest learning rate, and the estimate's rotation in degrees.
     Without a calibrated score the score is `index`.
     """
-    target, stepped, measures = filtered.target, filtered.step, measured.measures
-    learn_rate, angle = learnt
-    plate, modes = work.plate_of(target).plate, work.plate_of(target).modes
+    measures, (learn_rate, angle) = measured.measures, learnt
+    plate = work.plate_of(target).plate
     variances = np.maximum(summary.variances[:4], 0.0)
     score, features = index(measures, plate.root), {}
     root = plate.inference(plate.root)
@@ -168,7 +79,7 @@ def frame_metrics(
     region50, region90 = summary.regions
     if root.localization_error is not None:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = blur_regions(stepped.posterior, root.localization_error, score, side)
+        wide = blur_regions(summary.belief, root.localization_error, score, side)
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(
@@ -176,17 +87,17 @@ def frame_metrics(
         time_s=work.frame.time_s,
         target=target,
         centre_box=_floats(measured.box),
-        map=_floats(stepped.map_state[:4]),
+        map=_floats(summary.place),
         sd=_floats(np.sqrt(variances)),
         ud_px2=measures.ud_px2[plate.root],
         ud_nodes=measures.ud_px2,
         quiet_px2=baseline_px2,
         status=reported_status(work.net.targets[target].status, measured.scored, root.guarantee),
         score=score,
-        log_evidence=stepped.log_evidence,
+        log_evidence=summary.log_evidence,
         surprise=summary.surprise,
         ess=summary.ess,
-        particles=len(stepped.support.weights),
+        particles=summary.hypotheses,
         active=tuple(a for a in plate.agents if a in measures.kl),
         kl=dict(measures.kl),
         contribution=dict(measures.contribution),
@@ -198,12 +109,12 @@ def frame_metrics(
         cloud=summary.cloud,
         silent=measures.silent,
         angle=angle,
-        join=filtered.join,
-        existence=filtered.before.existence,
+        join=summary.join,
+        existence=measured.existence,
         features=features,
         parts=_part_metrics(measures),
         e_value=None if root.alarm is None else e_value(measured.scored.rise, root.alarm),
-        p_values=p_values(plate, stepped, () if modes is None else modes.hidden),
+        p_values=dict(summary.p_values),
     )
 
 
@@ -237,6 +148,12 @@ class Summary:
         surprise: KL of the belief from its prior, nats.
         regions: of `SHARES`: x_low, x_high, y_low, y_high in px.
         cloud: rounded boxes of some hypotheses.
+        place: (4,) the MAP state's box.
+        log_evidence: log of the frame's evidence.
+        hypotheses: how many there are.
+        belief: the belief itself, where more than these numbers may be asked for.
+        join: what a joint belief says of the target; None for a target that is in none.
+        p_values: agent -> probability of a measurement farther from the prediction than its own.
     """
 
     variances: Floats
@@ -244,6 +161,12 @@ class Summary:
     surprise: float
     regions: Rows
     cloud: tuple[tuple[int, ...], ...]
+    place: Floats
+    log_evidence: float
+    hypotheses: int
+    belief: Posterior
+    join: JoinMetrics | None = None
+    p_values: Mapping[str, float] = field(default_factory=dict)
 
 
 def find_summaries(
@@ -253,23 +176,19 @@ def find_summaries(
     return Found(filtered, partial(_summarise, work, filtered, spreads))
 
 
-def find_covariances(filtered: Mapping[str, Filtered]) -> Found[Floats]:
-    """Target -> (D, D) covariance of its belief."""
-    return Found(filtered, partial(_find_covariances, filtered))
-
-
 def _summarise(
     work: FrameWork, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
 ) -> dict[str, Summary]:
     alike, alone = _alike(filtered)
-    found = {target: summarise_one(work, target, filtered[target].step, spreads[target]) for target in alone}
+    found = {target: summarise_one(work, filtered[target], spreads[target]) for target in alone}
     for targets in alike:
-        steps = [filtered[target].step for target in targets]
-        found |= _summarise_rows(work, targets, steps, np.array([spreads[target] for target in targets]))
+        several = [filtered[target] for target in targets]
+        found |= _summarise_rows(work, several, np.array([spreads[target] for target in targets]))
     return found
 
 
-def _find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
+def find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
+    """Target -> (D, D) covariance of its belief."""
     groups = filtered.groups if isinstance(filtered, Together) else ()
     found = dict(pair for group in groups for pair in zip(group.ids, group.clouds.covariances, strict=True))
     alike, alone = _alike(
@@ -297,24 +216,37 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
     return list(alike.values()), alone
 
 
-def summarise_one(work: FrameWork, target: str, step: Step[Posterior], covariance: Floats) -> Summary:
+def summarise_one(work: FrameWork, one: Filtered, covariance: Floats) -> Summary:
     """The belief of a target after its step in a few numbers, of which the covariance (D, D) is known."""
+    step, root = one.step, work.plate_of(one.target).plate.root
     posterior, weights = step.posterior, step.support.weights
-    cloud = posterior.draw(CLOUD_SIZE, work.stream(target, work.plate_of(target).plate.root)("cloud"))
+    cloud = posterior.draw(CLOUD_SIZE, work.stream(one.target, root)("cloud"))
+    regions = list(map(tuple, posterior.regions(SHARES).tolist()))
+    surprise = kl(weights.log, step.prior.log)
+    return _summary(work, one, (covariance.diagonal(), weights.ess, surprise, regions, _rounded(cloud)))
+
+
+Numbers = tuple[Floats, float, float, Rows, tuple[tuple[int, ...], ...]]
+
+
+def _summary(work: FrameWork, one: Filtered, numbers: Numbers) -> Summary:
+    """A summary, of which `numbers` come first."""
+    step, compiled = one.step, work.plate_of(one.target)
     return Summary(
-        covariance.diagonal(),
-        weights.ess,
-        kl(weights.log, step.prior.log),
-        list(map(tuple, posterior.regions(SHARES).tolist())),
-        _rounded(cloud),
+        *numbers,
+        step.map_state[:4],
+        step.log_evidence,
+        len(step.support.weights),
+        step.posterior,
+        one.join,
+        p_values(compiled.plate, step, () if compiled.modes is None else compiled.modes.hidden),
     )
 
 
-def _summarise_rows(
-    work: FrameWork, targets: Sequence[str], steps: Sequence[Step[Posterior]], spreads: Floats
-) -> dict[str, Summary]:
+def _summarise_rows(work: FrameWork, several: Sequence[Filtered], spreads: Floats) -> dict[str, Summary]:
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
+    steps, targets = [one.step for one in several], [one.target for one in several]
     states = np.array([step.support.states for step in steps])
     weights = np.array([step.support.weights.weights for step in steps])
     log = np.array([step.support.weights.log for step in steps])
@@ -326,10 +258,10 @@ def _summarise_rows(
     shifts = work.engine.streams.uniforms(work.births_of(targets), root, work.moment, "cloud")
     chosen = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
     clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
-    return {
-        target: Summary(variances[t], ess[t], surprises[t], list(map(tuple, regions[t])), cloud)
-        for t, (target, cloud) in enumerate(zip(targets, written(clouds), strict=True))
-    }
+    numbers = zip(
+        variances, ess, surprises, (list(map(tuple, one)) for one in regions), written(clouds), strict=True
+    )
+    return {one.target: _summary(work, one, own) for one, own in zip(several, numbers, strict=True)}
 
 
 def _regions(values: Floats, weights: Floats) -> Floats:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 
@@ -14,25 +13,19 @@ from bayesnet_track.adapt.shedding import Load, balance
 from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.finishing import Results
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.groups import Heard
 from bayesnet_track.engine.joining import JointBelief, reaches_of
-from bayesnet_track.engine.metrics import Heard, Lines, WhenAsked
-from bayesnet_track.engine.rows.columns import Rows
-from bayesnet_track.engine.rows.judging import JudgedRows
-from bayesnet_track.engine.rows.row_heard import RowHeard
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, recompile
 from bayesnet_track.engine.targets import Records, Targets
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
-from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision.planes import Scene
-
-Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +66,7 @@ class Outcome:
     """
 
     state: State
-    metrics: Sequence[FrameMetrics]
+    metrics: Lines
     events: tuple[Event, ...]
     covariances: Mapping[str, Floats] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -81,65 +74,36 @@ class Outcome:
     heard: Mapping[str, Heard] = field(default_factory=dict)
 
 
-def carry_out(
-    work: FrameWork,
-    state: State,
-    results: Results,
-    joint: JointBelief,
-    judged: Sequence[JudgedRows] = (),
-) -> Outcome:
-    """The outcome of the targets' frames: decisions are carried out, of rows first."""
+def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelief) -> Outcome:
+    """The outcome of the targets' frames: decisions are carried out, of tables first."""
     net, others = work.net, dict[str, TargetState]()
     events: list[Event] = [*joint.events]
-    for one in judged:
-        net = apply_decisions(net, one.decisions)
-        events += one.decisions
+    for one in results.gaussians:
+        decisions = one.decided
+        net = apply_decisions(net, decisions)
+        events += decisions
     for target, (group, row) in results.singles.items():
         decisions = group.decisions(row)
         net = apply_decisions(net, decisions)
         others[target] = recompile(work.engine, net, target, group.state(row))
         events += [*group.events(row), *decisions]
-    metrics: Sequence[FrameMetrics] = Lines(results.lines, results.boxes) if results.order else ()
-    tables = [group.table for group in results.groups if group.table is not None]
+    gaussians = [rows for one in results.gaussians if (rows := one.table(net.targets)) is not None]
+    particles = [table for one in results.groups if (table := one.table(net.targets)) is not None]
     targets: Mapping[str, TargetState] = others
-    if tables:
-        targets = Targets((), tables, others, results.order)
-    covariances, heard, history = results.covariances, results.heard, state.history
-    if judged:
-        several = [one.table(work.frame.time, net.targets) for one in judged]
-        targets = Targets(several, tables, others, results.order)
-        apart = {one: history.records[one] for one in results.order if one in history.records}
-        history = changed(history, records=Records(several, apart))
-        metrics = _lines_of(work, judged, several, metrics)
-        covariances = _joined([WhenAsked(rows.ids, rows.covariance) for rows in several], covariances)
-        heard = _joined([RowHeard(rows) for rows in several], heard)
+    if gaussians or particles:
+        targets = Targets(gaussians, particles, others, results.others)
+    history = state.history
+    if gaussians:
+        apart = {one: history.records[one] for one in results.others if one in history.records}
+        history = changed(history, records=Records(gaussians, apart))
     return Outcome(
         changed(state, net=net, targets=targets, previous=work.frame, joins=joint.memory, history=history),
-        metrics,
+        results.lines,
         tuple(events),
-        covariances,
+        results.covariances,
         work.seconds,
-        heard=heard,
+        heard=results.heard,
     )
-
-
-def _lines_of(
-    work: FrameWork, judged: Sequence[JudgedRows], tables: Sequence[Rows], others: Sequence[FrameMetrics]
-) -> Sequence[FrameMetrics]:
-    """The lines of all: those of the first table as columns."""
-    first, *more = (
-        RowMetrics(rows, one.measured, work, one.before.columns.is_lost)
-        for one, rows in zip(judged, tables, strict=True)
-    )
-    return first.with_born((*(line for of in more for line in of), *others)) if more or others else first
-
-
-def _joined(tables: Sequence[Mapping[str, Value]], others: Mapping[str, Value]) -> Mapping[str, Value]:
-    if len(tables) == 1 and not others:
-        return tables[0]
-    several = (*tables, others)
-    ids = [target for one in several for target in one]
-    return WhenAsked(ids, lambda target: next(one for one in several if target in one)[target])
 
 
 def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:

@@ -20,6 +20,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import (
     Outcome,
     State,
@@ -32,7 +33,6 @@ from bayesnet_track.engine.rows.advancing import FilteredGaussians, filter_gauss
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.finding import arrange
 from bayesnet_track.engine.rows.fitting import row_rule
-from bayesnet_track.engine.rows.judging import judge_rows
 from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.engine.scoring.scene_cuts import cut_level, find_cuts
 from bayesnet_track.engine.starting import start
@@ -146,8 +146,7 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
         stages.insert(0, Stage("arrange", arrange_targets, (arrange,)))
     if engine.joins:
         stages.append(Stage("join", join, (join_targets,)))
-    judged = (judge_rows,) if has_tables else ()
-    stages.append(Stage("measure, decide, learn", finish, (*judged, finish_targets, carry_out)))
+    stages.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
     if any(cut_level(compiled) is not None for compiled in plates):
         stages.insert(0, Stage("scene cuts", cut_scenes, (find_cuts,)))
     if any(compiled.lifecycle is not None for compiled in plates):
@@ -164,7 +163,7 @@ def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Ite
     births = state.history.births
     work = FrameWork(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
     nothing = JointBelief(Together([], {}, []), state.joins)
-    return Batch(work, state, inputs, Targets.of(state.targets), nothing, Outcome(state, (), ()))
+    return Batch(work, state, inputs, Targets.of(state.targets), nothing, Outcome(state, Lines(), ()))
 
 
 def cut_scenes(batch: Batch) -> Batch:
@@ -229,10 +228,9 @@ def join(batch: Batch) -> Batch:
 
 def finish(batch: Batch) -> Batch:
     """Every target is measured, judged by the rules, learnt from and described."""
-    judged = [judge_rows(batch.work, one) for one in batch.gaussians]
-    filtered = batch.joint.filtered
-    results = finish_targets(batch.work, filtered) if filtered else Results((), (), {})
-    return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint, judged))
+    filtered, gaussians = batch.joint.filtered, batch.gaussians
+    results = finish_targets(batch.work, filtered, gaussians) if gaussians or filtered else Results()
+    return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint))
 
 
 def start_and_end(batch: Batch) -> Batch:
@@ -277,7 +275,7 @@ def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Flo
         events += born.decisions
     history = changed(state.history, births=births)
     after = changed(state, net=net, targets=targets, previous=work.frame, history=history)
-    return Outcome(after, tuple(metrics), tuple(events))
+    return Outcome(after, Lines(born=metrics), tuple(events))
 
 
 def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import overlapping_pairs
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.starts import check_starts, start_targets
 from bayesnet_track.engine.step import make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -234,10 +234,7 @@ def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArr
 
 def _held(targets: Sequence[FrameMetrics]) -> tuple[list[str], NDArray[np.float64]]:
     """Ids and (T, 4) centre boxes of the targets that are not lost."""
-    if isinstance(targets, RowMetrics):
-        return targets.held()
-    held = [one for one in targets if one.status != "lost"]
-    return [one.target for one in held], np.array([one.centre_box for one in held]).reshape(-1, 4)
+    return Lines.of(targets).held()
 
 
 def _checked(size: tuple[int, int]) -> tuple[int, int]:

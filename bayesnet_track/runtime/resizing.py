@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.engine.forecasting import Forecast
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.starts import Start, StartError
 from bayesnet_track.graph.checked import CheckedGraph
@@ -141,7 +142,7 @@ class Resizing:
         if self.is_none:
             return outcome
         metrics, events = map(self.metrics, outcome.metrics), map(self.event, outcome.events)
-        return replace(outcome, metrics=tuple(metrics), events=tuple(events))
+        return replace(outcome, metrics=Lines(born=tuple(metrics)), events=tuple(events))
 
     def metrics(self, one: FrameMetrics) -> FrameMetrics:
         """Measurements of a target, in the source's pixels."""

@@ -12,8 +12,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.metrics import Heard
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.groups import Heard
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.faults import Quarantined
@@ -266,11 +266,7 @@ class Summary:
         """Count one more frame."""
         self.frames += 1
         self.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
-        targets = result.targets
-        statuses = (
-            targets.statuses() if isinstance(targets, RowMetrics) else (metrics.status for metrics in targets)
-        )
-        self.lost_frames += "lost" in statuses
+        self.lost_frames += bool(Lines.of(result.targets).places.is_lost.any())
         self.most_targets = max(self.most_targets, len(result.targets))
         for event in result.decisions:
             if isinstance(event, Quarantined):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Protocol
 
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import (
     Start,
     StartError,
@@ -224,18 +223,15 @@ def _result(
     # Who ended in this frame was live in it.
     nets = {**(before.net.targets if before is not None else {}), **outcome.state.net.targets}
     decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
-    metrics = outcome.metrics
-    targets = metrics.targets() if isinstance(metrics, RowMetrics) else (line.target for line in metrics)
     return Result(
         frame,
-        # Rows of a table hold arrays that nothing changes any more; lines hold the planes of their frame.
-        metrics if isinstance(metrics, RowMetrics) else tuple(metrics),
+        outcome.metrics.settled(),
         dict(outcome.covariances),
         decisions,
         dict(outcome.seconds),
         spent,
         outcome.external_inputs,
-        {target: nets[target].template for target in targets if target in nets},
+        {target: nets[target].template for target in outcome.metrics.ids if target in nets},
         outcome.state.targets,
         outcome.heard,
         outcome.state.history.births,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import Forecast, forecast
-from bayesnet_track.engine.metrics import Lines
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.scoring.outcome import reported_status
 from bayesnet_track.engine.starts import Start, check_given, check_started, say_blank, start_targets
 from bayesnet_track.engine.step import Engine, make_engine, step
@@ -345,8 +345,8 @@ class Tracker(Boxed, Storable):
 
 def _live(now: Standing) -> Iterator[tuple[str, tuple[float, ...]]]:
     """Each target of the last frame that is live after it, and its centre box; makes no lines."""
-    lines, live = now.metrics, now.state.net.targets
-    every = lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
+    (ids, boxes, _), live = Lines.of(now.metrics).places, now.state.net.targets
+    every = zip(ids, map(tuple, boxes.tolist()), strict=True)
     return ((target, box) for target, box in every if target in live)
 
 

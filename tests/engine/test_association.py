@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check, check_graph
@@ -22,7 +23,7 @@ GRAY = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
 def play(graph, detector, frames, picture=lambda n: GRAY, seed=0):
     engine = make_engine(graph, seed, detectors={"detections": detector})
     seen = [Frame(n, float(n), picture(n), True, float(n)) for n in range(frames)]
-    outcomes = [first_look(engine, Outcome(State(), (), ()), seen[0])]
+    outcomes = [first_look(engine, Outcome(State(), Lines(), ()), seen[0])]
     for frame in seen[1:]:
         outcomes.append(step(engine, outcomes[-1].state, frame))
     return outcomes

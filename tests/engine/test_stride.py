@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check
@@ -70,7 +71,7 @@ def test_a_detector_looks_in_every_second_frame(fakes, first, stride):
     seen = frames(fakes, first, stride, 16)
     says = FileDetector({one.index: Detections(box, np.array([0.9]), ("",)) for one in seen})
     engine = make_engine(graph, 0, detectors={"detections": says})
-    outcomes = [first_look(engine, Outcome(State(), (), ()), seen[0])]
+    outcomes = [first_look(engine, Outcome(State(), Lines(), ()), seen[0])]
     for frame in seen[1:]:
         outcomes.append(step(engine, outcomes[-1].state, frame))
     assert len(outcomes[-1].metrics) == 1

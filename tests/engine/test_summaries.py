@@ -1,6 +1,7 @@
 """Targets that are measured together: the same bits as each measured by itself."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from bayesnet_track.belief.particles.belief import find_maps, map_index
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.metrics import Lines, find_covariances, find_summaries, summarise_one
+from bayesnet_track.engine.lines import Lines
+from bayesnet_track.engine.metrics import find_covariances, find_summaries, summarise_one
 from bayesnet_track.engine.step import State, make_engine, start_target
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.inference.measure import measure
@@ -89,7 +91,7 @@ def test_targets_measured_together_are_measured_as_alone(motion, agents):
     spreads = find_covariances(found)
     for target, one in find_summaries(work, found, spreads).items():
         step = found[target].step
-        alone = summarise_one(work, target, step, step.posterior.covariance)
+        alone = summarise_one(work, found[target], step.posterior.covariance)
         assert one.variances.tobytes() == alone.variances.tobytes()
         assert spreads[target].tobytes() == found[target].step.posterior.covariance.tobytes()
         assert (one.ess, one.surprise, one.regions, one.cloud) == (
@@ -111,18 +113,53 @@ def test_a_weight_of_zero_counts_nothing_in_any_measure():
     ]
 
 
+class Group:
+    """Targets of which lines are made when asked for: here their names, and how often."""
+
+    def __init__(self, **boxes):
+        self.ids, self.boxes, self.asked = tuple(boxes), np.array([*boxes.values()], dtype=float), []
+        self.is_lost, self.holds_frame = np.array(["l" in one for one in boxes]), True
+
+    def lines(self, hypotheses):
+        self.asked.append(hypotheses)
+        return [SimpleNamespace(target=one) for one in self.ids]
+
+
+def names(lines):
+    return [one.target for one in lines]
+
+
 def test_lines_are_made_when_the_first_is_asked_for_and_once():
-    asked = []
-    lines = Lines([lambda k=k: asked.append(k) or k for k in range(3)])
-    assert len(lines) == 3 and not asked
-    assert (lines[1], lines[-1], lines[:2], list(lines)) == (1, 2, (0, 1), [0, 1, 2])
-    assert asked == [0, 1, 2] and lines == (0, 1, 2) and pickle.loads(pickle.dumps(lines)) == (0, 1, 2)
+    group = Group(a=[0] * 4, b=[1] * 4, c=[2] * 4)
+    lines = Lines([group], group.ids)
+    assert len(lines) == 3 and not group.asked
+    assert (lines[1].target, lines[-1].target, names(lines[:2]), names(lines)) == (
+        "b",
+        "c",
+        ["a", "b"],
+        ["a", "b", "c"],
+    )
+    assert group.asked == [True] and lines == tuple(lines) and lines.settled() is lines
+    assert pickle.loads(pickle.dumps(Lines(born=(1, 2)))) == (1, 2)
 
 
-def test_boxes_are_known_before_lines_are_made():
-    box = np.array([1.0, 2.0, 3.0, 4.0])
+def test_lines_of_several_groups_come_in_the_order_of_the_targets():
+    one, other = Group(b=[0] * 4, l=[1] * 4), Group(a=[2] * 4)
+    lines = Lines([one, other], ["a", "b", "l"])
+    born = SimpleNamespace(target="n", centre_box=(3.0,) * 4, status="tracking")
+    more = lines.with_born([born])
+    assert [*more.ids] == ["a", "b", "l", "n"] and len(lines) == 3 and len(more) == 4
+    assert more.places.boxes[:, 0].tolist() == [2, 0, 1, 3]
+    ids, boxes = more.held()
+    assert ids == ["a", "b", "n"] and boxes[:, 0].tolist() == [2, 0, 3]
+    assert more.boxes_of(["n", "a"])[:, 0].tolist() == [3, 2] and more.boxes_of([]).shape == (0, 4)
+    assert not one.asked and not other.asked
+    assert names(lines) == ["a", "b", "l"] and names(lines.with_born([born])) == ["a", "b", "l", "n"]
+    assert Lines().places.boxes.shape == (0, 4) and Lines().held()[0] == []
 
-    def never():
-        raise AssertionError("a line was made")
 
-    assert list(Lines([never], {"1": box}).boxes()) == [("1", (1.0, 2.0, 3.0, 4.0))]
+def test_lines_without_hypotheses_are_not_kept():
+    group = Group(a=[0] * 4)
+    lines = Lines([group], group.ids)
+    assert names(lines.without_hypotheses()) == names(lines) == ["a"] and group.asked == [False, True]
+    assert lines.without_hypotheses() is lines.without_hypotheses()

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, start_target, step
 from bayesnet_track.graph.checks.run import check_graph
@@ -98,7 +99,7 @@ def engine_of(says, seed=0, birth=None, **life):
 
 
 def play(engine, frames):
-    outcomes = [first_look(engine, Outcome(State(), (), ()), frames[0])]
+    outcomes = [first_look(engine, Outcome(State(), Lines(), ()), frames[0])]
     for frame in frames[1:]:
         outcomes.append(step(engine, outcomes[-1].state, frame))
     return outcomes

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from bayesnet_track import Tracker, load_graph
-from bayesnet_track.engine.metrics import Lines
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.lives import TargetDied
 from bayesnet_track.runtime import tracker as module

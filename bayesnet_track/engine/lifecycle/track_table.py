@@ -12,11 +12,10 @@ from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_c
 from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.metrics import Lines
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.finding import rows_of
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Records, Targets
 from bayesnet_track.graph.settings.lifecycle import Death
@@ -54,7 +53,7 @@ class LiveTable:
     tables: dict[str, Rows]
     states: dict[str, TargetState]
     records: dict[str, TrackRecord]
-    metrics: Sequence[FrameMetrics]
+    metrics: Lines
     history: TrackHistory
     lines: list[FrameMetrics] = field(default_factory=list)
     gone: set[str] = field(default_factory=set)
@@ -151,26 +150,7 @@ class LiveTable:
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
-        known = self.metrics
-        if isinstance(known, RowMetrics):
-            if not (self.lines or known.born):
-                is_all = tuple(targets) == known.rows.ids
-                own = slice(None) if is_all else [known.rows.index[target] for target in targets]
-                return known.boxes[own].reshape(-1, 4)
-            index, boxes = known.rows.index, known.boxes
-            at = self._at(known.born)
-            found = [at[target] if target in at else boxes[index[target]] for target in targets]
-        else:
-            at = self._at(known)
-            found = [at[target] for target in targets]
-        return np.array(found, dtype=np.float64).reshape(-1, 4)
-
-    def _at(self, lines: Sequence[FrameMetrics]) -> dict[str, Sequence[float]]:
-        """Target -> its box, of lines and of those that start."""
-        boxes: Iterable[tuple[str, Sequence[float]]] = (
-            lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
-        )
-        return {**dict(boxes), **{line.target: line.centre_box for line in self.lines}}
+        return self.metrics.with_born(self.lines).boxes_of(targets)
 
     def beliefs(self, targets: Sequence[str]) -> tuple[Floats, Floats, Sequence[int]]:
         """(K, 4) means and (K, 4, 4) covariances of the boxes, and the frames of the births.
@@ -274,9 +254,5 @@ class LiveTable:
             targets, records = Targets(gaussians, (), self.states), Records(gaussians, self.records)
         history = changed(self.history, records=records)
         state = changed(before.state, net=self.net, targets=targets, previous=frame, history=history)
-        metrics = self.metrics
-        if self.lines and isinstance(metrics, RowMetrics):
-            metrics = metrics.with_born(self.lines)
-        elif self.lines:
-            metrics = (*metrics, *self.lines)
+        metrics = self.metrics.with_born(self.lines)
         return changed(before, state=state, metrics=metrics, events=(*before.events, *self.events))

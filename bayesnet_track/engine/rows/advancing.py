@@ -2,15 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.adapt.rule_columns import STATUSES
+from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.groups import Heard
 from bayesnet_track.engine.lifecycle.association import Given, image_of
+from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
-from bayesnet_track.numerics.arrays import HYPOTHESES, Floats
-from bayesnet_track.numerics.gaussian import ALONE
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.spec import Estimate
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.journal.encoder import Written, written
+from bayesnet_track.journal.frame_columns import ABSENT, texts
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import AREA, FIT, HYPOTHESES, NATS, UD, Bools, Floats, Ints
+from bayesnet_track.numerics.distributions import p_after
+from bayesnet_track.numerics.gaussian import ALONE, roots
+from bayesnet_track.observation.cue import Measurement, Reference
+
+SHARES = tuple(NormalDist().inv_cdf((1.0 + share) / 2.0) for share in (0.5, 0.9))
+"""Standard deviations to both sides within which so much of the centre's weight lies, as `metrics.SHARES`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +50,219 @@ class FilteredGaussians:
     before: Rows
     columns: Columns
     numbers: Floats
+    keeps_status = True
+    holds_frame = False
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """The targets."""
+        return self.before.ids
+
+    @property
+    def compiled(self) -> CompiledPlate:
+        """Their plate."""
+        return self.before.rule.compiled
+
+    @property
+    def plan(self) -> Plan:
+        """The compiled net of the frame."""
+        return self.before.rule.plan
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The D fields of a state."""
+        return self.before.rule.motion.fields
+
+    @property
+    def references(self) -> Mapping[str, Sequence[Reference]]:
+        """Agent -> its reference of each target: columns have them."""
+        return {}
+
+    @property
+    def memory(self) -> RuleMemory:
+        """Rule memory of all targets."""
+        return self.before.columns.memory
+
+    @property
+    def hidden(self) -> Sequence[float]:
+        """Of each target the expected share that cannot be seen."""
+        return (0.0,) * len(self.before.ids)
+
+    @property
+    def existence(self) -> Floats | None:
+        """(T,) probabilities that they exist; None where the plate has no `existence`."""
+        return None if self.before.rule.crowd is None else self.columns.existence
+
+    @property
+    def is_hidden(self) -> None:
+        """No modes say whether a target can be seen."""
+
+    def nets(self, live: Mapping[str, TargetNet]) -> list[TargetNet]:
+        """The live nets of the targets."""
+        return [*map(live.__getitem__, self.before.ids)]
+
+    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
+        """(T,) places in `adapt.rule_columns.STATUSES`."""
+        return np.asarray(self.before.columns.is_lost * STATUSES.index("lost"))
+
+    def asks(self, nets: Sequence[TargetNet]) -> None:
+        """Nothing but a streak asks for a decision."""
+
+    def measures(self, areas_px2: Floats) -> GroupMeasures:
+        """UD, contributions, ... of the beliefs."""
+        numbers, rule = self.numbers, self.before.rule
+        return GroupMeasures(
+            uds={rule.root: numbers[:, UD].copy()},
+            areas=numbers[:, AREA].copy(),
+            fits=numbers[:, FIT].copy(),
+            agents=(rule.agent,),
+            nats=numbers[:, NATS, None],
+            of=self._measures_of,
+        )
+
+    def _measures_of(self, row: int) -> Measures:
+        rule, agent = self.before.rule, self.before.rule.agent
+        _, nats, _, _, agent_ud, ud, fit, area = self.numbers[row].tolist()
+        silent = () if self.columns.given[row] == GIVEN else (agent,)
+        return Measures(
+            {rule.root: ud}, {agent: agent_ud}, {agent: 0.0}, {agent: nats}, {agent: nats}, fit, area, silent
+        )
+
+    def of(self, row: int) -> Filtered:
+        """Nothing: columns say all of these targets."""
+        raise LookupError(f"target {self.ids[row]} is a row of a table of Gaussian beliefs")
+
+    def heard(self, row: int) -> Heard:
+        """Its own detection, unless several targets share it."""
+        rule, now = self.before.rule, self.columns
+        if rule.shares_detections or now.given[row] != GIVEN:
+            return Heard()
+        box = now.own[row, :4]
+        noise = np.diag(rule.association.variances(box) * rule.temperature)
+        return Heard(measured={rule.agent: Measurement(BOX_FIELDS, box, noise)})
+
+    def beside(self, row: int) -> Filtered | None:
+        """Nothing beside the columns is known of a target."""
+        return None
+
+    def state(self, row: int) -> TargetState:
+        """The state of one target before the frame."""
+        return self.before.state(row)
+
+    def estimates(self, rule: Estimate | None) -> Floats:
+        """(T, D) means, which are the MAP states, too."""
+        return self.columns.mean
+
+    def apart(self, decided: Collection[int]) -> Mapping[int, str]:
+        """All stay rows."""
+        return {}
+
+    def then(
+        self,
+        time: float,
+        references: Mapping[str, Sequence[Reference]],
+        memory: RuleMemory,
+        decided: Collection[int],
+        nets: Mapping[str, TargetNet],
+    ) -> Rows:
+        """The table after the frame: targets about which something was `decided` are lost, or found."""
+        is_lost = self.before.columns.is_lost
+        if decided:
+            is_lost = is_lost.copy()
+            is_lost[[*decided]] = ~is_lost[[*decided]]
+        return self.before.after(self.columns.changed(memory=memory, is_lost=is_lost), time, nets)
+
+    # -------------------------------------------------------------------------------- lines
+
+    def summaries(self, work: FrameWork, hypotheses: bool) -> dict[str, Summary]:
+        """Target -> its belief in a few numbers; without `hypotheses` none are drawn."""
+        now, rule, centre = self.columns, self.before.rule, self.columns.mean[:, :2]
+        variances = np.diagonal(now.covariance, axis1=1, axis2=2)
+        sds = np.sqrt(np.maximum(variances[:, :2], 0.0))
+        regions = [
+            np.stack([centre - reach * sds, centre + reach * sds], axis=2).reshape(-1, 4).tolist()
+            for reach in SHARES
+        ]
+        clouds = self._clouds(work) if hypotheses else [Written()] * len(self.ids)
+        log_evidence, nats, ess, size, _, _, _, _ = self.numbers.T.tolist()
+        columns = zip(variances, ess, nats, zip(*regions, strict=True), clouds, strict=True)
+        more = zip(log_evidence, size, self._p_values(), strict=True)
+        return {
+            target: Summary(
+                spread,
+                of,
+                surprise,
+                [*map(tuple, two)],
+                cloud,
+                now.mean[row, :4],
+                log,
+                int(count),
+                GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(count)),
+                p_values={} if value is None else {rule.agent: value},
+            )
+            for row, (target, (spread, of, surprise, two, cloud), (log, count, value)) in enumerate(
+                zip(self.ids, columns, more, strict=True)
+            )
+        }
+
+    def _clouds(self, work: FrameWork) -> list[Written]:
+        """Hypotheses drawn from the belief of each."""
+        now, streams = self.columns, work.engine.streams
+        draws = streams.of_each(work.births_of(self.ids), self.before.rule.root, work.moment, "cloud")
+        clouds = np.empty((len(self.ids), CLOUD_SIZE, 4))
+        for row, (lower, rng) in enumerate(zip(roots(now.covariance[:, :4, :4]), draws, strict=True)):
+            clouds[row] = draw_boxes(now.mean[row], lower, CLOUD_SIZE, rng)
+        return written(np.rint(clouds).astype(np.int64))
+
+    def _p_values(self) -> list[float | None]:
+        """P-value of each one's detection under its prediction; None of one that several targets share."""
+        rule, now = self.before.rule, self.columns
+        found: list[float | None] = [None] * len(self.ids)
+        own = np.flatnonzero((now.given == GIVEN) & (not rule.shares_detections))
+        boxes = now.own[own, :4]
+        noise = (rule.association.variances(boxes) * rule.temperature)[:, :, None] * np.eye(4)
+        values = p_after(boxes, noise, now.mean[own, :4], now.covariance[own, :4, :4])
+        for row, value in zip(own.tolist(), values.tolist(), strict=True):
+            found[row] = value
+        return found
+
+    def line_columns(
+        self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats
+    ) -> dict[str, NDArray[Any]]:
+        """The columns of `journal.frame_columns`, without hypotheses."""
+        now, rule = self.columns, self.before.rule
+        log_evidence, nats, ess, size, agent_ud, ud, fit, area = self.numbers.T
+        own, nothing = f"/{rule.agent}", np.zeros(len(self.ids))
+        variances = np.diagonal(now.covariance, axis1=1, axis2=2)[:, :4]
+        p_values = [ABSENT if value is None else value for value in self._p_values()]
+        columns: dict[str, NDArray[Any]] = {
+            "frame": np.array(work.frame.index, dtype="<i8"),
+            "time_s": np.array(work.frame.time_s, dtype="<f8"),
+            "target": texts(self.ids),
+            "box": np.ascontiguousarray(boxes.T),
+            "map": np.ascontiguousarray(now.mean[:, :4].T),
+            "sd": np.ascontiguousarray(np.sqrt(np.maximum(variances, 0.0)).T),
+            "ud_px2": ud,
+            f"ud_nodes/{rule.root}": ud,
+            "quiet_px2": np.where(np.isnan(levels_px2), ABSENT, levels_px2),
+            "status": texts("lost" if lost else "tracking" for lost in is_lost.tolist()),
+            "score": fit / (1.0 + ud / np.maximum(area, 1.0)),
+            "log_evidence": log_evidence,
+            "surprise": nats,
+            "ess": ess,
+            "learn_rate": nothing,
+            "particles": size.astype("<i4"),
+            "active": np.full(len(nothing), rule.agent.encode()),
+            "silent": np.where(now.given == GIVEN, b"", rule.agent.encode()),
+            "kl" + own: nothing,
+            "contribution" + own: nats,
+            "agent_ud_px2" + own: agent_ud,
+            "strength" + own: nats,
+            "p_values" + own: np.array(p_values),
+        }
+        if rule.crowd is not None:
+            columns["existence"] = now.existence
+        return columns
 
 
 def filter_gaussians(work: FrameWork, rows: Rows, given: Given) -> FilteredGaussians:

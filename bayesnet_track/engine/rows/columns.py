@@ -113,6 +113,12 @@ class Rows:
         after.__dict__["index"] = self.index
         return after
 
+    def after(self, columns: Columns, time: float, nets: Mapping[str, Any]) -> Rows:
+        """The same targets, later, with the live nets found to fit."""
+        after = Rows(self.rule, self.ids, columns, time, nets)
+        after.__dict__["index"] = self.index
+        return after
+
     def with_nets(self, nets: Mapping[str, Any]) -> Rows:
         """The same, with the live nets found to fit."""
         after = Rows(self.rule, self.ids, self.columns, self.time, nets)
@@ -161,10 +167,6 @@ class Rows:
         return TargetState(
             belief, references, now.memory.take([row]), rule.plan, self.time, existence=existence
         )
-
-    def covariance(self, target: str) -> Floats:
-        """(D, D) of the belief of one target."""
-        return np.asarray(self.columns.covariance[self.index[target]])
 
     def record(self, row: int) -> TrackRecord:
         """What is counted of one target."""

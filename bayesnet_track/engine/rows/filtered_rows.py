@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.adapt.rule_inputs import GroupMeasures
 from bayesnet_track.belief.contract import Evidence, MotionModel, Step, estimate
 from bayesnet_track.belief.particles.belief import Before, FindMap, find_places
 from bayesnet_track.belief.particles.particle_set import Clouds, Inputs, some
@@ -16,15 +17,18 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.groups import Heard, statuses_of
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure import columns_of
-from bayesnet_track.inference.measure_rows import StepArrays, uncertainties
+from bayesnet_track.inference.measure_rows import StepArrays, measure_rows, uncertainties
 from bayesnet_track.journal.metrics import JoinMetrics
-from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights, effective, select
 from bayesnet_track.observation.cue import Hypotheses, Reference
 
@@ -54,6 +58,8 @@ class FilteredRows(Mapping[str, Filtered]):
     log_evidence: Floats
     motion: MotionModel
     joins: Mapping[str, JoinMetrics] = field(default_factory=dict)
+    keeps_status = False
+    holds_frame = True
     _made: dict[str, Filtered] = field(default_factory=dict)
 
     @property
@@ -150,14 +156,65 @@ class FilteredRows(Mapping[str, Filtered]):
         joins = self.joins
         return [joins[target].hidden if target in joins else 0.0 for target in self.ids]
 
+    def measures(self, areas_px2: Floats) -> GroupMeasures:
+        """UD, KL, ... of the beliefs, whose estimates have these areas (T,)."""
+        return measure_rows(self.compiled.plate, self.plan, self.arrays, areas_px2)
+
     @property
     def arrays(self) -> StepArrays:
-        """What measures are made of."""
+        """Inputs of measures."""
         log, columns = self.clouds.log, columns_of(self.before.compiled.plate, self.plan.root)
         chosen, prior = select(columns), np.tile(self.prior.log, (len(log), 1))
         uds = uncertainties(self.clouds.states[:, :, chosen], self.clouds.weights, self.best[:, chosen])
         agents = [one.agent for one in self.plan.observations]
         return StepArrays(agents, (), self.messages, prior, log, self.boxes, uds)
+
+    @property
+    def existence(self) -> Floats | None:
+        """(T,) probabilities that they exist; None where the plate has no `existence`."""
+        known = [one.existence for one in self.before.base]
+        return None if known[0] is None else np.array(known)
+
+    @property
+    def is_hidden(self) -> None:
+        """No modes say whether a target can be seen."""
+
+    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
+        """(T,) places in `adapt.rule_columns.STATUSES`."""
+        return statuses_of(nets)
+
+    def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
+        """(T,) whether something else than a streak asks for a decision; None where nothing does."""
+        asks = [bool(net.quarantined) for net in nets]
+        return np.array(asks) if any(asks) else None
+
+    def heard(self, row: int) -> Heard:
+        """Answers of the agents of one target."""
+        return Heard({agent: said[row] for agent, said in self.messages.items()})
+
+    def apart(self, decided: Collection[int]) -> Mapping[int, str]:
+        """Row -> target, of those that are an object each after the frame, where some were `decided` on."""
+        rows = decided if columns_say_all(self.compiled) else range(len(self))
+        return {row: self.ids[row] for row in rows}
+
+    def then(
+        self,
+        time: float,
+        references: Mapping[str, Sequence[Reference]],
+        memory: RuleMemory,
+        decided: Collection[int],
+        nets: Mapping[str, TargetNet],
+    ) -> ParticleTable | None:
+        """The table of the targets about which nothing was decided; None without any."""
+        apart = self.apart(decided)
+        kept = [row for row in range(len(self)) if row not in apart]
+        if not kept:
+            return None
+        table = self.before.then(time, self.clouds, references, memory, nets)
+        return table.take(kept) if apart else table
+
+    def line_columns(self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
+        """Lines have to be made."""
 
     @cached_property
     def ess(self) -> list[float]:
@@ -233,6 +290,19 @@ class FilteredRows(Mapping[str, Filtered]):
 
     def __len__(self) -> int:
         return len(self.ids)
+
+
+@lru_cache(maxsize=64)
+def columns_say_all(compiled: CompiledPlate) -> bool:
+    """True where belief, references and rule memory are a target's state while nothing is decided."""
+    root = compiled.plate.inference(compiled.plate.root)
+    return (
+        root.score is None
+        and compiled.guard is None
+        and compiled.moving is None
+        and compiled.modes is None
+        and not any(is_elsewhere(cue) for cue in compiled.cues.values())
+    )
 
 
 def _ask_nobody(hypotheses: Hypotheses, prior_log: Floats) -> Evidence:

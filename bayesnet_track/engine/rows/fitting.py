@@ -72,6 +72,11 @@ class RowRule:
         """The agents of a row that work: all."""
         return self.plan.active
 
+    @property
+    def shares_detections(self) -> bool:
+        """True where several targets may use one detection, by probability."""
+        return self.crowd is not None and self.crowd.is_marginal
+
 
 def row_rule(engine: Engine, plate: str) -> RowRule | None:
     """What the rows of a plate have in common; None where its targets have to go one by one."""

@@ -23,7 +23,7 @@ from bayesnet_track.belief.grid.cells import AXIS, GridBelief
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.engine.metrics import Heard
+from bayesnet_track.engine.groups import Heard
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.journal.encoder import JournalError, short

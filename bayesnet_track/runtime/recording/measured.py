@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.lines import Lines
 from bayesnet_track.journal.frame_columns import columns_of, narrowed, strings
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.recording.tracks import Tracked
@@ -26,19 +26,20 @@ def measured(
         hypotheses: whether to write those of all targets, not only of `FEW` in a frame.
     """
     hypotheses |= len(targets) <= FEW
-    if isinstance(targets, RowMetrics) and not hypotheses:
-        if targets.born:
-            lines = targets.without_clouds()
-            return columns_of(lines, False), Tracked.of(lines)
-        columns = targets.columns()
-        return narrowed(columns), Tracked(
-            int(columns["frame"]),
-            float(columns["time_s"]),
-            targets.rows.ids,
-            targets.boxes,
-            strings(columns["status"]),
-            columns["score"].tolist(),
-            columns["ud_px2"].tolist(),
-            [targets.rows.rule.agent] * len(targets),
-        )
-    return columns_of(targets, hypotheses), Tracked.of(targets)
+    lines = Lines.of(targets)
+    if hypotheses:
+        return columns_of(lines, hypotheses), Tracked.of(lines)
+    columns = lines.columns()
+    if columns is None:
+        without = lines.without_hypotheses()
+        return columns_of(without, hypotheses), Tracked.of(without)
+    return narrowed(dict(columns)), Tracked(
+        int(columns["frame"]),
+        float(columns["time_s"]),
+        lines.ids,
+        lines.places.boxes,
+        strings(columns["status"]),
+        columns["score"].tolist(),
+        columns["ud_px2"].tolist(),
+        [name.decode() for name in columns["active"].tolist()],
+    )

@@ -1,0 +1,189 @@
+"""The lines of metrics of a frame, made when somebody asks for them; boxes and statuses are known before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from itertools import compress
+from typing import Any, NamedTuple, Protocol, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Bools, Floats
+
+
+class LineGroup(Protocol):
+    """Targets that were finished together."""
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """The targets."""
+
+    @property
+    def boxes(self) -> Floats:
+        """(T, 4) estimates, centre boxes in px."""
+
+    @property
+    def is_lost(self) -> Bools:
+        """(T,) whether the status was lost in the frame."""
+
+    @property
+    def holds_frame(self) -> bool:
+        """True where the frame and its planes are held."""
+
+    def lines(self, hypotheses: bool) -> Sequence[FrameMetrics]:
+        """Their lines; without `hypotheses` those may be left out."""
+
+    def columns(self) -> Mapping[str, NDArray[Any]] | None:
+        """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made."""
+
+
+class Places(NamedTuple):
+    """Boxes and statuses of the targets of a frame.
+
+    Attributes:
+        ids: T targets.
+        boxes: (T, 4) centre boxes, px.
+        is_lost: (T,) whether the status was lost.
+    """
+
+    ids: Sequence[str]
+    boxes: Floats
+    is_lost: Bools
+
+
+class Lines(Sequence[FrameMetrics]):
+    """The lines of one frame.
+
+    Args:
+        groups: of targets that were finished together.
+        order: their targets, in the order of their lines.
+        born: lines that are made already, such as those of targets that start.
+
+    >>> lines = Lines(born=("first", "second"))
+    >>> len(lines), lines[1], lines == ("first", "second")
+    (2, 'second', True)
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[LineGroup] = (),
+        order: Sequence[str] = (),
+        born: Sequence[FrameMetrics] = (),
+    ) -> None:
+        self._groups, self._order, self.born = groups, order, tuple(born)
+        self._made: tuple[FrameMetrics, ...] | None = None
+
+    @classmethod
+    def of(cls, lines: Sequence[FrameMetrics]) -> Lines:
+        """Any lines as these."""
+        return lines if isinstance(lines, Lines) else cls(born=lines)
+
+    def with_born(self, born: Sequence[FrameMetrics]) -> Lines:
+        """These, and targets that start."""
+        if not born:
+            return self
+        groups = self._groups  # read before `_made`: another thread may make them
+        if self._made is not None:
+            return Lines(born=(*self._made, *born))
+        return Lines(groups, self._order, (*self.born, *born))
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """The target of each."""
+        return (*self._order, *(line.target for line in self.born)) if self.born else self._order
+
+    @cached_property
+    def places(self) -> Places:
+        """Boxes and statuses of the targets; makes no lines."""
+        groups = self._groups
+        born = self.born if self._made is None else self._made
+        parts = [] if self._made is not None else [Places(one.ids, one.boxes, one.is_lost) for one in groups]
+        if born:
+            boxes = np.array([line.centre_box for line in born])
+            lost = np.array([line.status == "lost" for line in born])
+            parts.append(Places([line.target for line in born], boxes, lost))
+        if len(parts) == 1:
+            (whole,) = parts
+        elif not parts:
+            whole = Places((), np.empty((0, 4)), np.empty(0, dtype=np.bool_))
+        else:
+            whole = Places(
+                [target for part in parts for target in part.ids],
+                np.concatenate([part.boxes for part in parts]),
+                np.concatenate([part.is_lost for part in parts]),
+            )
+        if whole.ids is self._order or tuple(whole.ids) == tuple(self.ids):
+            return whole
+        index = dict(zip(whole.ids, range(len(whole.ids)), strict=True))
+        rows = [index[target] for target in self.ids]
+        return Places(self.ids, whole.boxes[rows], whole.is_lost[rows])
+
+    def boxes_of(self, targets: Sequence[str]) -> Floats:
+        """(K, 4) centre boxes of some targets, px."""
+        ids, boxes, _ = self.places
+        if tuple(targets) == tuple(ids):
+            return boxes
+        index = dict(zip(ids, range(len(ids)), strict=True))
+        return boxes[[index[target] for target in targets]].reshape(-1, 4)
+
+    def held(self) -> tuple[list[str], Floats]:
+        """Ids and (K, 4) centre boxes, px, of the targets that are not lost."""
+        ids, boxes, is_lost = self.places
+        return [*compress(ids, (~is_lost).tolist())], boxes[~is_lost]
+
+    def columns(self) -> Mapping[str, NDArray[Any]] | None:
+        """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made."""
+        groups = self._groups
+        return groups[0].columns() if len(groups) == 1 and not self.born else None
+
+    def without_hypotheses(self) -> Sequence[FrameMetrics]:
+        """The lines, maybe without their hypotheses, which may take most of the time."""
+        groups = self._groups
+        return self._make(groups, hypotheses=False) if self._made is None else self._made
+
+    def settled(self) -> Lines:
+        """The same, without the frame and its planes: lines that need them are made."""
+        if any(group.holds_frame for group in self._groups):
+            self._lines()
+        return self
+
+    def _lines(self) -> tuple[FrameMetrics, ...]:
+        groups = self._groups
+        if self._made is None:
+            self._made = self._make(groups, hypotheses=True)
+            self._groups = ()  # what they were made of is not needed any more
+        return self._made
+
+    def _make(self, groups: Sequence[LineGroup], hypotheses: bool) -> tuple[FrameMetrics, ...]:
+        made = [line for group in groups for line in group.lines(hypotheses)]
+        if [line.target for line in made] != [*self._order]:
+            of = {line.target: line for line in made}
+            made = [of[target] for target in self._order]
+        return (*made, *self.born)
+
+    @overload
+    def __getitem__(self, at: int) -> FrameMetrics: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> tuple[FrameMetrics, ...]: ...
+
+    def __getitem__(self, at: int | slice) -> FrameMetrics | tuple[FrameMetrics, ...]:
+        return self._lines()[at]
+
+    def __iter__(self) -> Iterator[FrameMetrics]:
+        return iter(self._lines())
+
+    def __len__(self) -> int:
+        return len(self._order) + len(self.born)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and self._lines() == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._lines())
+
+    def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
+        return tuple, (self._lines(),)
