@@ -6,6 +6,7 @@ Memory is that of one block, however long the run.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -59,7 +60,8 @@ class Block:
 
     Attributes:
         frame: (N,) of which frame.
-        columns: name -> (N,) numbers, or (4, N) of boxes; of texts their codes, see `Blocks.texts`.
+        columns: name -> (N,) numbers, or (4, N) of boxes; of texts their codes, see `Blocks.texts`. Those of
+            `CLOUD` are more than N.
     """
 
     frame: NDArray[np.int64]
@@ -67,6 +69,16 @@ class Block:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    def of_rows(self, rows: NDArray[Any]) -> Block:
+        """Some of the rows, in this order, given as indices."""
+        columns = {name: column[..., rows] for name, column in self.columns.items() if name != CLOUD}
+        if CLOUD in self.columns:
+            counts = self.columns["cloud_count"].astype(np.int64)
+            starts = np.cumsum(counts) - counts
+            spans_of_rows = [np.arange(starts[row], starts[row] + counts[row]) for row in rows.tolist()]
+            columns[CLOUD] = self.columns[CLOUD][:, np.concatenate([np.arange(0), *spans_of_rows])]
+        return Block(self.frame[rows], columns)
 
     def numbers(self, name: str) -> Floats:
         """(N,) or (4, N) in double precision; `ABSENT` where a target does not have it."""
@@ -91,6 +103,7 @@ class Blocks:
     Attributes:
         texts: name of a column of texts -> them and their codes.
         all_frames: frame of each record, in order.
+        rows: rows of all blocks.
         step: frames of a block.
         last: last frame; -1 where there is none.
 
@@ -99,7 +112,7 @@ class Blocks:
     """
 
     def __init__(self, metrics: Sequence[FrameMetrics], names: Iterable[str]) -> None:
-        self.texts: Mapping[str, Texts] = {name: Texts() for name in TEXTS}
+        self.texts: defaultdict[str, Texts] = defaultdict(Texts)
         self._names = frozenset({"target", *names})
         if self._names & {*REGIONS}:
             self._names |= {"map", "sd"}
@@ -108,11 +121,12 @@ class Blocks:
         if self._file is not None:
             places = self._file.places
             self.all_frames = np.array([place.frame for place in places], dtype=np.int64)
-            most = max((place.targets for place in places), default=1)
+            counts = np.array([place.targets for place in places], dtype=np.int64)
         else:
             self.all_frames = np.array([line.frame for line in metrics], dtype=np.int64)
-            most = int(np.unique(self.all_frames, return_counts=True)[1].max(initial=1))
-        self.step = max(1, ROWS // max(1, most))
+            counts = np.unique(self.all_frames, return_counts=True)[1]
+        self.rows = int(counts.sum())
+        self.step = max(1, ROWS // int(counts.max(initial=1)))
         self.last = int(self.all_frames[-1]) if len(self.all_frames) else -1
 
     def frames(self) -> NDArray[np.int64]:
@@ -129,13 +143,22 @@ class Blocks:
             return self._of_lines(self._lines[first:after])
         return self._of_places(self._file, self._file.places[first:after])
 
+    def joined(self, blocks: Sequence[Block]) -> Block:
+        """Blocks of this run, one below the other."""
+        names = dict.fromkeys(name for block in blocks for name in block.columns)
+        pieces = [(len(block), block.columns) for block in blocks]
+        frame = np.concatenate([np.zeros(0, dtype=np.int64), *(block.frame for block in blocks)])
+        return Block(frame, {name: self._joined(name, pieces) for name in names})
+
     def _of_lines(self, lines: Sequence[FrameMetrics]) -> Block:
-        columns = {} if not lines else all_columns(lines, False)
+        columns = {} if not lines else all_columns(lines, CLOUD in self._names)
         kept = {
-            name: self.texts[name].codes(column) if name in TEXTS else column
+            name: self.texts[name].codes(column) if is_text(name) else column
             for name, column in columns.items()
             if name in self._names or f"{name.partition('/')[0]}/" in self._names
         }
+        if "time_s" in kept:
+            kept["time_s"] = np.array([line.time_s for line in lines], dtype=np.float64)
         return Block(np.array([line.frame for line in lines], dtype=np.int64), kept)
 
     def _of_places(self, file: FrameFile, places: Sequence[Place]) -> Block:
@@ -160,16 +183,21 @@ class Blocks:
     def _piece(self, records: NDArray[Any], targets: int) -> dict[str, NDArray[Any]]:
         piece: dict[str, NDArray[Any]] = {}
         for name in records.dtype.names or ():
-            column, shape = records[name], (4, targets) if name in BOXES else (targets,)
-            if column.shape[1:] != shape:
+            if name == "time_s":
+                piece[name] = np.repeat(records[name], targets)
+                continue
+            column, shape = records[name], (4, targets) if is_box(name) else (targets,)
+            if column.shape[1:] != shape and (name != CLOUD or column.shape[1:2] != (4,)):
                 raise ValueError(f"{name} of shape {column.shape[1:]}, not {shape}")
-            if name in TEXTS:
+            if is_text(name):
                 codes = [self.texts[name].codes(row) for row in column]
                 piece[name] = codes[0] if len(codes) == 1 else np.concatenate(codes)
-            elif name in BOXES:
+            elif is_box(name):
                 piece[name] = column.transpose(1, 0, 2).reshape(4, -1)
             else:
                 piece[name] = column.reshape(-1)
+        if CLOUD in piece and piece["cloud_count"].sum() != piece[CLOUD].shape[1]:
+            raise ValueError("hypotheses that are of no target")
         return piece | {
             name: region_of(piece, name) for name in REGIONS if name in self._names and name not in piece
         }
@@ -179,10 +207,12 @@ class Blocks:
         for rows, piece in pieces:
             if name in piece:
                 columns.append(piece[name])
-            elif name in TEXTS:
+            elif is_text(name):
                 columns.append(np.full(rows, self.texts[name].code(b""), dtype=np.int32))
+            elif name in (CLOUD, "cloud_count"):
+                columns.append(np.zeros((4, 0) if name == CLOUD else rows, dtype="<i2"))
             else:
-                columns.append(np.full((4, rows) if name in BOXES else rows, ABSENT, dtype="<f4"))
+                columns.append(np.full((4, rows) if is_box(name) else rows, ABSENT, dtype="<f4"))
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=-1)
 
 
@@ -209,3 +239,15 @@ def targets_of(metrics: Sequence[FrameMetrics]) -> list[str]:
 TEXTS = ("target", "status", "active", "silent")
 """Columns of texts that can be read; `active` and `silent` hold names with blanks between them."""
 BOXES = ("box", "map", "sd", "region50", "region90")
+CLOUD = "cloud"
+"""(4, M) hypotheses of all targets below each other; ``cloud_count`` (N,) how many are each target's."""
+
+
+def is_text(name: str) -> bool:
+    """Whether a column holds texts."""
+    return name in TEXTS or (name.startswith("parts/") and name.endswith("/status"))
+
+
+def is_box(name: str) -> bool:
+    """Whether a column has four numbers for each target."""
+    return name in (*BOXES, CLOUD) or (name.startswith("parts/") and name.endswith(("/box", "/sd")))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +12,36 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.journal.blocks import CLOUD, Block, Blocks
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.frame_columns import is_absent
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.view.page_rows import choose
 from bayesnet_track.view.page_tables import event_rows, plates, short_floats
 
 VERSION = 1
 STATUSES = ("tracking", "uncertain", "lost", "seen", "hidden", "unwatched")
 """Codes of the columns `status`, also those of parts."""
-NUMBERS = ("ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate", "angle")
-BOXES = {"box": "centre_box", "map": "map", "sd": "sd", "region50": "region50", "region90": "region90"}
-"""Column -> field."""
+NUMBERS = ("ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate")
+BOXES = ("box", "map", "sd", "region50", "region90")
 PER_AGENT = ("kl", "contribution", "agent_ud_px2")
 CLOUD_POINTS = 600_000
 """Hypotheses in all that a page holds; where a run has more, each frame shows fewer of them."""
+
+READ = (
+    *(*NUMBERS, *BOXES, "time_s", "angle", "quiet_px2", "status", "active", "silent", CLOUD, "cloud_count"),
+    *("ud_nodes/", "kl/", "contribution/", "agent_ud_px2/", "strength/", "modes/", "features/", "parts/"),
+)
+"""Columns of ``frames.npy.gz`` that a page shows."""
 
 Columns = dict[str, NDArray[Any]]
 
 
 def run_data(
     events: Sequence[Event],
-    metrics: Iterable[FrameMetrics],
+    metrics: Sequence[FrameMetrics],
     timings: Sequence[Mapping[str, Any]] = (),
     graph: CheckedGraph | None = None,
     truth: ArrayLike | None = None,
@@ -44,7 +52,7 @@ def run_data(
     Columns of target i are called `i/NAME` with a row per frame of that target; names are those of
     `export --format frames`, with `agents/NODE/...`, `nodes/NODE/...` and `parts/NODE/...` for what is
     measured of nodes, and `modes/MODE` for the probability of a mode. Columns `run/...` have a row per line
-    of the timings.
+    of the timings. Of a long run only some rows are shown, see `choose`.
 
     Args:
         events: the journal.
@@ -60,20 +68,24 @@ def run_data(
     start = events[0] if events else None
     if not isinstance(start, RunStarted):
         raise ValueError("the journal does not begin with run_started")
-    by_target: dict[str, list[FrameMetrics]] = {}
-    for line in metrics:
-        by_target.setdefault(line.target, []).append(line)
+    blocks = Blocks(metrics, READ)
+    shown = choose(blocks, events)
     templates = {e.target: e.template for e in events if isinstance(e, TargetStarted | Returned)}
-    points = max(1, CLOUD_POINTS // max(1, sum(map(len, by_target.values()))))
+    points = max(1, CLOUD_POINTS // max(1, len(shown.rows)))
     columns: Columns = {}
     targets = []
-    for number, (target, lines) in enumerate(by_target.items()):
-        columns |= {f"{number}/{name}": column for name, column in _target(lines, points).items()}
-        targets.append({"id": target, "plate": templates.get(target, ""), **_names(lines)})
+    ids = blocks.texts["target"].texts
+    for number, target in enumerate(ids):
+        rows = shown.rows.of_rows(np.flatnonzero(shown.rows.codes("target") == number))
+        names = _names(rows, blocks)
+        columns |= {
+            f"{number}/{name}": column for name, column in _target(rows, names, blocks, points).items()
+        }
+        targets.append({"id": target, "plate": templates.get(target, ""), **names, **shown.counted(target)})
     columns |= {f"run/{name}": column for name, column in _clock(timings).items()}
     about_truth: str | None = None
     if truth is not None:
-        about_truth = "1" if "1" in by_target else next(iter(by_target), None)
+        about_truth = "1" if "1" in ids else next(iter(ids), None)
         columns["run/truth"] = short_floats(np.asarray(truth, dtype=np.float64).reshape(-1, 4))
     header = {
         "version": VERSION,
@@ -82,6 +94,7 @@ def run_data(
         "targets": targets,
         "events": event_rows(events),
         "truth_target": about_truth,
+        "thinned": shown.about,
         "stages": sorted({name for line in timings for name in line["parts"]}),
     }
     return header, columns
@@ -124,53 +137,70 @@ def _description(start: RunStarted, events: Sequence[Event]) -> dict[str, Any]:
     }
 
 
-def _names(lines: Sequence[FrameMetrics]) -> dict[str, Any]:
+def _names(rows: Block, blocks: Blocks) -> dict[str, Any]:
     """The nodes of which anything is measured, in the order in which they appear."""
-    agents = dict.fromkeys(name for line in lines for name in line.active)
-    nodes = dict.fromkeys(name for line in lines for name in line.ud_nodes)
-    parts = dict.fromkeys(name for line in lines for name in line.parts)
+    codes, first = np.unique(rows.codes("active"), return_index=True)
+    groups = [blocks.texts["active"].texts[code].split() for code in codes[np.argsort(first)].tolist()]
+    statuses = [name for name in rows.columns if name.startswith("parts/") and name.endswith("/status")]
+    parts = [name[len("parts/") : -len("/status")] for name in statuses if _watched(rows, blocks, name).any()]
     return {
-        "agents": list(agents),
-        "nodes": list(nodes),
-        "parts": list(parts),
-        "modes": list(dict.fromkeys(name for line in lines for name in line.modes)),
-        "calibrated": any(line.features for line in lines),
+        "agents": list(dict.fromkeys(agent for group in groups for agent in group)),
+        "nodes": _measured(rows, "ud_nodes"),
+        "parts": parts,
+        "modes": _measured(rows, "modes"),
+        "calibrated": bool(_measured(rows, "features")),
     }
 
 
-def _target(lines: Sequence[FrameMetrics], points: int) -> Columns:
-    names = _names(lines)
+def _measured(rows: Block, field: str) -> list[str]:
+    """The nodes for which a field has a value in any row."""
+    names = [name for name in rows.columns if name.startswith(f"{field}/")]
+    return [name[len(field) + 1 :] for name in names if not is_absent(rows.numbers(name)).all()]
+
+
+def _watched(rows: Block, blocks: Blocks, name: str) -> NDArray[np.bool_]:
+    return np.array([bool(text) for text in blocks.texts[name].texts], dtype=bool)[rows.codes(name)]
+
+
+def _target(rows: Block, names: Mapping[str, Any], blocks: Blocks, points: int) -> Columns:
+    angle = rows.numbers("angle")
     columns: Columns = {
-        "frame": np.array([line.frame for line in lines], dtype=np.int32),
-        "time_s": np.array([line.time_s for line in lines], dtype=np.float64),
-        "status": _codes(line.status for line in lines),
-        "quiet_px2": short_floats([math.nan if v.quiet_px2 is None else v.quiet_px2 for v in lines]),
+        "frame": rows.frame.astype(np.int32),
+        "time_s": rows.numbers("time_s"),
+        "status": _codes(rows, blocks, "status"),
+        "quiet_px2": _number(rows, "quiet_px2"),
     }
-    columns |= {name: short_floats([getattr(line, name) for line in lines]) for name in NUMBERS}
-    columns |= {name: short_floats([getattr(line, field) for line in lines]) for name, field in BOXES.items()}
+    columns |= {name: _number(rows, name) for name in NUMBERS}
+    columns["angle"] = short_floats(np.where(is_absent(angle), 0.0, angle))
+    columns |= {name: short_floats(rows.numbers(name).T) for name in BOXES}
     for agent in names["agents"]:
-        state = [(agent in line.active) + (agent in line.silent) for line in lines]
-        columns[f"agents/{agent}/state"] = np.array(state, dtype=np.uint8)
-        columns |= {f"agents/{agent}/{key}": _of_node(lines, key, agent) for key in PER_AGENT}
+        state = _holds(rows, blocks, "active", agent).astype(np.uint8) + _holds(rows, blocks, "silent", agent)
+        columns[f"agents/{agent}/state"] = state
+        columns |= {f"agents/{agent}/{key}": _number(rows, f"{key}/{agent}") for key in PER_AGENT}
     for node in names["nodes"]:
-        columns[f"nodes/{node}/ud_px2"] = _of_node(lines, "ud_nodes", node)
-    for node in dict.fromkeys(name for line in lines for name in line.strength):
-        columns[f"nodes/{node}/strength"] = _of_node(lines, "strength", node)
+        columns[f"nodes/{node}/ud_px2"] = _number(rows, f"ud_nodes/{node}")
+    for node in _measured(rows, "strength"):
+        columns[f"nodes/{node}/strength"] = _number(rows, f"strength/{node}")
     for part in names["parts"]:
-        parts = [line.parts.get(part) for line in lines]
-        nothing = (math.nan,) * 4
-        columns[f"parts/{part}/box"] = short_floats([nothing if p is None else p.centre_box for p in parts])
-        columns[f"parts/{part}/status"] = _codes("unwatched" if p is None else p.status for p in parts)
-    columns |= {f"modes/{mode}": _of_node(lines, "modes", mode) for mode in names["modes"]}
-    return columns | _clouds(lines, points)
+        is_watched = _watched(rows, blocks, f"parts/{part}/status")
+        box = np.where(is_watched, rows.numbers(f"parts/{part}/box"), np.nan)
+        columns[f"parts/{part}/box"] = short_floats(box.T)
+        status = _codes(rows, blocks, f"parts/{part}/status")
+        columns[f"parts/{part}/status"] = np.where(is_watched, status, STATUSES.index("unwatched")).astype(
+            np.uint8
+        )
+    columns |= {f"modes/{mode}": _number(rows, f"modes/{mode}") for mode in names["modes"]}
+    return columns | _clouds(rows, points)
 
 
-def _clouds(lines: Sequence[FrameMetrics], points: int) -> Columns:
+def _clouds(rows: Block, points: int) -> Columns:
     """`cloud` (m, 4): all hypotheses below each other; `cloud_end` (n,): where those of a frame end."""
-    clouds = [[box[:4] for box in line.cloud[:points]] for line in lines]
-    flat = np.array([box for cloud in clouds for box in cloud], dtype=np.float64).reshape(-1, 4)
-    ends = np.cumsum([len(cloud) for cloud in clouds], dtype=np.int64).astype(np.int32)
-    return {"cloud": np.clip(flat, -32768, 32767).astype(np.int16), "cloud_end": ends}
+    counts = rows.columns.get("cloud_count", np.zeros(len(rows))).astype(np.int64)
+    kept = np.minimum(counts, points)
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    flat = rows.columns.get(CLOUD, np.zeros((4, 0)))[:, within < np.repeat(kept, counts)]
+    cloud = np.clip(flat, -32768, 32767).astype(np.int16).T
+    return {"cloud": np.ascontiguousarray(cloud), "cloud_end": np.cumsum(kept).astype(np.int32)}
 
 
 def _clock(timings: Sequence[Mapping[str, Any]]) -> Columns:
@@ -183,12 +213,21 @@ def _clock(timings: Sequence[Mapping[str, Any]]) -> Columns:
     return columns
 
 
-def _of_node(lines: Sequence[FrameMetrics], key: str, node: str) -> NDArray[np.float32]:
-    return short_floats([getattr(line, key).get(node, math.nan) for line in lines])
+def _number(rows: Block, name: str) -> NDArray[np.float32]:
+    values = rows.numbers(name)
+    return short_floats(np.where(np.isnan(values), np.nan, values))
 
 
-def _codes(statuses: Iterable[str]) -> NDArray[np.uint8]:
-    return np.array([STATUSES.index(s) if s in STATUSES else 0 for s in statuses], dtype=np.uint8)
+def _holds(rows: Block, blocks: Blocks, name: str, agent: str) -> NDArray[np.bool_]:
+    """(N,) whether a column of names has this one."""
+    texts = blocks.texts[name].texts
+    return np.array([agent in text.split() for text in texts], dtype=bool)[rows.codes(name)]
+
+
+def _codes(rows: Block, blocks: Blocks, name: str) -> NDArray[np.uint8]:
+    texts = blocks.texts[name].texts
+    known = [STATUSES.index(text) if text in STATUSES else 0 for text in texts]
+    return np.array(known, dtype=np.uint8)[rows.codes(name)]
 
 
 def _finite(value: float) -> float | None:

@@ -128,3 +128,18 @@ test("of many targets the longest are drawn, and the chosen one, in their order"
   assert.deepEqual(drawnOf(all, all[2]!, 3), [all[1], all[2], all[3]]);
   assert.deepEqual(drawnOf(all, all[0]!, 4), all);
 });
+
+test("a thinned page shows a frame by the row before it, and counts all frames", () => {
+  const run = new RunData(header);
+  const lines = [0, 10, 17, 20, 60].map((frame) => line(frame));
+  for (const one of lines) run.append(one);
+  const track = run.tracks.get("1")!;
+  assert.deepEqual([5, 17, 19, 29, 30].map((frame) => track.rowOf(frame)), [-1, 2, -1, -1, -1]);
+  track.gap = 10;
+  assert.deepEqual([-1, 0, 5, 17, 19, 29, 30, 60, 70].map((frame) => track.rowOf(frame)), [-1, 0, 0, 2, 2, 3, -1, 4, -1]);
+  track.counted = { frames: 40, lost: 8, uncertain: 3, active: { color: 40 } };
+  run.thinned = { step: 10, rows: 5, of: 40, frames: 40, decisions: 1 };
+  const [total] = totals(run);
+  assert.deepEqual([total!.frames, total!.lost, total!.uncertain], [40, 8, 3]);
+  assert.equal(frameCounts(run).withTarget, 40);
+});

@@ -162,7 +162,7 @@ def test_every_kind_of_graph_has_a_net(name):
 def test_columns_hold_the_lines(make_metrics):
     lines = [
         make_metrics(frame=0, active=("color",), kl={}, cloud=()),
-        make_metrics(frame=1, active=("color", "motion"), kl={"motion": 2.0}, cloud=((5, 6, 7, 8, 9),)),
+        make_metrics(frame=1, active=("color", "motion"), kl={"motion": 2.0}, cloud=((5, 6, 7, 8),)),
         make_metrics(frame=1, target="2", status="lost", quiet_px2=None),
     ]
     header, columns = run_data([STARTED], lines)
@@ -258,6 +258,6 @@ def test_names_are_escaped():
 def test_probabilities_of_modes_are_columns_and_the_graph_says_which_hide(make_metrics):
     lines = [make_metrics(frame=0), make_metrics(frame=1, modes={"seen": 0.25, "behind": 0.75})]
     header, columns = run_data([STARTED], lines, graph=load_graph("hidden_ball"))
-    assert header["targets"][0]["modes"] == ["seen", "behind"]
+    assert header["targets"][0]["modes"] == ["behind", "seen"]
     assert header["plates"]["ball"]["hidden_modes"] == ["behind"]
     np.testing.assert_array_equal(columns["0/modes/behind"], [np.nan, 0.75])

@@ -199,8 +199,6 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
 def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str]) -> str:
     import json
 
-    import numpy as np
-
     from bayesnet_track.journal.codec import to_json
 
     return json.dumps(
@@ -226,7 +224,10 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
             "last_frames": compared.last_frames,
             "totals": {one.name: (one.first, one.second) for one in compared.totals},
             "distances": [
-                {"pair": pair, "frames": np.stack([line.frame, line.px, line.iou], axis=1).tolist()}
+                {
+                    "pair": pair,
+                    "frames": [*zip(line.frame.tolist(), line.px.tolist(), line.iou.tolist(), strict=True)],
+                }
                 for pair, line in compared.distances.items()
             ],
         }

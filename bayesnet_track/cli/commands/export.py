@@ -36,8 +36,9 @@ UNFINISHED = "<!doctype html><title>unfinished</title><p>This page is not finish
 
 def report(options: argparse.Namespace) -> int:
     """Write the page of a run."""
+    from bayesnet_track.journal.blocks import Blocks
     from bayesnet_track.journal.events.runs import RunStarted
-    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.journal.reader import Measurements, read_events
     from bayesnet_track.runtime.recording.pictures import pictures_of
     from bayesnet_track.runtime.recording.report_page import page_data, page_in_one
     from bayesnet_track.runtime.recording.rundir import RunDirectory
@@ -45,11 +46,11 @@ def report(options: argparse.Namespace) -> int:
     directory = RunDirectory.open(options.run)
     out = _place(options, directory)
     events = list(read_events(directory.journal, complain))
-    metrics = list(read_metrics(directory.frames, complain)) if directory.frames.is_file() else []
+    metrics = Measurements(directory.frames, complain) if directory.frames.is_file() else ()
     if not events or not isinstance(events[0], RunStarted):
         raise UsageError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
     data = page_data(directory, events, metrics, _truth(directory, options), complain)
-    frames = [line.frame for line in metrics]
+    frames = Blocks(metrics, ()).frames().tolist()
     if options.frames == "none" or not frames:
         missing = "left out by --frames none" if frames else "no frame was tracked"
         _write(out, page_in_one(data, None, missing, 0))
@@ -60,7 +61,7 @@ def report(options: argparse.Namespace) -> int:
             if found is not None and options.frames == "full":
                 _write_folder(out, data, found)
             else:
-                _write(out, page_in_one(data, found, missing, len(set(frames))))
+                _write(out, page_in_one(data, found, missing, len(frames)))
     if out.resolve() == directory.report.resolve():
         _list(directory)
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from bayesnet_track.journal.blocks import Blocks
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -78,7 +79,7 @@ def page_html(
     if not events or not isinstance(events[0], RunStarted):
         raise ValueError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
     data = page_data(directory, events, metrics, truth, lambda text: None)
-    frames = {line.frame for line in metrics}
+    frames = Blocks(metrics, ()).frames().tolist()
     if not frames:
         return "".join(page_in_one(data, None, "no frame was tracked", 0, largest))
     with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):

@@ -46,7 +46,11 @@ function makeRun(header: Header, columns: Map<string, Column>): RunData {
     else if (owner === "run") run.clock.set(rest, column);
     else tracks[Number(owner)]?.columns.set(rest, column);
   }
-  for (const track of tracks) run.add(track);
+  run.thinned = header.thinned ?? null;
+  for (const track of tracks) {
+    track.gap = run.thinned?.step ?? 1;
+    run.add(track);
+  }
   for (const event of header.events) run.addEvent(event);
   run.truthTarget = run.truth === null ? null : (header.truth_target ?? null);
   run.measure();

@@ -5,7 +5,7 @@
  */
 
 import { Column, type Kind } from "./column";
-import type { About, EventRow, FrameLine, Header, Plate, TimingLine, Written } from "./types";
+import type { About, Counted, EventRow, FrameLine, Header, Plate, Thinned, TimingLine, Written } from "./types";
 
 export const STATUSES = ["tracking", "uncertain", "lost", "seen", "hidden", "unwatched"] as const;
 const NUMBERS = ["ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate"] as const;
@@ -24,6 +24,10 @@ export class Track {
   parts: string[] = [];
   modes: string[] = [];
   calibrated = false;
+  /** Frames for which a row stands: 1, but in the page of a long run, which holds some rows only. */
+  gap = 1;
+  /** Counts over all rows, where the page holds some only. */
+  counted: Counted | null = null;
 
   constructor(
     readonly id: string,
@@ -62,10 +66,10 @@ export class Track {
     return this.value(`agents/${agent}/state`, row) > 1;
   }
 
-  /** The row of a frame, -1 where the target does not live. */
+  /** The row of a frame, or in a thinned page the last one before it; -1 where the target does not live. */
   rowOf(frame: number): number {
-    const row = this.rowAfter(frame);
-    return this.value("frame", row) === frame ? row : -1;
+    const row = this.rowAfter(frame + 1) - 1;
+    return frame - this.value("frame", row) < this.gap ? row : -1;
   }
 
   /** The first row of this frame or a later one. */
@@ -142,6 +146,7 @@ export class RunData {
   ]);
   truth: Column | null = null;
   truthTarget: string | null = null;
+  thinned: Thinned | null = null;
   first = 0;
   last = 0;
   private readonly listeners = new Set<() => void>();

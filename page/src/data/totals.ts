@@ -64,7 +64,8 @@ export function sum(rows: Totals[]): Totals {
 export function frameCounts(run: RunData): { withTarget: number; all: number } {
   const seen = new Set<number>();
   for (const track of run.tracks.values()) for (let row = 0; row < track.length; row += 1) seen.add(track.value("frame", row));
-  return { withTarget: seen.size, all: Math.max(run.clock.get("frame")!.length, seen.size) };
+  const withTarget = run.thinned?.frames ?? seen.size;
+  return { withTarget, all: Math.max(run.clock.get("frame")!.length, withTarget) };
 }
 
 /** The agents of a target's plate, or those that were ever active. */
@@ -87,12 +88,21 @@ function of(run: RunData, track: Track, each: Map<string, { ms: number; measured
     const overlap = run.overlap(track, row);
     if (!Number.isNaN(overlap)) [shared, compared] = [shared + overlap, compared + 1];
   }
+  let frames = track.length;
+  if (track.counted !== null) {
+    ({ frames, lost, uncertain } = track.counted);
+    [active, spentMs, savedMs] = [0, 0, 0];
+    for (const agent of agents) {
+      const [ms, on] = [each.get(agent)?.ms ?? 0, track.counted.active[agent] ?? 0];
+      [active, spentMs, savedMs] = [active + on, spentMs + ms * on, savedMs + ms * (frames - on)];
+    }
+  }
   return {
     target: track.id,
-    frames: track.length,
+    frames,
     lost,
     uncertain,
-    agentsPerFrame: active / Math.max(1, track.length),
+    agentsPerFrame: active / Math.max(1, frames),
     agents: agents.length,
     switches: run.events.filter((event) => event.sort === "switch" && event.target === track.id).length,
     spentMs,

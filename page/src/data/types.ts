@@ -71,14 +71,35 @@ export interface About {
   ended: { complete: boolean; reason: string } | null;
 }
 
+/** Frames of a target, lost and uncertain ones, and those in which each agent was active. */
+export interface Counted {
+  frames: number;
+  lost: number;
+  uncertain: number;
+  active: Record<string, number>;
+}
+
+/**
+ * A page that holds some rows only: each stands for `step` frames; there are `rows` of `of`, in `frames` frames, and
+ * one in `decisions` of those with a decision.
+ */
+export interface Thinned {
+  step: number;
+  rows: number;
+  of: number;
+  frames: number;
+  decisions: number;
+}
+
 export interface Header {
   version: number;
   run: About;
   plates: Record<string, Plate>;
-  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; calibrated: boolean }[];
+  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; calibrated: boolean; counted?: Counted }[];
   events: EventRow[];
   stages: string[];
   truth_target?: string | null;
+  thinned?: Thinned | null;
   pictures?: { where: "file" | "folder"; step: number; annotated: boolean; without: string };
 }
 

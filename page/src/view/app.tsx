@@ -1,5 +1,6 @@
 /** The page. */
 
+import type { Thinned } from "../data/types";
 import type { State } from "../state";
 import { KEYS, LIVE_KEYS } from "../keys";
 import { Charts } from "./charts";
@@ -29,6 +30,7 @@ export function App({ state }: { state: State }) {
             {ended === null && state.live === null && " · the run has no end: it was stopped, or goes on"}
             {ended !== null && state.live === null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
           </p>
+          {state.run.thinned !== null && <p class="thinned">{thinnedText(state.run.thinned)}</p>}
           {about.smoothed === true && (
             <p>
               Boxes, regions, UD and hypotheses are given the whole sequence. Status, score and all that is said of agents are the
@@ -68,6 +70,16 @@ export function App({ state }: { state: State }) {
       </footer>
       {state.help.value && <Help state={state} />}
     </>
+  );
+}
+
+/** What the page of a long run holds, and what it leaves out. */
+function thinnedText({ step, rows, of, frames, decisions }: Thinned): string {
+  const [held, all, count] = [rows, of, frames].map((n) => n.toLocaleString("en"));
+  return (
+    `This page holds ${held} of ${all} measurements, of ${count} frames: one frame in ${step}, and between two of them each ` +
+    `target's frame with the largest UD and ${decisions === 1 ? "those" : `one in ${decisions} of those`} with a decision. ` +
+    "Other frames show the measurement before. Counts of frames are of all frames; `export` writes every measurement."
   );
 }
 

@@ -203,7 +203,7 @@ function draw(
         (u) => {
           if (panel.targets !== undefined) people(u, panel.targets, state);
           if (panel.stacked === true) stack(u, panel, frames);
-          if (panel.lanes !== undefined) lanes(u, panel, frames, state.node.peek());
+          if (panel.lanes !== undefined) lanes(u, panel, frames, state.run.thinned?.step ?? 1, state.node.peek());
           if (panel.key === "ud") marks(u, panel, frames, events);
           if (panel.key === "agents") stems(u, events);
           drawn(u);

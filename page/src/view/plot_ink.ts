@@ -31,7 +31,7 @@ export function shade(u: uPlot, state: State): void {
 }
 
 /** A band per agent; where one of them is `chosen`, the others step back. */
-export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string | null): void {
+export function lanes(u: uPlot, panel: Panel, frames: number[], gap: number, chosen: string | null): void {
   const g = u.ctx;
   const ratio = uPlot.pxRatio;
   const { left, top, width, height } = u.bbox;
@@ -54,7 +54,7 @@ export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string |
     g.clip();
     const x = (frame: number) => u.valToPos(frame, "x", true);
     for (let k = 0, from = 0; k < frames.length; k += 1) {
-      if (k + 1 < frames.length && lane.on[k + 1] === lane.on[k] && frames[k + 1] === frames[k]! + 1) continue;
+      if (k + 1 < frames.length && lane.on[k + 1] === lane.on[k] && frames[k + 1]! <= frames[k]! + gap) continue;
       if (lane.on[k]) {
         const [a, b] = [x(frames[from]! - 0.5), x(frames[k]! + 0.5)];
         g.fillStyle = lane.colour;
@@ -151,7 +151,7 @@ export function people(u: uPlot, targets: NonNullable<Panel["targets"]>, state: 
     const x = (frame: number) => u.valToPos(frame, "x", true);
     for (let row = 0, from = 0; row < track.length; row += 1) {
       const status = track.status(row);
-      const lasts = row + 1 < track.length && track.value("frame", row + 1) === track.value("frame", row) + 1;
+      const lasts = row + 1 < track.length && track.value("frame", row + 1) <= track.value("frame", row) + track.gap;
       if (lasts && track.status(row + 1) === status) continue;
       const [a, b] = [x(track.value("frame", from) - 0.5), x(track.value("frame", row) + 0.5)];
       const high = tall * (status === "lost" ? 0.9 : status === "uncertain" ? 0.7 : chosen ? 0.45 : 0.25);
