@@ -1,4 +1,4 @@
-"""Counts of the house that may only fall, room by room: files, vague names, docstrings, lonely functions.
+"""Counts of the house that may only fall, room by room: files, names, docstrings, lonely functions, imports.
 
 `tests/ceilings.json` holds their limits. `python tests/test_counts.py [ROOM ...]` lowers those whose counts
 have fallen, and raises none.
@@ -193,12 +193,27 @@ def names_defined_twice() -> Iterator[Place]:
             yield found[0]._replace(text=f"{name}, also {where}")
 
 
+def modules_that_tests_import() -> Iterator[Place]:
+    """Modules that tests import directly, but for the package: tests go through the front door."""
+    met = set()
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                met |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Import):
+                met |= {alias.name for alias in node.names}
+    for name in sorted(met & modules().keys() - {PACKAGE}):
+        module = modules()[name]
+        yield Place(module.room, module.file, 1, "")
+
+
 MEASURES = {
     "files": files,
     "vague names": vague_names,
     "docstrings that open with a relative word": relative_docstrings,
     "public functions with one caller, in another module": functions_of_one_caller,
     "public names defined twice": names_defined_twice,
+    "modules that tests import directly": modules_that_tests_import,
 }
 
 

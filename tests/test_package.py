@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import open_run
+from bayesnet_track import load_graph, open_run
 from bayesnet_track.cli.main import main
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import installed_cues

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, share
-from bayesnet_track.graph.settings.lifecycle import Existence
+from bayesnet_track.graph.spec import Existence
 
 
 def enumerated(r, d, likelihoods, nobody):

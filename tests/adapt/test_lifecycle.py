@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.lifecycle import TrackRecord, find_end_cause
-from bayesnet_track.graph.settings.lifecycle import Death
+from bayesnet_track.graph.spec import Death
 
 
 @pytest.mark.parametrize(

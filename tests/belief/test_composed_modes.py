@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
+from bayesnet_track import Tracker, load_graph
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.motion.borders import confined
@@ -16,7 +16,6 @@ from bayesnet_track.belief.motion.modes import FIELD, Modal, mode_probabilities
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.cue import Measurement
 
 BOX = np.array([60.0, 90.0, 20.0, 20.0])

@@ -11,7 +11,7 @@ from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, camera_shift, revert_size
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.settings.motion import SizeReversion
+from bayesnet_track.graph.spec import SizeReversion
 
 BOX = np.array([160.0, 120.0, 60.0, 40.0])
 FLOW = np.array([[0.02, -0.05, 3.0], [0.05, 0.02, -4.0]])

@@ -22,7 +22,7 @@ from bayesnet_track.engine.scoring.outcome import (
     with_recent,
 )
 from bayesnet_track.engine.scoring.score import ScoreState
-from bayesnet_track.graph.settings.scores import Alarm, Guarantee
+from bayesnet_track.graph.spec import Alarm, Guarantee
 from bayesnet_track.graph.text.change import set_value
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.statuses import AlarmEnded, AlarmRaised, AssuranceChanged

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track import load_graph
 from bayesnet_track.engine.step import State, make_engine, start_target, step
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.planes import Frame
 
 SIDE, FRAMES = 16, 4

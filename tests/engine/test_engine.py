@@ -291,9 +291,9 @@ def test_black_frames_lose_the_target_and_it_is_found_again(fakes):
 
 
 def test_a_real_cue_loses_its_target_in_the_dark():
+    from bayesnet_track import GraphSpec
     from bayesnet_track.engine.step import make_engine
     from bayesnet_track.graph.checks.run import check_graph
-    from bayesnet_track.graph.spec import GraphSpec
     from bayesnet_track.observation.planes import Frame
 
     spec = GraphSpec.model_validate(

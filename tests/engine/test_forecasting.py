@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import Tracker, load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.sources.scenes import make_scene
 

@@ -8,9 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bayesnet_track import CueDeclaration, GrayPlane, box_means, floored
+from bayesnet_track import CueDeclaration, GrayPlane, box_means, floored, load_graph
 from bayesnet_track.engine import step as steps
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.planes import Frame

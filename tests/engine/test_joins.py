@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.starts import Start, start_targets
+from bayesnet_track import Start, load_graph
+from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check, check_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.faults import PairFactorChanged

@@ -8,11 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
+from bayesnet_track import Tracker, load_graph
 from bayesnet_track.belief.motion.modes import make_modes
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import ModeChanged
 from bayesnet_track.journal.events.statuses import StatusChanged

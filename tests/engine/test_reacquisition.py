@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bayesnet_track.engine.scoring.score import Look, ScoreState, follow_fit
-from bayesnet_track.graph.settings.adapt import Lost
+from bayesnet_track.graph.spec import Lost
 
 RULE = Lost(score_below=0.25, uncertain_below=0.55, frames=3, found_fit=0.25)
 HELD = Look(10, "1", "tracking", 0.9, 0.4, 2.0, 50.0, 50.0, 20.0)

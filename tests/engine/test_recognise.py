@@ -15,8 +15,7 @@ from bayesnet_track.engine.lifecycle.recognise import (
     weigh_appearance,
     weigh_place,
 )
-from bayesnet_track.graph.settings.lifecycle import Reidentify
-from bayesnet_track.graph.spec import Motion
+from bayesnet_track.graph.spec import Motion, Reidentify
 
 NOWHERE = AppearanceMemory("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {}, "birth")
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.rows.columns import make_rows
@@ -12,7 +13,6 @@ from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.targets import Records, Targets
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired

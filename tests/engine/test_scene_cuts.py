@@ -37,7 +37,7 @@ BEFORE = [scene(1, 40 + step) for step in range(8)]
 
 def general(**lost):
     """`general` with other settings of `lost`."""
-    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track import load_graph
 
     written = load_graph("general").spec.model_dump(exclude_unset=True)
     written["targets"]["target"]["nodes"]["target"]["lost"] |= lost

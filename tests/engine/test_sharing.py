@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.adapt.association import GAP, NOBODY, Layout, first_observed
 from bayesnet_track.engine.lifecycle.assigning import TENTATIVE, name_owners
 from bayesnet_track.engine.lifecycle.sharing import (
@@ -16,8 +17,7 @@ from bayesnet_track.engine.lifecycle.sharing import (
 )
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import make_engine, step
-from bayesnet_track.graph.settings.lifecycle import Confirm
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.spec import Confirm
 from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied
 from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule
 from bayesnet_track.observation.detector import NOTHING, Detections

@@ -11,9 +11,8 @@ import sys
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker
+from bayesnet_track import GraphSpec, Tracker
 from bayesnet_track.cues.intensity import IntensityCue
-from bayesnet_track.graph.spec import GraphSpec
 
 MOST = 10
 IMAGE = np.full((60, 80, 3), 120, np.uint8)

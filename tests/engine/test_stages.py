@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track import Tracker
+from bayesnet_track import Tracker, load_graph
 from bayesnet_track.cli.main import main
 from bayesnet_track.engine.compiled import compile_graph
 from bayesnet_track.engine.step import compile_stages
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.sources.scenes import make_scene
 
 TABLES = ("arrange", "associate", "filter tables")

@@ -6,9 +6,9 @@ import av
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker, track
+from bayesnet_track import Start, Tracker, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.engine.starts import Start, StartError, say_blank
+from bayesnet_track.engine.starts import StartError, say_blank
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import InputNotice
 

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.belief.particles.belief import find_maps, map_index
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.metrics import find_covariances, find_summaries, summarise_one
 from bayesnet_track.engine.step import State, make_engine, start_target
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache

@@ -24,7 +24,7 @@ from bayesnet_track.evaluate.guarantees import (
     share_wrong,
     total_evidence,
 )
-from bayesnet_track.graph.settings.scores import Alarm
+from bayesnet_track.graph.spec import Alarm
 
 
 def run(means, iou):

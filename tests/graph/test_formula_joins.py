@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.graph.spec import Join
 from bayesnet_track.graph.text.formula import join_latex, join_text
 
 CARRIED = Join.model_validate(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesnet_track.graph.settings.motion import Relocalize, Sudden
+from bayesnet_track.graph.spec import Relocalize, Sudden
 
 
 def test_a_fast_move_is_looked_for_only_where_it_is_asked_for():

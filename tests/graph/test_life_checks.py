@@ -64,14 +64,8 @@ def test_refusals_name_place_and_what_is_allowed(life, said, cues):
 
 
 def test_defaults_are_filled_in_where_targets_are_born(cues):
-    from bayesnet_track.graph.settings.lifecycle import (
-        Death,
-        LifeRules,
-        MergeDuplicates,
-        Reidentify,
-        life_rules,
-    )
-    from bayesnet_track.graph.spec import Birth
+    from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
+    from bayesnet_track.graph.spec import Birth, Death, MergeDuplicates, Reidentify
 
     birth = Birth(detector="detections")
     assert life_rules(None, None, None, None) is None

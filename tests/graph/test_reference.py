@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from bayesnet_track.graph.settings.base import Model
+from bayesnet_track.graph.spec import Model
 from make_pages.language import language_reference
 
 FOLDER = Path(__file__).parents[2] / "docs" / "language"

@@ -6,8 +6,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track import GraphSpec
-from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
-from bayesnet_track.graph.spec import AgentChoice, Fuse, Motion, Moving, Noise
+from bayesnet_track.graph.rules.agent_rule import AgentRule
+from bayesnet_track.graph.settings.base import PluginChoice
+from bayesnet_track.graph.spec import AgentChoice, Choice, Fuse, Model, Motion, Moving, Noise
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import as_plain, graph_sha256, write_graph
 
@@ -51,7 +52,7 @@ def test_floats_survive_bit_for_bit(sd):
 def test_every_part_of_the_language_survives(everything):
     spec = GraphSpec.model_validate(everything)
     assert read_graph(write_graph(spec))[0] == spec
-    bases = {Choice, PluginChoice, Moving, Noise}
+    bases = {AgentRule, Choice, PluginChoice, Moving, Noise}
     assert _subclasses(Model) - set(_models_in(spec)) == bases
 
 

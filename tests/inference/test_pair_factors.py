@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.graph.spec import Join
 from bayesnet_track.inference.joint import joint_marginals
 from bayesnet_track.inference.joint_members import Edge, Member
 from bayesnet_track.inference.pair_factors import pair_factor

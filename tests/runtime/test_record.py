@@ -9,7 +9,7 @@ from pathlib import Path
 import av
 import pytest
 
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track import Start, load_graph
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.reader import read_events, read_metrics
@@ -17,7 +17,7 @@ from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime import session
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.run import Start, run
+from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import track
-from bayesnet_track.engine.starts import Start
+from bayesnet_track import Start, track
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.recording.verify import verify
