@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check, check_graph
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.lives import BirthsRefused, TargetStarted
 from bayesnet_track.observation.detector import NOTHING, Detections

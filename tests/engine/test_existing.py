@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.adapt.existence import Population, Prospects
 from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.engine import step as steps
@@ -17,7 +18,6 @@ from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.rows import finding
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.targets import Targets
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied
 from bayesnet_track.journal.events.statuses import StatusChanged

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesnet_track import load_graph
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check
-from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.sources.detection_files import FileDetector

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from bayesnet_track import CueDeclaration, CueParameters
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, start_target, step
@@ -25,7 +26,6 @@ from bayesnet_track.journal.events.lives import (
 )
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.net import Decision, replay
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 
