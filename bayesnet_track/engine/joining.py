@@ -96,7 +96,7 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Together) -> Joi
     after = report_carried(work.frame.index, metrics, carriers, after, events)
     work.charge("joins", started)
     others = {
-        name: changed(one, step=steps[name], join=metrics[name]) if name in metrics else one
+        name: _joined(one, steps[name], metrics[name]) if name in metrics else one
         for name, one in filtered.others.items()
     }
     said = {name: marginal.log_likelihood for name, marginal in marginals.items()}
@@ -110,6 +110,11 @@ def reaches_of(names: Sequence[str], boxes: Floats, variances: Floats) -> Reache
 
 
 # ------------------------------------------------------------------------------------ the joint belief
+
+
+def _joined(one: Filtered, step: Step[Posterior], metrics: JoinMetrics) -> Filtered:
+    modes = None if one.modes is None else one.modes.joined(step.posterior)
+    return changed(one, step=step, join=metrics, modes=modes)
 
 
 def _tree(work: FrameWork, memory: JoinMemory, of: Together) -> _Tree:

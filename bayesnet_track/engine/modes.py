@@ -39,6 +39,10 @@ class ModeState:
         first, last = (np.maximum(mode_probabilities(one, len(modes)), LEAST) for one in (before, now))
         return ModeState(modes, first, np.maximum(first @ modes.chain.over(dt), LEAST), last)
 
+    def joined(self, now: Posterior) -> ModeState:
+        """The same after a joint belief has weighed the hypotheses anew."""
+        return replace(self, now=np.maximum(mode_probabilities(now, len(self.modes)), LEAST))
+
     @property
     def hidden(self) -> float | None:
         """Probability that the target cannot be seen; None where it always can."""

@@ -122,6 +122,7 @@ def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -
     frame, before = frames.current, frames.previous
     return {
         **{name: own.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
+        "mode": 0.0,  # where a place is asked about, and no hypothesis: the first mode
         **{PARENT + name: above.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
         **own.fields,
         "frame_width": float(frame.width),

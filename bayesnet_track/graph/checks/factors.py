@@ -113,7 +113,8 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         has_parent = draws and fuse.latent.draw != "kernel"
         own = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
     else:
-        own = (*BOX, *further_fields(plate.inference[plate.roots[0]]))
+        root = plate.inference[plate.roots[0]]
+        own = (*BOX, *further_fields(root), *(["mode"] if root.modes else []), *_modes(plate))
     return (*own, *FRAME_NAMES, *plate.constants)
 
 
@@ -145,12 +146,25 @@ def latent_above(plate: Plate, node: str | None) -> str | None:
     return None
 
 
+def _constants(plate: Plate) -> dict[str, float]:
+    """Numbers that expressions of the state use by name: constants, and the modes by their numbers."""
+    return {**_modes(plate), **plate.constants}
+
+
+def _modes(plate: Plate) -> dict[str, float]:
+    """The names of modes that are free, with their numbers."""
+    root = plate.inference[plate.roots[0]]
+    taken = {*WORDS, *plate.constants, *further_fields(root)}
+    return {name: float(number) for number, name in enumerate(root.modes or {}) if name not in taken}
+
+
 def read_factors(plate: Plate) -> dict[str, Factor]:
     """The factors of a plate that passed the checks."""
     found = {}
     for name, node in plate.factors.items():
         term = parse(node.expression, mask=True)
-        used = {one: plate.constants[one] for one in names_in(term) if one in plate.constants}
+        known = _constants(plate)
+        used = {one: known[one] for one in names_in(term) if one in known}
         mask = plate.masks.get(node.mask or "")
         found[name] = Factor(str(node.parent), term, used, mask if isinstance(mask, Mask) else None)
     return found
@@ -226,7 +240,10 @@ def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
 
 def _names(plate: Plate, node: AgentNode) -> tuple[str, ...]:
     """The names of the agent's expressions: of the state whose hypotheses it is asked about."""
-    return tuple(name for name in names_at(plate, node.parent) if not name.startswith(PARENT))
+    belief = plate.inference[plate.roots[0]].belief
+    is_gaussian = belief is not None and belief.gaussian is not None  # of a Gaussian for each mode
+    names = (name for name in names_at(plate, node.parent) if not (is_gaussian and name == "mode"))
+    return tuple(name for name in names if not name.startswith(PARENT))
 
 
 def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
@@ -241,7 +258,7 @@ def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
 def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
     terms = {quantity: parse(text) for quantity, text in node.measures.items()}
     used = {one for term in terms.values() for one in names_in(term)}
-    return MeasuredAs(terms, {name: value for name, value in plate.constants.items() if name in used})
+    return MeasuredAs(terms, {name: value for name, value in _constants(plate).items() if name in used})
 
 
 MEASURE_CHECKS: tuple[Check, ...] = (measures_can_be_read, measures_are_measured, measures_fit_the_belief)

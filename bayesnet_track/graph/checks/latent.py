@@ -54,7 +54,7 @@ def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
 def latent_nodes_move(plate: Plate) -> Iterator[GraphMessage]:
     """A latent node's motion is a random walk in px, by at most the noise of `given`.
 
-    Its deviations are fields of the root's states: these are particles drawn from the motion, without modes.
+    Its deviations are fields of the root's states: these are particles drawn from the motion.
     """
     moving = [name for name, node in plate.inference.items() if node.parent is not None and node.motion]
     for name in moving:
@@ -106,10 +106,6 @@ def _walk_in_px(plate: Plate, name: str, walk: Moving, latent: Latent) -> Iterat
 
 def _states_hold_deviations(plate: Plate, root: str, first: str) -> Iterator[GraphMessage]:
     node, moves = plate.inference[root], f"{first!r} has a motion"
-    if node.modes is not None:
-        yield plate.message(
-            root, f"modes, and {moves} of its own", "one of them", key=("modes",), on_key=True
-        )
     if node.belief is not None and node.belief.particles is None:
         found = f"belief: {node.belief.kind}, and {moves} of its own"
         yield plate.message(root, found, "belief: particles", key=("belief", node.belief.kind), on_key=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.modes import modes_are_not_joined
+from bayesnet_track.graph.checks.modes import modes_are_joined
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.joins import join_of
 from bayesnet_track.graph.settings.lifecycle import Confirm
@@ -233,5 +233,5 @@ JOIN_CHECKS: tuple[GraphCheck, ...] = (
     one_join_for_a_pair,
     an_attachment_has_two_kinds,
     joined_beliefs_are_particles,
-    modes_are_not_joined,
+    modes_are_joined,
 )

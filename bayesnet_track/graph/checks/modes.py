@@ -209,15 +209,22 @@ def _noisy(motion: Motion, starts: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(name for name in order if name in moved or name in anew)
 
 
-def modes_are_not_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
-    """Targets with modes are in no joins."""
+def modes_are_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """Targets with modes are in no attachments; those that a mode can hide are in no joins of pixels."""
     for number, join in enumerate(spec.joins):
-        for kind in join.between or tuple(spec.targets):
+        for kind in dict.fromkeys(join.between or spec.targets):
             target = spec.targets.get(kind)
             for name, node in () if target is None else target.nodes.items():
-                if isinstance(node, InferenceNode) and node.modes is not None:
-                    found = f"a join of {kind}, whose node {name} has modes"
-                    yield at.message(("joins", number), found, "kinds without modes")
+                if not isinstance(node, InferenceNode) or node.modes is None:
+                    continue
+                hides = any(mode.hidden is not None for mode in node.modes.values())
+                where: KeyPath = ("joins", number)
+                if join.attachment is not None:
+                    found = f"attachment of {kind}, whose node {name} has modes: being carried is a mode, too"
+                    yield at.message((*where, "attachment"), found, "kinds without modes", on_key=True)
+                elif hides and join.factor is None:
+                    found = f"a join of {kind}, which a mode can hide: a hidden target has no pixels to share"
+                    yield at.message(where, found, "a join with factor; or modes without hidden")
 
 
 MODE_CHECKS: tuple[Check, ...] = (

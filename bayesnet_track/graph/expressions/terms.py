@@ -157,6 +157,7 @@ STATE_NAMES = {
     "ax": "acceleration of x, px per frame²",
     "ay": "acceleration of y, px per frame²",
     "angle": "rotation since the first frame, degrees, clockwise",
+    "mode": "number of the target's mode from 0 on; the names of its modes stand for theirs, `mode == turn`",
 }
 PARENT = "parent."
 """What stands before a field of the state that a latent node's own state is drawn around."""
