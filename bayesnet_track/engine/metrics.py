@@ -21,6 +21,8 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.scoring.outcome import e_value, reported_status
 from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.encoder import written
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
@@ -70,25 +72,16 @@ def frame_metrics(
     """
     measures, (learn_rate, angle) = measured.measures, learnt
     plate = work.plate_of(target).plate
-    variances = np.maximum(summary.variances[:4], 0.0)
-    score, features = index(measures, plate.root), {}
     root = plate.inference(plate.root)
-    if measured.score is not None and root.score is not None:
-        rule = root.score.settings
-        score, features = measured.score, {**measured.scored.features(rule), "most": measured.bound}
-    region50, region90 = summary.regions
-    if root.localization_error is not None:
-        side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = blur_regions(summary.belief, root.localization_error, score, side)
-        region50, region90 = wide.region50, wide.region90
-        variances[:2] += wide.variance
+    score, features = _score_metrics(measured, plate)
+    sd, region50, region90 = _widths(summary, root, score, measures.area_px2)
     return FrameMetrics(
         frame=work.frame.index,
         time_s=work.frame.time_s,
         target=target,
         centre_box=_floats(measured.box),
         map=_floats(summary.place),
-        sd=_floats(np.sqrt(variances)),
+        sd=sd,
         ud_px2=measures.ud_px2[plate.root],
         ud_nodes=measures.ud_px2,
         quiet_px2=baseline_px2,
@@ -116,6 +109,28 @@ def frame_metrics(
         e_value=None if root.alarm is None else e_value(measured.scored.rise, root.alarm),
         p_values=dict(summary.p_values),
     )
+
+
+def _score_metrics(measured: Measured, plate: CheckedTarget) -> tuple[float, dict[str, float]]:
+    """The score, and the numbers that a calibrated one was computed from."""
+    rule = plate.inference(plate.root).score
+    if measured.score is None or rule is None:
+        return index(measured.measures, plate.root), {}
+    return measured.score, {**measured.scored.features(rule.settings), "most": measured.bound}
+
+
+def _widths(
+    summary: Summary, root: InferenceNode, score: float, area_px2: float
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """(4,) sds of the belief, px, and its regions of 50 and 90 %, widened by the localization error."""
+    variances = np.maximum(summary.variances[:4], 0.0)
+    region50, region90 = summary.regions
+    if root.localization_error is not None:
+        side = float(np.sqrt(max(area_px2, 1.0)))
+        wide = blur_regions(summary.belief, root.localization_error, score, side)
+        region50, region90 = wide.region50, wide.region90
+        variances[:2] += wide.variance
+    return _floats(np.sqrt(variances)), region50, region90
 
 
 def _part_metrics(measures: Measures) -> dict[str, PartMetrics]:

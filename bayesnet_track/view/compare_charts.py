@@ -28,7 +28,7 @@ from bayesnet_track.view.svg import Points, decades, element, text_of, thin, tic
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
 UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0
 MOST_MOMENTS = 2000
-"""Partings that the page tells of; the text tells of all with --all."""
+"""Largest number of partings on the page; the text lists all of them with --all."""
 
 
 def draw_pair(

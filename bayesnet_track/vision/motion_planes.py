@@ -87,13 +87,13 @@ LONGEST_PX = 160
 CAMERA_AGREE_PX = 1.0
 """A point of that picture moves with the camera when it is no further off."""
 LEAST_POINTS = 8
-"""Fewer points tell nothing of the camera."""
+"""Smallest number of points from which the camera's motion is estimated."""
 LEAST_SHARE = 0.4
 """Share of the points that agree when the picture moves as a whole."""
 CELLS = 8
 """The two pictures are compared in so many parts across and down."""
 CLEAR_GRAY = 0.5
-"""A part tells for motion or for rest when one explains it better by so many gray levels a pixel."""
+"""A part counts as moving or at rest if one of them explains it better by so many gray levels a pixel."""
 LEAST_CELLS = 16
 """A picture that moves as a whole shows it in at least so many parts, three times as many as show rest."""
 LEAST_PX = 0.5

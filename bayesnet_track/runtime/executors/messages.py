@@ -93,7 +93,7 @@ class Sent:
 
     def question(self, call: Call) -> Call:
         """The question, references in its arguments told."""
-        # First: an array that this question tells or refers to must outlast it.
+        # First: an array that this question contains or refers to must outlast it.
         forget = self._forgotten()
         encoded = tuple(self.encode(part) if isinstance(part, Mapping) else part for part in call.arguments)
         return Call(*call[:4], encoded, self.next_number, forget)

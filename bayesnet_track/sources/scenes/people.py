@@ -81,8 +81,8 @@ def person_parts(seed: int = 0, frames: int = 150) -> Scene:
     """The torso is behind a counter in about frames 20 to 73, the head behind an awning in 103 to 136.
 
     Where she is behind the counter she stops, turns and turns again, by a way that depends on the seed, so
-    that only the head tells where the torso is; she goes under the awning with a change of speed, so that
-    only the torso tells where the head is. Her head leans up to 2.5 px to the sides. 360x240 px, noise of
+    that only the head shows where the torso is; she goes under the awning with a change of speed, so that
+    only the torso shows where the head is. Her head leans up to 2.5 px to the sides. 360x240 px, noise of
     sd 4. The parts `head` and `torso` have a truth of their own; hidden ones keep their boxes.
     """
     rng = np.random.Generator(np.random.Philox(seed))

@@ -120,7 +120,7 @@ Steps = NDArray[np.int8]
 MOST_GRAY = 40.0
 """A pixel's mismatch counts up to this, gray levels, so that a few that are covered do not decide."""
 PULL_GRAY = 0.05
-"""Cost of a shift of one pixel, gray levels: where nothing tells shifts apart the flow stays as it was."""
+"""Cost of a shift of one pixel, gray levels: where shifts fit equally well the flow stays as it was."""
 
 
 @compiled
