@@ -65,7 +65,7 @@ class DecodedFrame(Frame):
     _smaller: NDArray[np.uint8] | None = None
 
     @classmethod
-    def of(cls, decoded: Decoded, index: int, time: float, time_s: float, stride: int) -> Self:
+    def from_decoded(cls, decoded: Decoded, index: int, time: float, time_s: float, stride: int) -> Self:
         """The frame of a picture; no pixel is made yet."""
         frame = cls.__new__(cls)
         frame.__dict__.update(
@@ -375,16 +375,16 @@ class Source:
 
     def _frame(self, picture: Picture) -> Frame:
         """The frame of a picture, of which the pixels that are tracked in are made; raises PictureError."""
-        at = (picture.index, picture.time)
+        moment = (picture.index, picture.time)
         if picture.decoded is not None and picture.complete is None:
-            frame = DecodedFrame.of(picture.decoded, *at, picture.time_s, self.stride)
+            frame = DecodedFrame.from_decoded(picture.decoded, *moment, picture.time_s, self.stride)
             _ = frame.image if self.tracked is None else frame.smaller(self.tracked)
             return frame
         image, has_color = picture.pixels()
         depth: Depth | None = None
         if picture.complete is not None:
             image, depth = picture.complete(image)
-        return Frame(*at, image, has_color, picture.time_s, depth, self.stride)
+        return Frame(*moment, image, has_color, picture.time_s, depth, self.stride)
 
     def _report_damage(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
         self.end_reason = "source_truncated" if truncated else "source_damaged"

@@ -118,8 +118,8 @@ class DecodedPicture:
     """
 
     frame: Any
-    whole: Any
-    smaller: Any
+    converter: Any
+    shrinker: Any
     levels: Levels
 
     @property
@@ -140,23 +140,23 @@ class DecodedPicture:
             PictureError: the pixel format cannot be converted.
         """
         if size == self.size:
-            return pixels_of(self.frame, self.whole, self.levels)[0]
+            return pixels_of(self.frame, self.converter, self.levels)[0]
         turns = _quarter_turns(self.frame)
         width, height = size[::-1] if turns % 2 else size
         kind = "bgr24" if self.has_color else "gray"
         try:
-            image = self.smaller.reformat(self.frame, width, height, kind, interpolation="AREA").to_ndarray()
+            image = self.shrinker.reformat(self.frame, width, height, kind, interpolation="AREA").to_ndarray()
         except FAULTS as error:
             raise PictureError(f"a frame cannot be converted: {words(error)}") from error
         return _upright(image, turns)
 
 
-def _decoded(frame: Any, whole: Any, smaller: Any, levels: Levels) -> DecodedPicture | None:
+def _decoded(frame: Any, converter: Any, shrinker: Any, levels: Levels) -> DecodedPicture | None:
     """It as one of which smaller pixels can be made; None where its values are looked at one by one."""
     parts = frame.format.components
     is_plain = levels.value_range is None and not any(part.is_alpha for part in parts)
     if is_plain and (_has_color(frame.format.name) or max(part.bits for part in parts) <= 8):
-        return DecodedPicture(frame, whole, smaller, levels)
+        return DecodedPicture(frame, converter, shrinker, levels)
     return None
 
 
