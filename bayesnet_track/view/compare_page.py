@@ -109,12 +109,33 @@ def compare_page(
     `pictures` are figures from `draw_pictures`.
     """
     heading = title or f"{first.name} and {second.name}"
-    digest = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    policy += "; img-src data:" if pictures else ""
     # The words of a body name targets by their type; those of a hostile journal are escaped, as all others.
     kinds = {target: text_of(kind) for target, kind in common_kinds(first, second, compared).items()}
-    page = "\n".join(
+    parts = [
+        f"<header><h1>{text_of(heading)}</h1>",
+        *_runs(first, second),
+        '</header><div class="columns"><section>',
+        *_first_parting(first, second, compared),
+        *(['<div class="pictures">', *pictures, "</div>"] if pictures else []),
+        "</section><section><h2>What each cost</h2>",
+        _table(compared.totals),
+        '<p class="soft">Bold is better. Measured times are a clock’s: equal runs differ, too.</p>',
+        *(f'<p class="soft">{text_of(line)}</p>' for line in estimate_lines(compared)[:12]),
+        '</section></div><section class="charts">',
+        *_charts(first, second, compared),
+        "</section>",
+        *_moments(first, second, compared),
+        *_settings(settings),
+    ]
+    return name_targets(static_page(heading, parts, bool(pictures)), kinds)
+
+
+def static_page(heading: str, parts: Sequence[str], has_pictures: bool = False) -> str:
+    """An HTML file of parts that are escaped already, in this page's style; it loads and runs nothing."""
+    digest = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
+    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    policy += "; img-src data:" if has_pictures else ""
+    return "\n".join(
         [
             "<!doctype html>",
             '<html lang="en"><head><meta charset="utf-8">',
@@ -122,25 +143,11 @@ def compare_page(
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{text_of(heading)}</title>",
             f"<style>{STYLE}</style></head><body><main>",
-            f"<header><h1>{text_of(heading)}</h1>",
-            *_runs(first, second),
-            '</header><div class="columns"><section>',
-            *_first_parting(first, second, compared),
-            *(['<div class="pictures">', *pictures, "</div>"] if pictures else []),
-            "</section><section><h2>What each cost</h2>",
-            _table(compared.totals),
-            '<p class="soft">Bold is better. Measured times are a clock’s: equal runs differ, too.</p>',
-            *(f'<p class="soft">{text_of(line)}</p>' for line in estimate_lines(compared)[:12]),
-            '</section></div><section class="charts">',
-            *_charts(first, second, compared),
-            "</section>",
-            *_moments(first, second, compared),
-            *_settings(settings),
+            *parts,
             "</main></body></html>",
             "",
         ]
     )
-    return name_targets(page, kinds)
 
 
 def _runs(first: RunRecord, second: RunRecord) -> list[str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import glob
 import json
+import os
+import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -88,6 +90,69 @@ class Job:
         return cls(**{**values, "video": Video(**values["video"]), **lists})
 
 
+@dataclass(frozen=True)
+class Part:
+    """One of several equal parts of a batch, each for a computer of its own.
+
+    The videos are dealt out in their order, so that a part needs to look at no file of another one.
+
+    Attributes:
+        number: which one, from 1.
+        count: how many there are.
+    """
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Part:
+        """A part as K/N; raises ValueError.
+
+        >>> Part.parse("2/8")
+        Part(number=2, count=8)
+        """
+        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+        number, count = map(int, found.groups()) if found else (0, 0)
+        if not 1 <= number <= count:
+            raise ValueError(
+                f"{text!r}: K/N is needed, part K of N: 1/{count or 8} to {count or 8}/{count or 8}"
+            )
+        return cls(number, count)
+
+    @property
+    def label(self) -> str:
+        """It as part of a file's name."""
+        return f"{self.number}-of-{self.count}"
+
+    def of(self, videos: Sequence[Video]) -> list[Video]:
+        """Its videos: every `count`-th."""
+        return list(videos[self.number - 1 :: self.count])
+
+
+def by_size(jobs: Sequence[Job]) -> list[Job]:
+    """The jobs, those with the largest source first: the last ones to end are then the shortest.
+
+    The size is that of the files in bytes, as what a video takes is known only when it is decoded. Of a
+    folder it is the number of its entries times the size of one; of what cannot be looked at it is 0.
+    """
+    sizes: dict[str, int] = {}
+    for job in jobs:
+        if job.video.source not in sizes:
+            sizes[job.video.source] = _bytes(job.video.source)
+    return sorted(jobs, key=lambda job: -sizes[job.video.source])
+
+
+def _bytes(source: str) -> int:
+    try:
+        path = Path(source)
+        if not path.is_dir():
+            return path.stat().st_size
+        entries = list(os.scandir(path))
+        return len(entries) * entries[0].stat().st_size if entries else 0
+    except OSError:
+        return 0
+
+
 def allow(job: Job) -> None:
     """Let the code from elsewhere that the job names be loaded in this process.
 
@@ -108,8 +173,11 @@ COLUMNS = ("source", "name", "init", "init_from", "truth")
 INNER = ("img", "img1")
 """Folders of images that are named after the folder around them."""
 
-TABLE = "results.csv"
-"""The table of results, beside the folders of the runs."""
+TABLE, LEDGER = "results.csv", ".batch"
+"""The table of results and the folder of the ledger, beside the folders of the runs."""
+
+RESERVED = re.compile(r"(results|overview)(\.\d+-of-\d+)?\.(csv|html)(\.part)?|\.batch")
+"""Names of what the batch itself writes there."""
 
 LONGEST_NAME = 200
 """Bytes of a name, which leave room for the seed."""
@@ -253,8 +321,8 @@ def _fault(name: str) -> str | None:
         return "has a character that cannot be seen"
     if name != name.strip() or name.endswith("."):
         return "begins or ends with a blank, or ends with a dot"
-    if _same(name).removesuffix(".part") == TABLE:
-        return "is that of the table of results"
+    if RESERVED.fullmatch(_same(name)):
+        return "is one of the batch's own (results.csv, overview.html, .batch)"
     if len(name.encode("utf-8", "surrogateescape")) > LONGEST_NAME:
         return f"is longer than {LONGEST_NAME} bytes"
     return None
@@ -272,12 +340,12 @@ def _folder_name(name: str) -> str:
 
 def _unique(names: list[str], taken: Mapping[str, str] | None = None) -> list[str]:
     """Each name once, and none that is taken: the second "a" is "a-2"."""
-    keys, given = {TABLE, *(taken or ())}, []
+    keys, given = set(taken or ()), []
     for name in names:
         plain = _folder_name(name)
         plain = plain[: LONGEST_NAME // 4] if plain.strip(".") else "video"
         chosen, number = plain, 1
-        while _same(chosen) in keys:
+        while _same(chosen) in keys or RESERVED.fullmatch(_same(chosen)):
             number += 1
             chosen = f"{plain}-{number}"
         keys.add(_same(chosen))

@@ -1,8 +1,4 @@
-"""Places where the jobs of a batch run: processes of this computer, or tasks of a Ray cluster.
-
-The sources and the folder of the results must be there under the same paths on every node. A job whose node
-dies is started again by Ray, and goes on where its files end.
-"""
+"""Places where the jobs of a batch run: what each has, and processes of this computer."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ import os
 import subprocess
 import tempfile
 import threading
-import time
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -21,7 +16,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Protocol
 
-from bayesnet_track.cli.batch.jobs import Job, allow
+from bayesnet_track.cli.batch.jobs import Job
 from bayesnet_track.cli.batch.work import FINISHED, Row, failed_row, timed_out_row
 from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.runtime.executors.processes import PlacingError
@@ -44,6 +39,53 @@ def most_runs() -> int | None:
     here = Path("/dev/fd")
     is_open = len(list(here.iterdir())) if here.is_dir() else 16
     return max(0, (soft - is_open - FILES_MORE) // FILES_EACH)
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Amounts of a computer that a run is counted with; it is not held to them.
+
+    Attributes:
+        cpus: processors.
+        memory: bytes, or None.
+    """
+
+    cpus: int = 1
+    memory: int | None = None
+
+    def fitting(self, cpus: int, memory: int | None) -> int:
+        """How many runs at a time fit.
+
+        >>> Needs(2, 3 << 30).fitting(16, 16 << 30)
+        5
+        """
+        by_memory = cpus if self.memory is None or memory is None else memory // self.memory
+        return min(cpus // self.cpus, by_memory)
+
+    def check(self, cpus: int, memory: int | None) -> None:
+        """Refuse what does not fit once; raises PlacingError."""
+        if self.fitting(cpus, memory) < 1:
+            size = "" if memory is None else f" and {memory / (1 << 30):.1f} GiB"
+            asked = "" if self.memory is None else f" and {self.memory / (1 << 30):.1f} GiB (--memory)"
+            raise PlacingError(
+                f"a run is to have {self.cpus} processors (--cpus){asked}, and there are {cpus}{size}; "
+                "give less"
+            )
+
+
+def memory_here() -> int | None:
+    """Bytes that processes of this computer, or of its container, may use; None where it does not say."""
+    sizes = []
+    with suppress(ValueError, OSError, AttributeError):
+        sizes.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    with suppress(ValueError, OSError):
+        sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return min(sizes, default=None)
+
+
+def processors_here() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def explained(error: Exception) -> str:
@@ -288,99 +330,3 @@ def _end(process: subprocess.Popen[str], late: threading.Event | None = None) ->
             process.wait(ENDING_S)
         except subprocess.TimeoutExpired:
             process.kill()
-
-
-MISSING = "Ray is not installed: pip install 'bayesnet-track[ray]'"
-RETRIES = 2
-"""How often a job whose process or node died is started again."""
-
-
-@dataclass(frozen=True)
-class RayTasks:
-    """A task for each job, as many at a time as the cluster has processors.
-
-    Attributes:
-        address: of the cluster; None starts one here.
-        timeout_s: seconds that a job may take, looked at between two of its frames, or None.
-    """
-
-    address: str | None = None
-    timeout_s: float | None = None
-
-    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
-        """As of a `Place`.
-
-        Raises:
-            PlacingError: Ray is not installed, or there is no cluster.
-        """
-        owns_ray = connect(self.address)
-        import ray
-
-        task = ray.remote(_finished_task).options(num_cpus=1, max_retries=RETRIES)
-        waiting = {task.remote(job.to_json(), self.timeout_s): job for job in jobs}
-        try:
-            while waiting:
-                over, _ = ray.wait(list(waiting), timeout=WAIT_S)
-                if not over:
-                    yield None
-                for promised in over:
-                    job = waiting.pop(promised)
-                    try:
-                        row: Row = ray.get(promised)
-                    except ray.exceptions.RayError as error:
-                        row = failed_row(job, f"its task was lost ({type(error).__name__})")
-                    yield Progress(job, row=row)
-        finally:
-            for promised in waiting:
-                with suppress(ray.exceptions.RayError):
-                    ray.cancel(promised, force=True)
-            if owns_ray:
-                ray.shutdown()
-
-
-def connect(address: str | None) -> bool:
-    """Connect to the cluster at `address`, or start one here; whether it has to be shut down again.
-
-    Raises:
-        PlacingError: Ray is not installed, or there is no cluster.
-    """
-    try:
-        import ray
-    except ImportError:
-        raise PlacingError(MISSING) from None
-    if ray.is_initialized():
-        return False
-    try:
-        if address is None:
-            ray.init(log_to_driver=False, logging_level="error", include_dashboard=False)
-        else:
-            ray.init(address=address, log_to_driver=False, logging_level="error")
-    except Exception as error:  # what Ray raises when it is not up in time has no class of its own
-        where = "Ray cannot be started here" if address is None else f"no Ray cluster at {address}"
-        raise PlacingError(f"{where}: {' '.join(str(error).split())}") from error
-    return True
-
-
-class _Late(Exception):
-    """A job takes longer than it may."""
-
-
-def _finished_task(line: str, timeout_s: float | None = None) -> Row:
-    from bayesnet_track.cli.arguments import words
-    from bayesnet_track.cli.batch.work import do
-    from bayesnet_track.observation.settings import by_command_line
-
-    job, began = Job.from_json(line), time.monotonic()
-
-    def progress(done: int, expected: int | None) -> None:
-        if timeout_s is not None and time.monotonic() > began + timeout_s:
-            raise _Late
-
-    try:
-        with by_command_line():
-            allow(job)
-            return do(job, progress)
-    except _Late:
-        return timed_out_row(job, timeout_s or 0.0)
-    except (OSError, ValueError) as error:
-        return failed_row(job, " ".join(words(error).split()))

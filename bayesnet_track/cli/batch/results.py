@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Self, TextIO
 
 from bayesnet_track.cli.batch.jobs import BatchError, Job
+from bayesnet_track.cli.batch.ledger import Ledger
 from bayesnet_track.cli.batch.places import Progress
 from bayesnet_track.cli.batch.work import FINISHED, ROW, Row
 from bayesnet_track.journal.writer import write_atomically
@@ -25,10 +26,11 @@ QUIET_S = 60.0
 class BatchProgress:
     """On a terminal a table that is drawn anew; elsewhere a line for each job that is over."""
 
-    def __init__(self, stream: TextIO, jobs: Sequence[Job], is_terminal: bool) -> None:
-        self._stream, self._redraws, self._all = stream, is_terminal, len(jobs)
+    def __init__(self, stream: TextIO, jobs: Sequence[Job], is_terminal: bool, over: int = 0) -> None:
+        """Of `jobs`, besides which `over` were finished before."""
+        self._stream, self._redraws, self._all = stream, is_terminal, len(jobs) + over
         self._running: dict[Job, Progress] = {}
-        self._over, self._failed, self._drawn = 0, 0, 0
+        self._over, self._failed, self._drawn = over, 0, 0
         self._ends = deque([time.monotonic()], LAST + 1)
 
     def update(self, report: Progress) -> None:
@@ -64,7 +66,7 @@ class BatchProgress:
         failed = f", {self._failed} failed" if self._failed else ""
         todo = self._all - self._over
         each_s = (self._ends[-1] - self._ends[0]) / max(len(self._ends) - 1, 1)
-        left = f", {clock(todo * each_s)} left" if todo and self._over else ""
+        left = f", {clock(todo * each_s)} left" if todo and len(self._ends) > 1 else ""
         return f"{self._over} of {self._all}{failed}{left}"
 
     def _write(self, lines: Iterable[str]) -> None:
@@ -124,6 +126,21 @@ def result(row: Row) -> str:
     return ", ".join(parts)
 
 
+MEANS = tuple(name for name in ROW if name not in ("video", "seed", "status", "reason"))
+"""Columns of which a mean can be taken."""
+
+
+def mean_row(rows: Iterable[Row]) -> dict[str, float]:
+    """The mean of each measure over the finished runs that have it; empty where none has.
+
+    Fewer than all runs can have a measure: an AUC needs ground truth.
+    """
+    finished = [row for row in rows if row["status"] == FINISHED]
+    values = {name: [row[name] for row in finished] for name in MEANS}
+    held = {name: [float(one) for one in column if one not in (None, "")] for name, column in values.items()}
+    return {name: round(sum(column) / len(column), 6) for name, column in held.items() if column}
+
+
 def csv_text(rows: Iterable[Row]) -> str:
     """The table as CSV, a row for each job; empty where there is nothing to say."""
     text = io.StringIO()
@@ -158,25 +175,35 @@ def _so_far(report: Progress) -> str:
     return f"frame {report.done}" + ("" if report.expected is None else f"/{report.expected}")
 
 
-EVERY_S = 1.0
-"""Seconds after which the table is written again while it grows."""
+EVERY_S, SHARE = 1.0, 20
+"""Seconds after which the table is written again while it grows, or so many times what that takes."""
 
 
 class Results:
     """The rows of a batch, and the file of its table: written anew while it grows, and when it is left.
 
-    Rows that are there from before stay until there is another for the same video and seed.
+    Rows that are there from before stay until there is another for the same video and seed. What is finished
+    is noted in the ledger at once, so that a batch that is killed loses no row.
 
     Raises:
         BatchError: the file is no table of a batch.
         OSError: it cannot be read.
     """
 
-    def __init__(self, path: Path, jobs: Sequence[Job]) -> None:
-        self._path, self._jobs = path, jobs
+    def __init__(self, path: Path, jobs: Sequence[Job], ledger: Ledger | None = None) -> None:
+        self._path, self._jobs, self._ledger = path, jobs, ledger
         self._earlier = read_table(path)
         self._rows: dict[Job, Row] = {}
-        self._written, self._is_changed = time.monotonic(), False
+        self._due, self._is_changed = time.monotonic() + EVERY_S, False
+        for job in jobs if ledger is not None else ():
+            row = None if ledger is None else ledger.row(job)
+            if row is not None:
+                self._rows[job], self._is_changed = row, True
+
+    @property
+    def todo(self) -> list[Job]:
+        """The jobs without a row."""
+        return [job for job in self._jobs if job not in self._rows]
 
     def __enter__(self) -> Self:
         return self
@@ -189,20 +216,34 @@ class Results:
         """Take the row of a job that is over."""
         if report is not None and report.row is not None:
             self._rows[report.job], self._is_changed = report.row, True
-        if self._is_changed and time.monotonic() >= self._written + EVERY_S:
+            if self._ledger is not None:
+                self._ledger.add([(report.job, report.row)])
+        if self._is_changed and time.monotonic() >= self._due:
             self._write()
 
     def rows(self) -> list[Row]:
         """The rows of the jobs that are over, in the order of the jobs."""
         return [self._rows[job] for job in self._jobs if job in self._rows]
 
+    def by_folder(self) -> list[tuple[str, Row]]:
+        """The same, each with the name of its folder."""
+        return [(Path(job.out).name, self._rows[job]) for job in self._jobs if job in self._rows]
+
+    @property
+    def expected(self) -> int:
+        """Number of the jobs."""
+        return len(self._jobs)
+
     def _write(self) -> None:
         """First the jobs of this batch in their order, then what else there is from before."""
+        began = time.monotonic()
         table: dict[tuple[str, str], Row] = {}
         for job in self._jobs:
             key = job.video.name, str(job.seed)
             row = self._rows.get(job) or self._earlier.get(key)
-            table |= {} if row is None else {key: row}
+            if row is not None:
+                table[key] = row
         others = {key: row for key, row in self._earlier.items() if key not in table}
         write_atomically(self._path, csv_text((table | others).values()).encode("utf-8"))
-        self._written, self._is_changed = time.monotonic(), False
+        spent = time.monotonic() - began
+        self._due, self._is_changed = time.monotonic() + max(EVERY_S, SHARE * spent), False

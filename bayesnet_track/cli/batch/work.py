@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.batch.jobs import BatchError, Job, allow
 from bayesnet_track.runtime.run import Start
@@ -43,7 +43,11 @@ FINISHED, FAILED, TIMED_OUT = "finished", "failed", "timed out"
 """What a row's status can be."""
 
 
-def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
+Progressing = Callable[[int, int | None], None]
+"""Told of frames done, and to do where that is known."""
+
+
+def do(job: Job, progress: Progressing) -> Row:
     """Track to the end, going on where an earlier try stopped; the row of it.
 
     `progress` is told of frames done and to do. What fails passes through.
@@ -232,20 +236,20 @@ def main() -> int:
         try:
             with heard(lambda text: send({"notice": text})), by_command_line():
                 allow(job)
-                row = do(job, _progress(send))
+                row = do(job, progress_of(send))
         except (OSError, ValueError) as error:
             row = failed_row(job, " ".join(words(error).split()))
         send({"row": row})
     return 0
 
 
-def _progress(send: Callable[[object], None]) -> Callable[[int, int | None], None]:
-    """Tell how far a job is, now and then."""
+def progress_of(send: Callable[[dict[str, Any]], None], every_s: float = EVERY_S) -> Progressing:
+    """A function that tells how far a job is, now and then."""
     shown = 0.0
 
     def progress(done: int, expected: int | None) -> None:
         nonlocal shown
-        if time.monotonic() >= shown + EVERY_S:
+        if time.monotonic() >= shown + every_s:
             shown = time.monotonic()
             send({"done": done, "expected": expected})
 

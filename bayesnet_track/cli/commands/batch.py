@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
+from collections.abc import Generator
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -30,22 +30,31 @@ from bayesnet_track.cli.arguments import (
 from bayesnet_track.cli.options import add_range_option, add_size_option
 
 if TYPE_CHECKING:
-    from bayesnet_track.cli.batch.jobs import Job, Video
-    from bayesnet_track.cli.batch.places import Place
+    from bayesnet_track.cli.batch.jobs import Job, Part, Video
+    from bayesnet_track.cli.batch.places import Place, Progress
+    from bayesnet_track.cli.batch.results import Results
     from bayesnet_track.runtime.stop import StopRequest
 
 
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
-    from bayesnet_track.cli.batch.jobs import TABLE
+    from bayesnet_track.cli.batch.jobs import TABLE, by_size
+    from bayesnet_track.cli.batch.ledger import Ledger
     from bayesnet_track.cli.batch.results import BatchProgress, Results, Silence
-    from bayesnet_track.cli.batch.work import FINISHED
-    from bayesnet_track.cli.commands.tracking import spread_text, summary_of
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.graph.text.write import graph_sha256
 
     graph = load_graph(options.graph)
     videos = _videos(options)
+    part: Part | None = options.part
+    if part is not None:
+        count, videos = len(videos), part.of(videos)
+        if not videos:
+            raise UsageError(
+                f"--part {part.number}/{part.count}: of {count} videos this part has none; "
+                f"give at most {count} parts"
+            )
     if not has_births(graph):
         lone = next((one for one in videos if one.init is None and one.init_from is None), None)
         if lone is not None:
@@ -56,11 +65,19 @@ def batch(options: argparse.Namespace) -> int:
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     jobs = _jobs(options, videos, out)
-    progress = BatchProgress(sys.stderr, jobs, sys.stderr.isatty())
-    place = _place(options, len(jobs))
+    table = out / (TABLE if part is None else f"results.{part.label}.csv")
+    with users_mistake():
+        ledger = Ledger(out, "whole" if part is None else part.label, graph_sha256(graph.text))
+        results = Results(table, jobs, ledger)
+    todo = by_size(results.todo)
+    finished = len(jobs) - len(todo)
+    if finished and not options.quiet:
+        complain(f"{finished} of {len(jobs)} runs were finished before")
+    progress = BatchProgress(sys.stderr, todo, sys.stderr.isatty(), finished)
     stop: StopRequest = options.stop
     silence = Silence(time.monotonic())
-    with users_mistake(), Results(out / TABLE, jobs) as results, closing(place.run(jobs)) as reports:
+    place = _place(options, len(todo)) if todo else None
+    with users_mistake(), results, closing(place.run(todo) if place else _nothing()) as reports:
         for report in reports:
             results.add(report)
             for sentence in silence.hear(report, time.monotonic()):
@@ -71,32 +88,85 @@ def batch(options: argparse.Namespace) -> int:
                 complain(f"{report.job.label}: {report.notice}")
             if stop.between_frames():
                 break
-    done = results.rows()
-    failed = sum(row["status"] != FINISHED for row in done)
-    parts = [f"{len(done)} of {len(jobs)} runs done", *([f"{failed} failed"] if failed else [])]
-    summary = summary_of([row for row in done if row["status"] == FINISHED]) if options.seeds > 1 else {}
-    if options.json:
-        measures = {name: asdict(one) for name, one in summary.items()}
-        told = {"out": str(out), "runs": done, "failed": failed, "of": len(jobs)}
-        say(json.dumps({**told, "summary": measures} if summary else told))
-    elif not options.quiet:
-        say(f"{out}: {', '.join(parts)}; see {out / TABLE}")
-        if summary:
-            say(spread_text(summary))
+    failed = _say_end(options, results, table)
     if stop.signal is not None:
         return stop.exit_code
     return INCOMPLETE if failed else OK
 
 
+def _nothing() -> Generator[Progress | None, None, None]:
+    yield from ()
+
+
+def _say_end(options: argparse.Namespace, results: Results, table: Path) -> int:
+    """Write the overview, and say what came of the batch; how many runs did not finish."""
+    from bayesnet_track.cli.batch.results import mean_row
+    from bayesnet_track.cli.batch.work import FINISHED
+    from bayesnet_track.cli.commands.tracking import spread_text, summary_of
+    from bayesnet_track.journal.writer import write_atomically
+    from bayesnet_track.view.batch_page import batch_page
+
+    rows = results.rows()
+    failed = sum(row["status"] != FINISHED for row in rows)
+    mean = mean_row(rows)
+    overview = table.with_name(table.name.replace("results", "overview")).with_suffix(".html")
+    page = batch_page(f"Batch of {options.graph}", results.by_folder(), mean, table.name)
+    write_atomically(overview, page.encode("utf-8", "replace"))
+    summary = summary_of([row for row in rows if row["status"] == FINISHED]) if options.seeds > 1 else {}
+    if options.json:
+        measures = {name: asdict(one) for name, one in summary.items()}
+        told = {
+            "out": str(table.parent),
+            "runs": rows,
+            "failed": failed,
+            "of": results.expected,
+            "mean": mean,
+        }
+        say(json.dumps({**told, "summary": measures} if summary else told))
+    elif not options.quiet:
+        parts = [f"{len(rows)} of {results.expected} runs done", *([f"{failed} failed"] if failed else [])]
+        if mean:
+            say("mean: " + ", ".join(f"{name} {value:.4g}" for name, value in mean.items()))
+        say(f"{table.parent}: {', '.join(parts)}; see {table} and {overview}")
+        if summary:
+            say(spread_text(summary))
+    return failed
+
+
+def _part(text: str) -> Part:
+    from bayesnet_track.cli.batch.jobs import Part
+
+    try:
+        return Part.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _amount(text: str) -> int:
+    units = {"M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+    digits, unit = text[:-1], text[-1:].upper()
+    if unit not in units or not (digits.isascii() and digits.isdigit() and 0 < int(digits) < 1 << 20):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: a whole number of M, G or T (bytes) is needed, such as 2G"
+        )
+    return int(digits) * units[unit]
+
+
 def _place(options: argparse.Namespace, jobs: int) -> Place:
     """Where the runs are; raises UsageError where the limit on open files allows none."""
-    if options.on == "ray":
-        from bayesnet_track.cli.batch.places import RayTasks
+    from bayesnet_track.cli.batch.places import Needs, memory_here, processors_here
 
-        return RayTasks(options.ray_address, options.timeout)
+    needs = Needs(options.cpus, options.memory)
+    if options.on == "ray":
+        from bayesnet_track.cli.batch.ray_place import RayTasks
+
+        return RayTasks(options.ray_address, options.timeout, needs)
     from bayesnet_track.cli.batch.places import MANY_FILES, Processes, most_runs
 
-    wanted = min(options.jobs or os.cpu_count() or 1, jobs)
+    room = processors_here(), memory_here()
+    with users_mistake():
+        needs.check(*room)
+    wanted = min(options.jobs or needs.fitting(*room), jobs)
     most = most_runs()
     if most == 0:
         raise UsageError(f"too few files may be open to start a run; {MANY_FILES}")
@@ -185,6 +255,25 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     )
     batch.add_argument(
         "--jobs", type=whole_number(1), metavar="N", help="parallel runs (default: one per processor)"
+    )
+    batch.add_argument(
+        "--part",
+        type=_part,
+        metavar="K/N",
+        help="only every N-th video, from the K-th on: one of N computers that share the work below DIR",
+    )
+    batch.add_argument(
+        "--cpus",
+        type=whole_number(1),
+        default=1,
+        metavar="N",
+        help="processors that a run is counted with (default 1)",
+    )
+    batch.add_argument(
+        "--memory",
+        type=_amount,
+        metavar="SIZE",
+        help="memory that a run is counted with, as 800M or 2G (default: not counted)",
     )
     batch.add_argument(
         "--timeout",
