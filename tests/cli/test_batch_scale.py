@@ -14,9 +14,8 @@ import pytest
 
 from bayesnet_track.cli.batch import work
 from bayesnet_track.cli.batch.jobs import Job, Part, Video, by_size
-from bayesnet_track.cli.batch.ledger import Ledger
 from bayesnet_track.cli.batch.places import Needs, Processes, Progress
-from bayesnet_track.cli.batch.results import Results
+from bayesnet_track.cli.batch.results import Ledger, Results
 from bayesnet_track.cli.batch.work import ROW, do, failed_row
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors.processes import PlacingError

@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
     from bayesnet_track.cli.batch.jobs import TABLE, by_size
-    from bayesnet_track.cli.batch.ledger import Ledger
-    from bayesnet_track.cli.batch.results import BatchProgress, Results, Silence
+    from bayesnet_track.cli.batch.results import BatchProgress, Ledger, Results, Silence
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.graph.text.write import graph_sha256
