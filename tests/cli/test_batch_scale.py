@@ -20,7 +20,7 @@ from bayesnet_track.cli.batch.work import ROW, do, failed_row
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.view.batch_page import batch_page
+from bayesnet_track.view.compare_page import batch_page
 
 SCENE = make_scene("two_squares", 0)
 BOX = "{:g},{:g},{:g},{:g}".format(*SCENE.start_box)

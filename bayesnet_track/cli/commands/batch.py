@@ -103,7 +103,7 @@ def _say_end(options: argparse.Namespace, results: Results, table: Path) -> int:
     from bayesnet_track.cli.batch.work import FINISHED
     from bayesnet_track.cli.commands.tracking import spread_text, summary_of
     from bayesnet_track.journal.writer import write_atomically
-    from bayesnet_track.view.batch_page import batch_page
+    from bayesnet_track.view.compare_page import batch_page
 
     rows = results.rows()
     failed = sum(row["status"] != FINISHED for row in rows)
