@@ -1,4 +1,4 @@
-"""What `fit` estimates that changes the tracking: the sds of cues and the activation policy.
+"""Estimates of `fit` that change the tracking: sds of cues, the activation policy, and what a pool's children share.
 
 Both are written into the graph before its score, regions and levels are fitted, which depend on them.
 """
@@ -130,3 +130,31 @@ def _summary(chosen: Chosen) -> str:
         f"{chosen.trial.auc:.3f} (the graph's own {chosen.own.auc:.3f}), declared cost "
         f"{chosen.trial.cost_ms:.2f} ms a frame (own {chosen.own.cost_ms:.2f})"
     )
+
+
+def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
+    """The graph's text with the `correlation` of every learned pool."""
+    from bayesnet_track.evaluate.cue_parameters import fit_correlation, learned_pools, pool_errors
+    from bayesnet_track.graph.settings.net import pool_exponents
+    from bayesnet_track.graph.text.change import set_value
+
+    name, plate = next(iter(graph.targets.items()))
+    with users_mistake():
+        pools = learned_pools(plate)
+    found = []
+    for video in videos:
+        with frames_of(video, end) as frames, users_mistake():
+            found.append(pool_errors(graph, frames, video.truth))
+    for pool, children in pools.items():
+        with users_mistake():
+            fitted = fit_correlation([one[pool] for one in found])
+        value = float(f"{fitted.value:.3g}")
+        exponent = next(iter(pool_exponents(dict.fromkeys(children, 1.0), value).values()))
+        low, high = fitted.without
+        complain(
+            f"{pool}: errors correlated by {value:g} ({low:.2f} to {high:.2f} without one video), from "
+            f"{plural(fitted.frames, 'frame')}; each of {len(children)} children counts {exponent:.2f}"
+        )
+        comment = f"errors at true boxes, {fitted.frames} frames of {plural(len(videos), 'video')}"
+        text = set_value(text, ("targets", name, "nodes", pool, "correlation"), value, comment)
+    return text
