@@ -13,14 +13,13 @@ import cv2
 import pytest
 
 from bayesnet_track.cli.batch import work
-from bayesnet_track.cli.batch.jobs import Job, Part, Video, by_size
+from bayesnet_track.cli.batch.jobs import Job, Part, Video
 from bayesnet_track.cli.batch.places import Needs, Processes, Progress
-from bayesnet_track.cli.batch.results import Ledger, Results
+from bayesnet_track.cli.batch.results import Ledger, Results, overview
 from bayesnet_track.cli.batch.work import ROW, do, failed_row
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.view.compare_page import batch_page
 
 SCENE = make_scene("two_squares", 0)
 BOX = "{:g},{:g},{:g},{:g}".format(*SCENE.start_box)
@@ -162,7 +161,7 @@ def test_a_part_without_a_video_is_refused(videos, capsys):
 
 def test_parts_are_all_videos_once() -> None:
     videos = [Video(f"{n}.mp4", str(n)) for n in range(103)]
-    parts = [Part(k, 8).of(videos) for k in range(1, 9)]
+    parts = [Part(k, 8).select(videos) for k in range(1, 9)]
     assert sorted((one for part in parts for one in part), key=videos.index) == videos
     assert {len(part) for part in parts} == {12, 13}
 
@@ -172,7 +171,12 @@ def test_the_largest_come_first_and_equal_ones_in_their_order(tmp_path: Path) ->
         (tmp_path / name).write_bytes(b"x" * size)
     names = ["small", "missing", "large", "same"]
     jobs = [Job("g", Video(str(tmp_path / name), name), 0, name) for name in names]
-    assert [job.out for job in by_size(jobs)] == ["large", "small", "same", "missing"]
+    assert [job.out for job in Results(tmp_path / "results.csv", jobs).todo] == [
+        "large",
+        "small",
+        "same",
+        "missing",
+    ]
 
 
 def test_as_many_runs_at_a_time_as_fit() -> None:
@@ -219,5 +223,5 @@ def test_a_page_lists_the_least_sure_and_says_how_many_it_leaves_out() -> None:
         dict.fromkeys(ROW) | {"video": f"v{n}", "seed": 0, "status": "finished", "score_mean": n / 3000}
         for n in range(3000)
     ]
-    page = batch_page("many", [(str(row["video"]), row) for row in rows], {}, "results.csv")
+    page = overview("many", [(str(row["video"]), row) for row in rows], {}, "results.csv")
     assert "1000 more, of higher scores" in page and "v1999<" in page and "v2000<" not in page

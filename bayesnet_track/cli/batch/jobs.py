@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import glob
 import json
-import os
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
@@ -111,8 +110,8 @@ class Part:
         >>> Part.parse("2/8")
         Part(number=2, count=8)
         """
-        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
-        number, count = map(int, found.groups()) if found else (0, 0)
+        match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+        number, count = map(int, match.groups()) if match else (0, 0)
         if not 1 <= number <= count:
             raise ValueError(
                 f"{text!r}: K/N is needed, part K of N: 1/{count or 8} to {count or 8}/{count or 8}"
@@ -124,33 +123,9 @@ class Part:
         """It as part of a file's name."""
         return f"{self.number}-of-{self.count}"
 
-    def of(self, videos: Sequence[Video]) -> list[Video]:
+    def select(self, videos: Sequence[Video]) -> list[Video]:
         """Its videos: every `count`-th."""
         return list(videos[self.number - 1 :: self.count])
-
-
-def by_size(jobs: Sequence[Job]) -> list[Job]:
-    """The jobs, those with the largest source first: the last ones to end are then the shortest.
-
-    The size is that of the files in bytes, as what a video takes is known only when it is decoded. Of a
-    folder it is the number of its entries times the size of one; of what cannot be looked at it is 0.
-    """
-    sizes: dict[str, int] = {}
-    for job in jobs:
-        if job.video.source not in sizes:
-            sizes[job.video.source] = _bytes(job.video.source)
-    return sorted(jobs, key=lambda job: -sizes[job.video.source])
-
-
-def _bytes(source: str) -> int:
-    try:
-        path = Path(source)
-        if not path.is_dir():
-            return path.stat().st_size
-        entries = list(os.scandir(path))
-        return len(entries) * entries[0].stat().st_size if entries else 0
-    except OSError:
-        return 0
 
 
 def allow(job: Job) -> None:

@@ -54,7 +54,7 @@ class Needs:
     memory: int | None = None
 
     def fitting(self, cpus: int, memory: int | None) -> int:
-        """How many runs at a time fit.
+        """Number of runs that fit at a time.
 
         >>> Needs(2, 3 << 30).fitting(16, 16 << 30)
         5
@@ -62,18 +62,24 @@ class Needs:
         by_memory = cpus if self.memory is None or memory is None else memory // self.memory
         return min(cpus // self.cpus, by_memory)
 
+    def fitting_here(self) -> int:
+        """The same of this computer; raises PlacingError where none fits."""
+        room = _processors(), _memory()
+        self.check(*room)
+        return self.fitting(*room)
+
     def check(self, cpus: int, memory: int | None) -> None:
         """Refuse what does not fit once; raises PlacingError."""
         if self.fitting(cpus, memory) < 1:
             size = "" if memory is None else f" and {memory / (1 << 30):.1f} GiB"
-            asked = "" if self.memory is None else f" and {self.memory / (1 << 30):.1f} GiB (--memory)"
+            memory_text = "" if self.memory is None else f" and {self.memory / (1 << 30):.1f} GiB (--memory)"
             raise PlacingError(
-                f"a run is to have {self.cpus} processors (--cpus){asked}, and there are {cpus}{size}; "
+                f"a run is to have {self.cpus} processors (--cpus){memory_text}, and there are {cpus}{size}; "
                 "give less"
             )
 
 
-def memory_here() -> int | None:
+def _memory() -> int | None:
     """Bytes that processes of this computer, or of its container, may use; None where it does not say."""
     sizes = []
     with suppress(ValueError, OSError, AttributeError):
@@ -83,7 +89,7 @@ def memory_here() -> int | None:
     return min(sizes, default=None)
 
 
-def processors_here() -> int:
+def _processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

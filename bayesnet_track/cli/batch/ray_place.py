@@ -70,10 +70,9 @@ class RayTasks:
                 over, _ = ray.wait(list(waiting), num_returns=len(waiting), timeout=WAIT_S)
                 ended = {waiting.pop(promised): promised for promised in over}
                 running = set(waiting.values())
-                messages = [
-                    (number, what) for number, what in _taken(reports) if number in running | set(ended)
-                ]
-                yield from (_progress(jobs[number], what) for number, what in messages)
+                expected = running | set(ended)
+                messages = [pair for pair in _messages(reports) if pair[0] in expected]
+                yield from (_progress(jobs[number], message) for number, message in messages)
                 for number, promised in ended.items():
                     yield Progress(jobs[number], row=_row(jobs[number], promised))
                 if not messages and not ended:
@@ -96,21 +95,21 @@ def _row(job: Job, promised: object) -> Row:
     return row
 
 
-def _taken(reports: Any) -> list[tuple[int, dict[str, Any]]]:
+def _messages(reports: Any) -> list[tuple[int, dict[str, Any]]]:
     """What tasks told since; nothing where the node that keeps it is gone: rows come another way."""
     import ray
 
     try:
-        taken: list[tuple[int, dict[str, Any]]] = ray.get(reports.take.remote())
+        messages: list[tuple[int, dict[str, Any]]] = ray.get(reports.take.remote())
     except ray.exceptions.RayError:
-        taken = []
-    return taken
+        messages = []
+    return messages
 
 
-def _progress(job: Job, what: dict[str, Any]) -> Progress:
-    if "notice" in what:
-        return Progress(job, notice=what["notice"])
-    return Progress(job, what["done"], what["expected"])
+def _progress(job: Job, message: dict[str, Any]) -> Progress:
+    if "notice" in message:
+        return Progress(job, notice=message["notice"])
+    return Progress(job, message["done"], message["expected"])
 
 
 class _Reports:
@@ -119,14 +118,14 @@ class _Reports:
     def __init__(self) -> None:
         self._held: list[tuple[int, dict[str, Any]]] = []
 
-    def tell(self, number: int, what: dict[str, Any]) -> None:
-        """Of the job of that number."""
-        self._held.append((number, what))
+    def tell(self, number: int, message: dict[str, Any]) -> None:
+        """Keep a message of the job of that number."""
+        self._held.append((number, message))
 
     def take(self) -> list[tuple[int, dict[str, Any]]]:
-        """All since the last time."""
-        held, self._held = self._held, []
-        return held
+        """The messages since the last time."""
+        messages, self._held = self._held, []
+        return messages
 
 
 def connect(address: str | None) -> bool:
@@ -164,13 +163,13 @@ def _finished_task(line: str, timeout_s: float | None, reports: Any, number: int
 
     job, began = Job.from_json(line), time.monotonic()
 
-    def tell(what: dict[str, Any]) -> None:
-        reports.tell.remote(number, what)
+    def tell(message: dict[str, Any]) -> None:
+        reports.tell.remote(number, message)
 
-    shown = progress_of(tell, every_s)
+    report = progress_of(tell, every_s)
 
     def progress(done: int, expected: int | None) -> None:
-        shown(done, expected)
+        report(done, expected)
         if timeout_s is not None and time.monotonic() > began + timeout_s:
             raise _Late
 

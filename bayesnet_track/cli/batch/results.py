@@ -12,6 +12,7 @@ import csv
 import hashlib
 import io
 import json
+import os
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -22,9 +23,11 @@ from typing import Any, Self, TextIO
 from bayesnet_track.cli.batch.jobs import LEDGER, BatchError, Job
 from bayesnet_track.cli.batch.places import Progress
 from bayesnet_track.cli.batch.work import FINISHED, ROW, Row
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.writer import write_atomically, writing
 from bayesnet_track.runtime.recording.rundir import FILES
 from bayesnet_track.sources.paths import is_file
+from bayesnet_track.view.svg import element, text_of
 
 Mark = list[list[int]]
 """Size and time of the last change, in ns, of the manifest and of each file that is given."""
@@ -40,8 +43,8 @@ class Ledger:
         OSError: a file cannot be read.
     """
 
-    def __init__(self, out: Path, name: str, graph_sha256: str) -> None:
-        self.path = out / LEDGER / f"{name}.jsonl"
+    def __init__(self, folder: Path, name: str, graph_sha256: str) -> None:
+        self.path = folder / LEDGER / f"{name}.jsonl"
         self._graph = graph_sha256
         self._lines: dict[str, tuple[Mark, Row]] = {}
         self._is_torn = False
@@ -82,27 +85,27 @@ class Ledger:
         self._is_torn = False
 
     def _key(self, job: Job) -> str:
-        """What is asked for, wherever it is put, as a SHA-256."""
-        asked: dict[str, Any] = {**asdict(job), "out": Path(job.out).name, "graph": self._graph}
+        """SHA-256 of the request, wherever its run is put."""
+        request: dict[str, Any] = {**asdict(job), "out": Path(job.out).name, "graph": self._graph}
         if is_file(job.video.source):
-            asked["video"]["source"] = str(Path(job.video.source).absolute())
-        asked["cue_files"] = [[file, *(_stat(Path(file)) or ())] for file in job.cue_files]
-        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
+            request["video"]["source"] = str(Path(job.video.source).absolute())
+        request["cue_files"] = [[file, *(_stat(Path(file)) or ())] for file in job.cue_files]
+        return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
 
 
 def _mark(job: Job) -> Mark | None:
     """Of the files of a run and of its start and ground truth; None where one is missing."""
-    given = [file for file in (job.video.init_from, job.video.truth) if file is not None]
-    stats = [_stat(path) for path in (Path(job.out) / FILES["manifest"], *map(Path, given))]
+    files = [file for file in (job.video.init_from, job.video.truth) if file is not None]
+    stats = [_stat(path) for path in (Path(job.out) / FILES["manifest"], *map(Path, files))]
     return None if None in stats else [stat for stat in stats if stat is not None]
 
 
 def _stat(path: Path) -> list[int] | None:
     try:
-        held = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return [held.st_size, held.st_mtime_ns]
+    return [status.st_size, status.st_mtime_ns]
 
 
 LAST = 20
@@ -219,17 +222,6 @@ MEANS = tuple(name for name in ROW if name not in ("video", "seed", "status", "r
 """Columns of which a mean can be taken."""
 
 
-def mean_row(rows: Iterable[Row]) -> dict[str, float]:
-    """The mean of each measure over the finished runs that have it; empty where none has.
-
-    Fewer than all runs can have a measure: an AUC needs ground truth.
-    """
-    finished = [row for row in rows if row["status"] == FINISHED]
-    values = {name: [row[name] for row in finished] for name in MEANS}
-    held = {name: [float(one) for one in column if one not in (None, "")] for name, column in values.items()}
-    return {name: round(sum(column) / len(column), 6) for name, column in held.items() if column}
-
-
 def csv_text(rows: Iterable[Row]) -> str:
     """The table as CSV, a row for each job; empty where there is nothing to say."""
     text = io.StringIO()
@@ -291,8 +283,8 @@ class Results:
 
     @property
     def todo(self) -> list[Job]:
-        """The jobs without a row."""
-        return [job for job in self._jobs if job not in self._rows]
+        """The jobs without a row, the largest first."""
+        return _by_size([job for job in self._jobs if job not in self._rows])
 
     def __enter__(self) -> Self:
         return self
@@ -314,9 +306,26 @@ class Results:
         """The rows of the jobs that are over, in the order of the jobs."""
         return [self._rows[job] for job in self._jobs if job in self._rows]
 
-    def by_folder(self) -> list[tuple[str, Row]]:
-        """The same, each with the name of its folder."""
-        return [(Path(job.out).name, self._rows[job]) for job in self._jobs if job in self._rows]
+    def mean(self) -> Row:
+        """The mean of each measure over the finished runs that have it; empty where none has.
+
+        Fewer than all runs can have a measure: an AUC needs ground truth.
+        """
+        finished = [row for row in self.rows() if row["status"] == FINISHED]
+        columns = {name: [row[name] for row in finished] for name in MEANS}
+        numbers = {
+            name: [float(value) for value in values if value not in (None, "")]
+            for name, values in columns.items()
+        }
+        return {name: round(sum(values) / len(values), 6) for name, values in numbers.items() if values}
+
+    def write_overview(self, heading: str) -> Path:
+        """Write the page beside the table, under its own name; raises OutputError."""
+        path = self._path.with_name(self._path.name.replace("results", "overview")).with_suffix(".html")
+        runs = [(Path(job.out).name, self._rows[job]) for job in self._jobs if job in self._rows]
+        page = overview(heading, runs, self.mean(), self._path.name)
+        write_atomically(path, page.encode("utf-8", "replace"))
+        return path
 
     @property
     def expected(self) -> int:
@@ -336,3 +345,82 @@ class Results:
         write_atomically(self._path, csv_text((table | others).values()).encode("utf-8"))
         spent = time.monotonic() - began
         self._due, self._is_changed = time.monotonic() + max(EVERY_S, SHARE * spent), False
+
+
+def _by_size(jobs: Sequence[Job]) -> list[Job]:
+    """The jobs, those with the largest source first: the last ones to end are then the shortest.
+
+    The size is that of the files in bytes, as what a video takes is known only when it is decoded. Of a
+    folder it is the number of its entries times the size of one; of what cannot be looked at it is 0.
+    """
+    sizes: dict[str, int] = {}
+    for job in jobs:
+        if job.video.source not in sizes:
+            sizes[job.video.source] = _bytes(job.video.source)
+    return sorted(jobs, key=lambda job: -sizes[job.video.source])
+
+
+def _bytes(source: str) -> int:
+    try:
+        path = Path(source)
+        if not path.is_dir():
+            return path.stat().st_size
+        entries = list(os.scandir(path))
+        return len(entries) * entries[0].stat().st_size if entries else 0
+    except OSError:
+        return 0
+
+
+LISTED = 2000
+"""Runs that the page lists; a browser takes seconds for more."""
+
+
+def overview(heading: str, runs: Sequence[tuple[str, Row]], mean: Row, table: str) -> str:
+    """One HTML file about the runs of a batch; all text is escaped, nothing is loaded or run.
+
+    Runs that are not finished come first, then those of the lowest mean score. Columns in which no run has a
+    value are left out.
+
+    Args:
+        heading: its title.
+        runs: folder and row of each run, as in the table of results.
+        mean: of each measure over the finished runs.
+        table: name of the table of results, beside which the page is.
+    """
+    from bayesnet_track.view.compare_page import static_page
+
+    rows = [row for _, row in runs]
+    columns = [name for name in (rows[0] if rows else {}) if any(row[name] not in (None, "") for row in rows)]
+    listed = sorted(runs, key=lambda run: _order(run[1]))[:LISTED]
+    failed = sum(row["status"] != "finished" for row in rows)
+    count = plural(len(rows), "run") + (f", {failed} not finished" if failed else "")
+    surplus = len(runs) - len(listed)
+    mean_line = _line(columns, mean | {"video": "mean of finished runs"}, "th") if mean else ""
+    parts = [
+        f"<header><h1>{text_of(heading)}</h1><p>{text_of(count)}; all in ",
+        element("a", text_of(table), href=table),
+        "</p></header><section>",
+        '<div class="wide"><table><thead><tr>',
+        *(element("th", text_of(name.replace("_", " ")), scope="col") for name in columns),
+        f"</tr>{mean_line}</thead><tbody>",
+        *(_line(columns, row, "td", folder) for folder, row in listed),
+        "</tbody></table></div>",
+        f'<p class="soft">{surplus} more, of higher scores, are in the table alone.</p>' if surplus else "",
+        "</section>",
+    ]
+    return static_page(heading, parts)
+
+
+def _order(row: Row) -> tuple[bool, float]:
+    score = row["score_mean"]
+    return row["status"] == "finished", float(score) if score not in (None, "") else 0.0
+
+
+def _line(columns: Sequence[str], row: Row, cell: str, folder: str | None = None) -> str:
+    texts = []
+    for name in columns:
+        value = row.get(name)
+        text = text_of("" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value))
+        is_link = name == "video" and folder is not None
+        texts.append(element("a", text, href=f"./{folder}/") if is_link else text)
+    return f"<tr>{''.join(element(cell, text) for text in texts)}</tr>"

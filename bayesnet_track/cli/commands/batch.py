@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
-    from bayesnet_track.cli.batch.jobs import TABLE, by_size
+    from bayesnet_track.cli.batch.jobs import TABLE
     from bayesnet_track.cli.batch.results import BatchProgress, Ledger, Results, Silence
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
@@ -48,7 +48,7 @@ def batch(options: argparse.Namespace) -> int:
     videos = _videos(options)
     part: Part | None = options.part
     if part is not None:
-        count, videos = len(videos), part.of(videos)
+        count, videos = len(videos), part.select(videos)
         if not videos:
             raise UsageError(
                 f"--part {part.number}/{part.count}: of {count} videos this part has none; "
@@ -68,7 +68,7 @@ def batch(options: argparse.Namespace) -> int:
     with users_mistake():
         ledger = Ledger(out, "whole" if part is None else part.label, graph_sha256(graph.text))
         results = Results(table, jobs, ledger)
-    todo = by_size(results.todo)
+    todo = results.todo
     finished = len(jobs) - len(todo)
     if finished and not options.quiet:
         complain(f"{finished} of {len(jobs)} runs were finished before")
@@ -99,29 +99,24 @@ def _nothing() -> Generator[Progress | None, None, None]:
 
 def _say_end(options: argparse.Namespace, results: Results, table: Path) -> int:
     """Write the overview, and say what came of the batch; how many runs did not finish."""
-    from bayesnet_track.cli.batch.results import mean_row
     from bayesnet_track.cli.batch.work import FINISHED
     from bayesnet_track.cli.commands.tracking import spread_text, summary_of
-    from bayesnet_track.journal.writer import write_atomically
-    from bayesnet_track.view.compare_page import batch_page
 
     rows = results.rows()
     failed = sum(row["status"] != FINISHED for row in rows)
-    mean = mean_row(rows)
-    overview = table.with_name(table.name.replace("results", "overview")).with_suffix(".html")
-    page = batch_page(f"Batch of {options.graph}", results.by_folder(), mean, table.name)
-    write_atomically(overview, page.encode("utf-8", "replace"))
+    mean = results.mean()
+    overview = results.write_overview(f"Batch of {options.graph}")
     summary = summary_of([row for row in rows if row["status"] == FINISHED]) if options.seeds > 1 else {}
     if options.json:
         measures = {name: asdict(one) for name, one in summary.items()}
-        told = {
+        report = {
             "out": str(table.parent),
             "runs": rows,
             "failed": failed,
             "of": results.expected,
             "mean": mean,
         }
-        say(json.dumps({**told, "summary": measures} if summary else told))
+        say(json.dumps({**report, "summary": measures} if summary else report))
     elif not options.quiet:
         parts = [f"{len(rows)} of {results.expected} runs done", *([f"{failed} failed"] if failed else [])]
         if mean:
@@ -153,7 +148,7 @@ def _amount(text: str) -> int:
 
 def _place(options: argparse.Namespace, jobs: int) -> Place:
     """Where the runs are; raises UsageError where the limit on open files allows none."""
-    from bayesnet_track.cli.batch.places import Needs, memory_here, processors_here
+    from bayesnet_track.cli.batch.places import Needs
 
     needs = Needs(options.cpus, options.memory)
     if options.on == "ray":
@@ -162,10 +157,9 @@ def _place(options: argparse.Namespace, jobs: int) -> Place:
         return RayTasks(options.ray_address, options.timeout, needs)
     from bayesnet_track.cli.batch.places import MANY_FILES, Processes, most_runs
 
-    room = processors_here(), memory_here()
     with users_mistake():
-        needs.check(*room)
-    wanted = min(options.jobs or needs.fitting(*room), jobs)
+        room = needs.fitting_here()
+    wanted = min(options.jobs or room, jobs)
     most = most_runs()
     if most == 0:
         raise UsageError(f"too few files may be open to start a run; {MANY_FILES}")

@@ -1,6 +1,6 @@
-"""Estimates of `fit` that change the tracking: sds of cues, the activation policy, and what a pool's children share.
+"""Estimates of `fit` that change the tracking: sds of cues, activation policy, correlation of pools.
 
-Both are written into the graph before its score, regions and levels are fitted, which depend on them.
+They are written into the graph before its score, regions and levels are fitted, which depend on them.
 """
 
 from __future__ import annotations
