@@ -33,7 +33,7 @@ from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.correlation import (
     SCALE_STEP,
     TURN_STEP,
-    Asked,
+    TileKey,
     equations,
     find_maps,
     find_tile,
@@ -212,7 +212,7 @@ class CorrelationFilter:
             indices = np.flatnonzero(asked & (tile_of == number))
             tile_place = np.array([columns[indices[0]], rows[indices[0]]])
             x, y = (place + tile_place * (REACH - 4) * cell).tolist()
-            tile = find_tile(planes.frame, image, Asked(x, y, cell, p.cells + REACH, p.cells, p.signed))
+            tile = find_tile(planes.frame, image, TileKey(x, y, cell, p.cells + REACH, p.cells, p.signed))
             levels = (log_scale[indices] + np.log(cell / tile.cell)) / SCALE_STEP
             levels = np.minimum(np.maximum(levels, -LEVELS), LEVELS)
             for turn, share in turns.items():

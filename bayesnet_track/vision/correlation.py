@@ -390,7 +390,7 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Asked:
+class TileKey:
     """Key of an answer: the tile and the filters.
 
     Attributes:
@@ -409,10 +409,10 @@ class Asked:
     signed: bool
 
 
-_OF_FRAME: WeakKeyDictionary[Frame, dict[Asked, Tile]] = WeakKeyDictionary()
+_OF_FRAME: WeakKeyDictionary[Frame, dict[TileKey, Tile]] = WeakKeyDictionary()
 
 
-def find_tile(frame: Frame, image: Bytes, asked: Asked) -> Tile:
+def find_tile(frame: Frame, image: Bytes, asked: TileKey) -> Tile:
     """The tile of the frame, whose (H, W, 3) BGR `image` is read when it is asked for the first time."""
     tiles = _OF_FRAME.setdefault(frame, {})
     if asked not in tiles:

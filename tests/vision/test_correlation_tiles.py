@@ -9,9 +9,9 @@ import numpy as np
 
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision import correlation
-from bayesnet_track.vision.correlation import Asked, find_maps, find_tile
+from bayesnet_track.vision.correlation import TileKey, find_maps, find_tile
 
-ASKED = Asked(60.0, 40.0, 1.5, 32, 16, False)
+ASKED = TileKey(60.0, 40.0, 1.5, 32, 16, False)
 
 
 def frame(seed: int) -> Frame:
@@ -21,8 +21,8 @@ def frame(seed: int) -> Frame:
 def test_a_tile_is_made_once_a_frame():
     one, other = frame(1), frame(2)
     tile = find_tile(one, one.image, ASKED)
-    assert find_tile(one, one.image, Asked(60.0, 40.0, 1.5, 32, 16, False)) is tile
-    for asked in (Asked(61.0, 40.0, 1.5, 32, 16, False), Asked(60.0, 40.0, 1.5, 32, 16, True)):
+    assert find_tile(one, one.image, TileKey(60.0, 40.0, 1.5, 32, 16, False)) is tile
+    for asked in (TileKey(61.0, 40.0, 1.5, 32, 16, False), TileKey(60.0, 40.0, 1.5, 32, 16, True)):
         assert find_tile(one, one.image, asked) is not tile
     assert not np.array_equal(find_tile(other, other.image, ASKED).spectra, tile.spectra)
 

@@ -22,9 +22,9 @@ from bayesnet_track.belief.contract import (
     hypotheses_of,
 )
 from bayesnet_track.belief.gaussian.update import (
-    Asked,
     Gated,
-    Taken,
+    MeasurementUpdate,
+    SigmaPoints,
     ask,
     fit_moments,
     log_message,
@@ -270,10 +270,10 @@ def _posterior(mean: Floats, covariance: Floats, fields: tuple[str, ...], size: 
 
 
 def _weights(
-    asked: Asked,
+    asked: SigmaPoints,
     evidence: Evidence,
     sampled: Floats,
-    after: Taken,
+    after: MeasurementUpdate,
     hypotheses: Hypotheses,
     fields: tuple[str, ...],
 ) -> LogWeights:
@@ -293,7 +293,7 @@ def _weights(
 def _step(
     posterior: GaussianPosterior,
     log_evidence: float,
-    asked: Asked,
+    asked: SigmaPoints,
     weights: LogWeights,
     evidence: Evidence,
     reports: tuple[Report, ...] = (),

@@ -31,8 +31,8 @@ from bayesnet_track.belief.gaussian.belief import (
     require_linear,
 )
 from bayesnet_track.belief.gaussian.update import (
-    Asked,
     Gated,
+    SigmaPoints,
     ask,
     fit_moments,
     match_moments,
@@ -238,7 +238,7 @@ class ModalFilter:
         return replace(part, mean=_held(mean), covariance=covariance)
 
     def _update(
-        self, part: GaussianPosterior, asked: Asked, sampled: Floats, used: Mapping[str, Measurement]
+        self, part: GaussianPosterior, asked: SigmaPoints, sampled: Floats, used: Mapping[str, Measurement]
     ) -> tuple[GaussianPosterior, float]:
         """The Gaussian of a mode after the frame, and its log-evidence; -inf where nothing fits it."""
         update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
@@ -352,7 +352,7 @@ def _held(mean: Floats) -> Floats:
     return held
 
 
-def _together(asked: Sequence[Asked], shares: Floats) -> WeightedStates:
+def _together(asked: Sequence[SigmaPoints], shares: Floats) -> WeightedStates:
     """The hypotheses of all modes, the mode their last field, weighted by how probable it is predicted."""
     with np.errstate(divide="ignore"):
         log = [one.beta.log + share for one, share in zip(asked, np.log(shares), strict=True)]

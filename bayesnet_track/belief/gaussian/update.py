@@ -70,7 +70,7 @@ FLAT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class SigmaPoints:
     """Hypotheses that stand for a Gaussian: their weighted mean and covariance are its own exactly.
 
     Attributes:
@@ -88,7 +88,7 @@ class Asked:
 
 def ask(
     mean: Floats, covariance: Floats, motion: MotionModel, settings: spec.Gaussian, rng: np.random.Generator
-) -> Asked:
+) -> SigmaPoints:
     """Samples of N(mean, covariance), or sigma points at +-sqrt(K + 1) sds and the mean.
 
     A hypothesis that would leave the image is moved to its border: what is said of it there is taken as the
@@ -101,12 +101,12 @@ def ask(
     unit = sigma_points(width, width + 1.0)
     log_beta = np.full(len(unit), -np.log(2.0 * (width + 1.0)))
     log_beta[0] = -np.log(width + 1.0)
-    return Asked(unit, lower, _placed(mean, lower, unit, motion), LogWeights.normalise(log_beta)[0])
+    return SigmaPoints(unit, lower, _placed(mean, lower, unit, motion), LogWeights.normalise(log_beta)[0])
 
 
 def _draw(
     mean: Floats, covariance: Floats, motion: MotionModel, samples: int, rng: np.random.Generator
-) -> Asked:
+) -> SigmaPoints:
     """Samples, so many or as many as the rank of the covariance needs."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
@@ -125,7 +125,7 @@ def _draw(
         half = half.ravel()[: (size // 2) * width].reshape(size // 2, width)  # as if only these were drawn
         unit = whiten(half, size)
         states = _placed(mean, lower, unit, motion)
-    return Asked(unit, lower, states, LogWeights.uniform(size))
+    return SigmaPoints(unit, lower, states, LogWeights.uniform(size))
 
 
 def _placed(mean: Floats, lower: Floats, unit: Floats, motion: MotionModel) -> Floats:
@@ -141,7 +141,7 @@ def is_flat(log_likelihood: Floats) -> bool:
 
 
 def match_moments(
-    mean: Floats, covariance: Floats, asked: Asked, log_likelihood: Floats
+    mean: Floats, covariance: Floats, asked: SigmaPoints, log_likelihood: Floats
 ) -> tuple[Floats, Floats, float]:
     """Mean, covariance and log-evidence after a likelihood (N,): the moments of the weighted hypotheses.
 
@@ -168,7 +168,7 @@ def match_moments(
 
 
 def fit_moments(
-    mean: Floats, covariance: Floats, asked: Asked, log_likelihood: Floats
+    mean: Floats, covariance: Floats, asked: SigmaPoints, log_likelihood: Floats
 ) -> tuple[Floats, Floats, float]:
     """The same from sigma points: log L is taken as a parabola along each axis, through its three points.
 
@@ -217,7 +217,7 @@ class Gated:
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class MeasurementUpdate:
     """A Gaussian after measurements.
 
     Attributes:
@@ -242,7 +242,7 @@ def take(
     measured: Mapping[str, Measurement],
     gate: float,
     is_unscented: bool = False,
-) -> Taken:
+) -> MeasurementUpdate:
     """Kalman updates by what agents measured, one after the other, as exact as all at once.
 
     A measurement is left out when d^2 = v' S^-1 v exceeds the chi-square quantile of `gate` (tracking chapter
@@ -289,7 +289,7 @@ def take(
             after = by_function
         mean, covariance = after.mean, after.covariance
         log_evidence += after.log_likelihood
-    return Taken(mean, covariance, log_evidence, used, tuple(gated))
+    return MeasurementUpdate(mean, covariance, log_evidence, used, tuple(gated))
 
 
 def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement) -> Updated:
