@@ -47,7 +47,7 @@ SIZE_SD, LEAST_SIZE_SD = 0.5, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Prospects:
+class UnconfirmedTracks:
     """Detected things that are no target yet: K of them, a Gaussian belief each.
 
     Attributes:
@@ -75,19 +75,19 @@ class Prospects:
     def __len__(self) -> int:
         return len(self.existence)
 
-    def take(self, rows: NDArray[np.bool_] | Ints) -> Prospects:
+    def take(self, rows: NDArray[np.bool_] | Ints) -> UnconfirmedTracks:
         """Some of them."""
-        return Prospects(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return UnconfirmedTracks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
-    def extend(self, others: Prospects) -> Prospects:
+    def extend(self, others: UnconfirmedTracks) -> UnconfirmedTracks:
         """These, then others."""
         if not len(others):
             return self
         names = self.__dataclass_fields__
-        return Prospects(*(np.concatenate([getattr(self, n), getattr(others, n)]) for n in names))
+        return UnconfirmedTracks(*(np.concatenate([getattr(self, n), getattr(others, n)]) for n in names))
 
     @classmethod
-    def none(cls, width: int) -> Prospects:
+    def none(cls, width: int) -> UnconfirmedTracks:
         """None, of a state of so many fields."""
         none, whole = np.empty(0), np.empty(0, np.int64)
         return cls(
@@ -96,11 +96,11 @@ class Prospects:
 
 
 @dataclass(frozen=True, eq=False)
-class Population:
+class DetectionModel:
     """Statistics learnt from all detections of a plate.
 
     Attributes:
-        prospects: what is no target yet.
+        unconfirmed: what is no target yet.
         clutter: false detections a frame.
         frames: how many frames that rests on.
         hits: detections of targets that nothing covered.
@@ -113,7 +113,7 @@ class Population:
         hidden: target -> probability that it is hidden, of those that another one covered in the last look.
     """
 
-    prospects: Prospects
+    unconfirmed: UnconfirmedTracks
     clutter: float = START_CLUTTER
     frames: float = START_FRAMES
     hits: float = START_DETECTION * START_CHANCES
@@ -143,7 +143,7 @@ class Population:
         """Probability that a detection which is none of the targets' is a new one's."""
         return rule.births / (rule.births + self.clutter_rate(rule))
 
-    def with_sizes(self, boxes: Floats) -> Population:
+    def with_sizes(self, boxes: Floats) -> DetectionModel:
         """After detections (N, 4)."""
         if not len(boxes):
             return self
@@ -162,13 +162,13 @@ class Population:
         sizes = log_size_densities(np.ascontiguousarray(boxes), *known, LEAST_SIZE_SD**2)
         return np.asarray(sizes - math.log(area_px2))
 
-    def after_look(self, false: float) -> Population:
+    def after_look(self, false: float) -> DetectionModel:
         """After a frame with so many false detections."""
         frames = min(self.frames + 1.0, MEMORY_FRAMES)
         clutter = max(self.clutter + (false - self.clutter) / frames, 1e-3)
         return changed(self, clutter=clutter, frames=frames)
 
-    def after_chances(self, cover: Floats, seen: Floats, existence: Floats) -> Population:
+    def after_chances(self, cover: Floats, seen: Floats, existence: Floats) -> DetectionModel:
         """After T targets could be detected; `cover` (T,) is how probably another one covers each."""
         hits, chances = _faded(self.hits, self.chances, 1.0 - cover, seen, existence)
         covered = _faded(self.covered_hits, self.covered_chances, cover, seen, existence)
@@ -185,7 +185,7 @@ def _faded(
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """T targets and prospects as they are expected.
+    """T targets and unconfirmed tracks as they are expected.
 
     Attributes:
         existence: (T,) probability that it exists.

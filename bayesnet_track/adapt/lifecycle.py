@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.association import NOBODY, Owners, distances, pair_up
-from bayesnet_track.adapt.existence import Population
+from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
@@ -76,7 +76,7 @@ class TrackHistory:
         cut: detector -> frames in which it found more than `max_count`.
         last_id: largest number that was given to a target.
         births: live target -> what its draws are keyed by (`numerics.streams.birth_key`).
-        populations: plate with `existence` -> what its detections have told about all of them.
+        detection_models: plate with `existence` -> what its detections have told about all of them.
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class TrackHistory:
     cut: Mapping[str, int] = field(default_factory=dict)
     last_id: int = 0
     births: Mapping[str, str] = field(default_factory=dict)
-    populations: Mapping[str, Population] = field(default_factory=dict)
+    detection_models: Mapping[str, DetectionModel] = field(default_factory=dict)
 
 
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:

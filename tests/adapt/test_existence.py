@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, share
+from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, UnconfirmedTracks, share
 from bayesnet_track.graph.spec import Existence
 
 
@@ -62,33 +62,39 @@ def test_who_certainly_exists_is_not_lost_by_rounding():
 
 
 def test_clutter_and_detection_are_estimated():
-    rng, population = np.random.default_rng(0), Population(Prospects.none(8))
+    rng, detection_model = np.random.default_rng(0), DetectionModel(UnconfirmedTracks.none(8))
     for _ in range(400):
         cover = np.repeat([0.0, 1.0], [20, 5])
         seen = rng.random(25) < np.where(cover, 0.3, 0.7)
-        population = population.after_look(rng.poisson(7.0)).after_chances(cover, seen, np.ones(25))
+        detection_model = detection_model.after_look(rng.poisson(7.0)).after_chances(cover, seen, np.ones(25))
     rule = Existence()
     # sds of the means over the last 100 frames and 2000 chances: .26 and .01
-    assert population.clutter_rate(rule) == pytest.approx(7.0, abs=1.1)
-    assert population.detection(rule) == pytest.approx(0.7, abs=0.05)
-    assert population.covered(rule) == pytest.approx(0.3, abs=0.05)
+    assert detection_model.clutter_rate(rule) == pytest.approx(7.0, abs=1.1)
+    assert detection_model.detection(rule) == pytest.approx(0.7, abs=0.05)
+    assert detection_model.covered(rule) == pytest.approx(0.3, abs=0.05)
     fixed = Existence(clutter=3.0, detection=0.6, covered=0.5)
-    found = population.clutter_rate(fixed), population.detection(fixed), population.covered(fixed)
+    found = (
+        detection_model.clutter_rate(fixed),
+        detection_model.detection(fixed),
+        detection_model.covered(fixed),
+    )
     assert found == (3.0, 0.6, 0.5)
-    assert population.covered(Existence(detection=0.2, covered=0.5)) == 0.2  # no surer than in the open
-    assert population.new_share(Existence(clutter=0.9, births=0.1)) == pytest.approx(0.1)
+    assert detection_model.covered(Existence(detection=0.2, covered=0.5)) == 0.2  # no surer than in the open
+    assert detection_model.new_share(Existence(clutter=0.9, births=0.1)) == pytest.approx(0.1)
 
 
 def test_sizes_have_a_density_that_integrates_to_one():
     rng = np.random.default_rng(1)
     heights = rng.uniform(60, 100, 200)
     boxes = np.column_stack([np.zeros((200, 2)), 0.4 * heights, heights])
-    population = Population(Prospects.none(8))
+    detection_model = DetectionModel(UnconfirmedTracks.none(8))
     for k in range(0, 200, 10):
-        population = population.with_sizes(boxes[k : k + 10])
+        detection_model = detection_model.with_sizes(boxes[k : k + 10])
     w, h = np.meshgrid(np.arange(5.0, 80, 0.5), np.arange(20.0, 240, 0.5))
     grid = np.column_stack([np.zeros((w.size, 2)), w.ravel(), h.ravel()])
-    assert np.exp(population.log_density(grid, 1000.0)).sum() * 0.25 * 1000 == pytest.approx(1.0, abs=0.02)
+    assert np.exp(detection_model.log_density(grid, 1000.0)).sum() * 0.25 * 1000 == pytest.approx(
+        1.0, abs=0.02
+    )
     usual, odd = np.array([[0, 0, 32, 80.0]]), np.array([[0, 0, 80, 32.0]])
-    assert population.log_density(usual, 1.0)[0] > population.log_density(odd, 1.0)[0] + 10
-    assert population.with_sizes(np.empty((0, 4))) is population
+    assert detection_model.log_density(usual, 1.0)[0] > detection_model.log_density(odd, 1.0)[0] + 10
+    assert detection_model.with_sizes(np.empty((0, 4))) is detection_model

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.adapt.existence import Population, Prospects
+from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.lifecycle.confirming import with_belief
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.ends import remember
 from bayesnet_track.engine.lifecycle.existing import gate
-from bayesnet_track.engine.lifecycle.prospects import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
+from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.rows import finding
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.targets import Targets
@@ -157,7 +157,7 @@ def test_a_target_that_another_covers_is_kept_through_misses(graph):
     far = {k: seen_at([[100, 100, 30, 60], [400, 100, 30, 60]][: 2 if k < 15 else 1]) for k in range(40)}
     gone = outcomes(graph, far, 22)
     assert len(kept[-1].state.targets) == 2 and len(gone[-1].state.targets) == 1
-    hidden = kept[-1].state.history.populations["target"].hidden
+    hidden = kept[-1].state.history.detection_models["target"].hidden
     in_front, behind = (hidden[target] for target in kept[-1].state.targets)
     assert in_front < 0.1 and behind > 0.9
 
@@ -187,7 +187,7 @@ def test_detections_of_nobody_are_false_but_for_the_share_of_new_targets(births)
     """Each is somewhere else in each frame, so that it is free for sure."""
     says = {k: seen_at([[20 + 110 * k + 340 * far, 40 + 60 * k, 30, 60] for far in (0, 1)]) for k in range(4)}
     done = outcomes(jpda(existence={"births": births}), says, 4)
-    before, after = (done[k].state.history.populations["target"] for k in (2, 3))
+    before, after = (done[k].state.history.detection_models["target"] for k in (2, 3))
     false = 2 * (1 - births / (births + before.clutter))
     assert after.frames == before.frames + 1
     expected = before.clutter + (false - before.clutter) / after.frames
@@ -195,11 +195,11 @@ def test_detections_of_nobody_are_false_but_for_the_share_of_new_targets(births)
 
 
 def test_false_detections_of_a_first_frame_leave_out_the_share_of_new_targets():
-    births, start = 2.0, Population(Prospects.none(4))
+    births, start = 2.0, DetectionModel(UnconfirmedTracks.none(4))
     done = outcomes(
         jpda(existence={"births": births}), {0: seen_at([[20, 40, 30, 60], [400, 40, 30, 60]])}, 1
     )
-    after = done[0].state.history.populations["target"]
+    after = done[0].state.history.detection_models["target"]
     false = 2 * (1 - births / (births + start.clutter))
     assert after.clutter == pytest.approx(start.clutter + (false - start.clutter) / after.frames)
 
@@ -209,7 +209,7 @@ def log_odds_without_rates(clutter, births):
     own = jpda(existence={"clutter": clutter, "births": births, "detection": 0.5, "confirm": 0.999999})
     says = {0: seen_at([[100, 100, 30, 60]]), 1: seen_at([[112, 106, 30, 60]])}
     done = outcomes(own, says, 2)
-    first, second = (one.state.history.populations["target"].prospects.existence for one in done)
+    first, second = (one.state.history.detection_models["target"].unconfirmed.existence for one in done)
     hit = 0.995 * first[0] * 0.5
     silent = hit / (1 - hit)
     seen = (second[0] - silent) / (1 - silent)
@@ -229,9 +229,9 @@ def test_a_state_that_was_stored_goes_on_to_the_same_bytes(graph, found):
     state = decode_state(encode_state(done[23].state), engine, frames[0])
     again = steps.step(engine, state, frames[1])
     assert [to_json(one) for one in again.metrics] == [to_json(one) for one in done[24].metrics]
-    own, other = (one.state.history.populations["target"] for one in (again, done[24]))
+    own, other = (one.state.history.detection_models["target"] for one in (again, done[24]))
     assert (own.clutter, own.hits) == (other.clutter, other.hits)
-    np.testing.assert_array_equal(own.prospects.existence, other.prospects.existence)
+    np.testing.assert_array_equal(own.unconfirmed.existence, other.unconfirmed.existence)
 
 
 def test_looks_say_whose_a_detection_is_where_the_agent_asks_for_them(monkeypatch):
@@ -275,10 +275,10 @@ def test_a_prospect_begins_with_the_share_of_new_targets_among_free_detections()
     rule = CrowdRule.of(compiled)
     boxes = np.array([[100.0, 100, 30, 60], [300, 200, 30, 60]])
     seventh = Frame(7, 7.0, np.zeros((480, 640, 3), np.uint8))
-    prospects = first_population(rule, Found(boxes, np.ones(2), np.arange(2)), seventh).prospects
-    np.testing.assert_allclose(prospects.existence, 0.1 / (0.1 + 0.3))
-    np.testing.assert_array_equal(prospects.mean[:, :4], boxes)
-    assert prospects.first.tolist() == [7, 7] and confirmed(rule, prospects, "target") == {}
+    unconfirmed = first_population(rule, Found(boxes, np.ones(2), np.arange(2)), seventh).unconfirmed
+    np.testing.assert_allclose(unconfirmed.existence, 0.1 / (0.1 + 0.3))
+    np.testing.assert_array_equal(unconfirmed.mean[:, :4], boxes)
+    assert unconfirmed.first.tolist() == [7, 7] and confirmed(rule, unconfirmed, "target") == {}
 
 
 def test_a_target_starts_and_is_remembered_with_the_belief_that_it_has(graph):

@@ -1,4 +1,4 @@
-"""The motion of what has modes and is kept without: tentative tracks, prospects and remembered targets."""
+"""Motion, averaged over modes, of tentative and unconfirmed tracks and of remembered targets."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ from bayesnet_track.engine.lifecycle.assigning import (
 )
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.existing import Crowd, Division, divide
-from bayesnet_track.engine.lifecycle.prospects import CrowdRule
 from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
+from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.fitting import RowRule, row_rule
 from bayesnet_track.engine.state import TargetState
@@ -194,7 +194,7 @@ class Several:
         return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
 
     def divide(self, history: TrackHistory, found: Found | None) -> Shared:
-        """What was `found` by probability, among targets that exist with one and prospects."""
+        """What was `found` by probability, among targets that exist with one and unconfirmed tracks."""
         work, compiled, count, plate = self.work, self.compiled, self.count, self.compiled.plate.name
         rule, seen = CrowdRule.of(compiled), Found.none() if found is None else found
         assert rule is not None
@@ -218,8 +218,8 @@ class Several:
             self._log_looks,
             mixtures,
         )
-        done = divide(rule, work.cache.frames, crowd, history.populations.get(plate), found)
-        history = changed(history, populations={**history.populations, plate: done.population})
+        done = divide(rule, work.cache.frames, crowd, history.detection_models.get(plate), found)
+        history = changed(history, detection_models={**history.detection_models, plate: done.detection_model})
         rows, live = None, slice(count)
         if self.rows is not None:
             rows = Given(

@@ -19,8 +19,8 @@ from bayesnet_track.engine.lifecycle.confirming import (
 )
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.ends import remember
-from bayesnet_track.engine.lifecycle.prospects import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.lifecycle.sharing import start_tentative
+from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.starting import restart
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.lives import Reacquired
@@ -62,7 +62,7 @@ def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None)
 
 
 def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
-    """What of a plate's prospects becomes targets."""
+    """What of a plate's unconfirmed tracks becomes targets."""
     tracks, plate = now.tracks, now.plate
     rule = CrowdRule.of(now.work.engine.plates[plate])
     if rule is None:
@@ -71,17 +71,19 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
         held = tracks.boxes(tracks.held(plate))
         near = alike(found.boxes, held, now.birth.min_distance_box, now.birth.covered)
         free = found.only(np.logical_not(np.any(near, axis=1)))
-        population = first_population(rule, free, now.frame)
+        detection_model = first_population(rule, free, now.frame)
     else:
         tracks.mark_seen([target for target in owners if target is not None])
-        population = tracks.history.populations[plate]
-    ready = confirmed(rule, population.prospects, plate)
+        detection_model = tracks.history.detection_models[plate]
+    ready = confirmed(rule, detection_model.unconfirmed, plate)
     if ready:
         done = start_confirmed(now, list(ready.values()), found)
-        left = np.ones(len(population.prospects), dtype=bool)
+        left = np.ones(len(detection_model.unconfirmed), dtype=bool)
         left[[row for row, one in ready.items() if any(one is other for other in done)]] = False
-        population = changed(population, prospects=population.prospects.take(left))
-    tracks.history = changed(tracks.history, populations={**tracks.history.populations, plate: population})
+        detection_model = changed(detection_model, unconfirmed=detection_model.unconfirmed.take(left))
+    tracks.history = changed(
+        tracks.history, detection_models={**tracks.history.detection_models, plate: detection_model}
+    )
 
 
 def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:

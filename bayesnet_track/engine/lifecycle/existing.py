@@ -1,8 +1,8 @@
 """Share detections out among targets that exist with a probability, and what may become a target.
 
-The targets of a plate and its prospects (what was detected and is no target yet) are weighed together
+The targets of a plate and its unconfirmed tracks (detected, and no targets yet) are weighed together
 (`adapt.existence`): one detection each at most, each detection once at most. How targets use what they are
-given is up to their beliefs; prospects are Gaussian beliefs that move as the plate does (`prospects`).
+given is up to their beliefs; unconfirmed tracks are Gaussian beliefs that move as the plate does.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.association import NOBODY, assign_pairs
-from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, Shared, share
+from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, Shared, UnconfirmedTracks, share
 from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes
 from bayesnet_track.engine.lifecycle.detecting import Found
-from bayesnet_track.engine.lifecycle.prospects import (
+from bayesnet_track.engine.lifecycle.unconfirmed import (
     CrowdRule,
-    advance_prospects,
-    begin_prospects,
-    predict_prospects,
+    advance_unconfirmed,
+    begin_unconfirmed,
+    predict_unconfirmed,
     prune,
 )
 from bayesnet_track.numerics.arrays import Floats, Ints
@@ -69,7 +69,7 @@ class Division:
         weights: (P,) the probability that it is the target's, given that this exists.
         missed: (T,) that none is.
         owner: (T,) the detection that is the target's more probably than not, or `NOBODY`.
-        population: what was learnt, and the prospects.
+        detection_model: what was learnt, and the unconfirmed tracks.
     """
 
     existence: Floats
@@ -78,22 +78,28 @@ class Division:
     weights: Floats
     missed: Floats
     owner: Ints
-    population: Population
+    detection_model: DetectionModel
 
 
 def divide(
-    rule: CrowdRule, frames: FramePair, crowd: Crowd, population: Population | None, found: Found | None
+    rule: CrowdRule,
+    frames: FramePair,
+    crowd: Crowd,
+    detection_model: DetectionModel | None,
+    found: Found | None,
 ) -> Division:
-    """What each target is given of what was `found` (None: nobody looked), and the prospects after it."""
+    """Share of each target in what was `found` (None: nobody looked), and the unconfirmed tracks after it."""
     frame, before = frames.current, frames.previous
     dt = 1.0 if before is None else frame.time - before.time
-    if population is None:
-        population = Population(Prospects.none(len(rule.motion.fields)))
-    prospects = predict_prospects(population.prospects, rule.motion, dt, (frame.width, frame.height))
+    if detection_model is None:
+        detection_model = DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields)))
+    unconfirmed = predict_unconfirmed(
+        detection_model.unconfirmed, rule.motion, dt, (frame.width, frame.height)
+    )
     survival = rule.existence.survival**dt
-    count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, prospects.existence])
+    count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, unconfirmed.existence])
     if found is None:
-        prospects = changed(prospects, existence=existence[count:])
+        unconfirmed = changed(unconfirmed, existence=existence[count:])
         nothing = np.empty(0, np.int64)
         return Division(
             existence[:count],
@@ -102,29 +108,29 @@ def divide(
             np.empty(0),
             np.ones(count),
             np.full(count, NOBODY, dtype=np.int64),
-            changed(population, prospects=prospects),
+            changed(detection_model, unconfirmed=unconfirmed),
         )
-    population = population.with_sizes(found.boxes)
+    detection_model = detection_model.with_sizes(found.boxes)
     all_of = changed(
         crowd,
-        mean=np.concatenate([crowd.mean, prospects.mean[:, :4]]),
-        covariance=np.concatenate([crowd.covariance, prospects.covariance[:, :4, :4]]),
+        mean=np.concatenate([crowd.mean, unconfirmed.mean[:, :4]]),
+        covariance=np.concatenate([crowd.covariance, unconfirmed.covariance[:, :4, :4]]),
         existence=existence,
     )
     area = float(frame.width * frame.height)
     cover = _cover(all_of)
-    hidden = _expect_hidden(rule, crowd.names, cover, population)
-    most = population.detection(rule.existence)
+    hidden = _expect_hidden(rule, crowd.names, cover, detection_model)
+    most = detection_model.detection(rule.existence)
     detection = detection_of(most, cover, hidden)
     for row, expected in crowd.modes.items():
         detection[row] *= expected.visible
-    shared = _share(rule, all_of, detection, population, found.boxes, area)
+    shared = _share(rule, all_of, detection, detection_model, found.boxes, area)
     pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.boxes))
-    prospects = advance_prospects(rule, prospects, pairs, shared, found)
-    prospects = prospects.extend(begin_prospects(rule, population, found, shared.free, frame))
-    population = _learn(rule, population, shared, crowd, (cover, hidden))
+    unconfirmed = advance_unconfirmed(rule, unconfirmed, pairs, shared, found)
+    unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, detection_model, found, shared.free, frame))
+    detection_model = _learn(rule, detection_model, shared, crowd, (cover, hidden))
     return _of_targets(
-        pairs, shared, count, changed(population, prospects=prune(rule, population, prospects))
+        pairs, shared, count, changed(detection_model, unconfirmed=prune(rule, detection_model, unconfirmed))
     )
 
 
@@ -137,12 +143,17 @@ def _cover(crowd: Crowd) -> Floats:
 
 
 def _share(
-    rule: CrowdRule, crowd: Crowd, detection: Floats, population: Population, boxes: Floats, area_px2: float
+    rule: CrowdRule,
+    crowd: Crowd,
+    detection: Floats,
+    detection_model: DetectionModel,
+    boxes: Floats,
+    area_px2: float,
 ) -> Shared:
-    """Whose the detections (N, 4) are, of targets and prospects that are detected so surely (T,)."""
+    """Whose the detections (N, 4) are, of targets and unconfirmed tracks that are detected so surely (T,)."""
     settings = rule.existence
-    rate = population.clutter_rate(settings) + settings.births
-    log_nobody = population.log_density(boxes, area_px2) + math.log(rate)
+    rate = detection_model.clutter_rate(settings) + settings.births
+    log_nobody = detection_model.log_density(boxes, area_px2) + math.log(rate)
     pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
     if crowd.modes:
         pairs = _in_modes(rule.association, pairs, crowd.modes, boxes)
@@ -208,42 +219,44 @@ def _assigned(shared: Shared, found: int) -> Pairs:
     return Pairs(rows, owner[rows].astype(np.int64), np.ones(len(rows)))
 
 
-def _expect_hidden(rule: CrowdRule, names: Sequence[str], cover: Floats, population: Population) -> Floats:
+def _expect_hidden(
+    rule: CrowdRule, names: Sequence[str], cover: Floats, detection_model: DetectionModel
+) -> Floats:
     """(T,) how probable it is that each target and prospect is hidden, if another covers it."""
-    share = share_hidden(population.detection(rule.existence), population.covered(rule.existence))
+    share = share_hidden(detection_model.detection(rule.existence), detection_model.covered(rule.existence))
     before = np.full(len(cover), share)
-    if population.hidden:
-        known = population.hidden
+    if detection_model.hidden:
+        known = detection_model.hidden
         before[: len(names)] = [known.get(name, share) for name in names]
     return expect_hidden(before, cover, share)
 
 
 def _learn(
     rule: CrowdRule,
-    population: Population,
+    detection_model: DetectionModel,
     shared: Shared,
     crowd: Crowd,
     covers: tuple[Floats, Floats],
-) -> Population:
+) -> DetectionModel:
     """The estimates after the look; `covers` are how probably each is covered, and hidden if it is."""
     names, count = crowd.names, len(crowd.names)
     cover, hidden = (one[:count] for one in covers)
     seen, existence = shared.seen[:count], shared.existence[:count]
-    false = float(shared.free.sum()) * (1.0 - population.new_share(rule.existence))
+    false = float(shared.free.sum()) * (1.0 - detection_model.new_share(rule.existence))
     rows = np.flatnonzero(cover > 0.0)
     given = np.minimum(seen[rows] / np.maximum(existence[rows], 1e-300), 1.0)
-    after = learn_hidden(hidden[rows], given, population.detection(rule.existence))
+    after = learn_hidden(hidden[rows], given, detection_model.detection(rule.existence))
     now = {names[row]: value for row, value in zip(rows.tolist(), after.tolist(), strict=True)}
     chances = existence.copy()
     for row, expected in crowd.modes.items():  # one that its mode hides was not missed
-        missed = expected.visible * (1.0 - population.detection(rule.existence))
+        missed = expected.visible * (1.0 - detection_model.detection(rule.existence))
         chances[row] -= (existence[row] - seen[row]) * (
             1.0 - missed / (missed + 1.0 - expected.visible + 1e-300)
         )
-    return changed(population.after_look(false).after_chances(cover, seen, chances), hidden=now)
+    return changed(detection_model.after_look(false).after_chances(cover, seen, chances), hidden=now)
 
 
-def _of_targets(pairs: Pairs, shared: Shared, count: int, population: Population) -> Division:
+def _of_targets(pairs: Pairs, shared: Shared, count: int, detection_model: DetectionModel) -> Division:
     own = pairs.rows < count
     rows, columns, weights = pairs.rows[own], pairs.columns[own], pairs.values[own]
     best = np.flatnonzero(weights >= 0.5)
@@ -252,4 +265,4 @@ def _of_targets(pairs: Pairs, shared: Shared, count: int, population: Population
     missed = np.clip(1.0 - np.bincount(rows, weights, minlength=count), 0.0, 1.0)
     missed[missed < 1e-12] = 0.0
     starts = np.searchsorted(rows, np.arange(count + 1))
-    return Division(shared.existence[:count], starts, columns, weights, missed, owner, population)
+    return Division(shared.existence[:count], starts, columns, weights, missed, owner, detection_model)

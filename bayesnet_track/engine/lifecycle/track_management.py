@@ -42,7 +42,7 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
             tracks.history,
             detectors=looked.detectors,
             failed=looked.failed,
-            populations=looked.populations,
+            detection_models=looked.detection_models,
             candidates=looked.candidates,
         )
     tracks.events += events

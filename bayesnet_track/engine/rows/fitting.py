@@ -17,7 +17,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPoster
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.lifecycle.prospects import CrowdRule
+from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost

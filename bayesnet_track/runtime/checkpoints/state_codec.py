@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.existence import Population, Prospects
+from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
 from bayesnet_track.adapt.memory import Baseline, InformationRate, Layout, RuleMemory
@@ -74,8 +74,8 @@ CLASSES: tuple[type, ...] = (
     Candidate,
     AppearanceMemory,
     TrackRecord,
-    Population,
-    Prospects,
+    DetectionModel,
+    UnconfirmedTracks,
     JoinMemory,
     PairMemory,
     Level,

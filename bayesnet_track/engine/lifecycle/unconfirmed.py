@@ -1,4 +1,4 @@
-"""Prospects, what may exist and is no target yet: they begin, move, are updated, and confirmed or dropped."""
+"""Unconfirmed tracks, which may exist and are no targets yet: begun, moved, updated, confirmed or dropped."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.adapt.existence import Pairs, Population, Prospects, Shared
+from bayesnet_track.adapt.existence import DetectionModel, Pairs, Shared, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
@@ -42,7 +42,7 @@ class CrowdRule:
         existence: the settings.
         is_marginal: whether targets use all detections that may be theirs, or those assigned to them.
         motion: how targets move.
-        most: prospects that are kept.
+        most: unconfirmed tracks that are kept.
     """
 
     association: AssociationRule
@@ -63,55 +63,59 @@ class CrowdRule:
         return cls(association, life.existence, is_marginal, compiled.moments, most)
 
 
-def first_population(rule: CrowdRule, found: Found, frame: Frame) -> Population:
+def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionModel:
     """That of a first frame, in which free detections were `found`."""
-    population = Population(Prospects.none(len(rule.motion.fields))).with_sizes(found.boxes)
+    detection_model = DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))).with_sizes(found.boxes)
     free = np.ones(len(found.boxes))
-    population = population.after_look(float(free.sum()) * (1.0 - population.new_share(rule.existence)))
-    return changed(population, prospects=begin_prospects(rule, population, found, free, frame))
+    detection_model = detection_model.after_look(
+        float(free.sum()) * (1.0 - detection_model.new_share(rule.existence))
+    )
+    return changed(detection_model, unconfirmed=begin_unconfirmed(rule, detection_model, found, free, frame))
 
 
-def confirmed(rule: CrowdRule, prospects: Prospects, plate: str) -> dict[int, Candidate]:
-    """The prospects of a plate that exist probably enough, by their rows, the most probable first."""
-    ready = np.flatnonzero(prospects.existence >= rule.existence.confirm)
-    ready = ready[np.argsort(-prospects.existence[ready], kind="stable")]
-    return {row: _candidate(prospects, row, plate) for row in ready.tolist()}
+def confirmed(rule: CrowdRule, unconfirmed: UnconfirmedTracks, plate: str) -> dict[int, Candidate]:
+    """Rows of a plate's unconfirmed tracks that exist probably enough, the most probable first."""
+    ready = np.flatnonzero(unconfirmed.existence >= rule.existence.confirm)
+    ready = ready[np.argsort(-unconfirmed.existence[ready], kind="stable")]
+    return {row: _candidate(unconfirmed, row, plate) for row in ready.tolist()}
 
 
-def _candidate(prospects: Prospects, row: int, plate: str) -> Candidate:
-    seen, looks = max(int(prospects.seen[row]), 1), max(int(prospects.looks[row]), 1)
-    mean = prospects.mean[row]
-    scores = (float(prospects.score[row]) / seen,) * seen
+def _candidate(unconfirmed: UnconfirmedTracks, row: int, plate: str) -> Candidate:
+    seen, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
+    mean = unconfirmed.mean[row]
+    scores = (float(unconfirmed.score[row]) / seen,) * seen
     return Candidate(
         mean[:4],
         np.zeros(2),
         ((None,) * max(looks - seen, 0) + scores),
-        int(prospects.first[row]),
-        birth_key(float(prospects.born[row]), plate, int(prospects.number[row])),
+        int(unconfirmed.first[row]),
+        birth_key(float(unconfirmed.born[row]), plate, int(unconfirmed.number[row])),
         mean,
-        prospects.covariance[row],
-        float(prospects.existence[row]),
+        unconfirmed.covariance[row],
+        float(unconfirmed.existence[row]),
     )
 
 
-def predict_prospects(
-    prospects: Prospects, motion: MotionModel, dt: float, size: tuple[int, int]
-) -> Prospects:
-    """The prospects as they are expected after `dt` frame intervals; `size` is that of the image."""
-    if not len(prospects):
-        return prospects
+def predict_unconfirmed(
+    unconfirmed: UnconfirmedTracks, motion: MotionModel, dt: float, size: tuple[int, int]
+) -> UnconfirmedTracks:
+    """The unconfirmed tracks as they are expected after `dt` frame intervals; `size` is that of the image."""
+    if not len(unconfirmed):
+        return unconfirmed
     if isinstance(motion, KinematicMotion) and (linear := _moves(motion, dt)) is not None:
         from bayesnet_track.numerics.kernels.row_kernels import predict_rows
 
-        mean, covariance = predict_rows(prospects.mean, prospects.covariance, *linear, np.array(size, float))
+        mean, covariance = predict_rows(
+            unconfirmed.mean, unconfirmed.covariance, *linear, np.array(size, float)
+        )
     else:
         moves = confined(motion, *size)
         several = [
             predict(mean, covariance, moves, dt, Gaussian(filter="extended"))
-            for mean, covariance in zip(prospects.mean, prospects.covariance, strict=True)
+            for mean, covariance in zip(unconfirmed.mean, unconfirmed.covariance, strict=True)
         ]
         mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
-    return changed(prospects, mean=mean, covariance=covariance)
+    return changed(unconfirmed, mean=mean, covariance=covariance)
 
 
 @lru_cache(maxsize=64)
@@ -123,53 +127,53 @@ def _moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
         return None
 
 
-def advance_prospects(
-    rule: CrowdRule, prospects: Prospects, pairs: Pairs, shared: Shared, found: Found
-) -> Prospects:
-    """The prospects after the look."""
+def advance_unconfirmed(
+    rule: CrowdRule, unconfirmed: UnconfirmedTracks, pairs: Pairs, shared: Shared, found: Found
+) -> UnconfirmedTracks:
+    """The unconfirmed tracks after the look."""
     from bayesnet_track.numerics.kernels.pair_kernels import mix_rows
 
-    if not len(prospects):
-        return prospects
-    first = len(shared.existence) - len(prospects)
+    if not len(unconfirmed):
+        return unconfirmed
+    first = len(shared.existence) - len(unconfirmed)
     own = pairs.rows >= first
     rows, columns, weights = pairs.rows[own] - first, pairs.columns[own], pairs.values[own]
-    starts = np.searchsorted(rows, np.arange(len(prospects) + 1))
-    mean, covariance = prospects.mean.copy(), prospects.covariance.copy()
+    starts = np.searchsorted(rows, np.arange(len(unconfirmed) + 1))
+    mean, covariance = unconfirmed.mean.copy(), unconfirmed.covariance.copy()
     boxes = np.ascontiguousarray(found.boxes[columns])
-    missed = np.clip(1.0 - np.bincount(rows, weights, minlength=len(prospects)), 0.0, 1.0)
+    missed = np.clip(1.0 - np.bincount(rows, weights, minlength=len(unconfirmed)), 0.0, 1.0)
     mix_rows(mean, covariance, starts, boxes, rule.association.variances(boxes), weights, missed)
     is_seen = shared.seen[first:] >= 0.5
-    scores = np.bincount(rows, weights * found.scores[columns], minlength=len(prospects))
-    return Prospects(
+    scores = np.bincount(rows, weights * found.scores[columns], minlength=len(unconfirmed))
+    return UnconfirmedTracks(
         mean,
         covariance,
         shared.existence[first:],
-        prospects.first,
-        prospects.born,
-        prospects.number,
-        prospects.seen + is_seen,
-        prospects.looks + 1,
-        prospects.score + np.where(is_seen, scores, 0.0),
+        unconfirmed.first,
+        unconfirmed.born,
+        unconfirmed.number,
+        unconfirmed.seen + is_seen,
+        unconfirmed.looks + 1,
+        unconfirmed.score + np.where(is_seen, scores, 0.0),
     )
 
 
-def begin_prospects(
-    rule: CrowdRule, population: Population, found: Found, free: Floats, frame: Frame
-) -> Prospects:
+def begin_unconfirmed(
+    rule: CrowdRule, detection_model: DetectionModel, found: Found, free: Floats, frame: Frame
+) -> UnconfirmedTracks:
     """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
     new = np.flatnonzero(free >= LEAST_FREE)
     count, boxes = len(new), found.boxes[new]
     if not count:
-        return Prospects.none(len(rule.motion.fields))
+        return UnconfirmedTracks.none(len(rule.motion.fields))
     mean, covariance = _start_moments(rule.motion, boxes)
     diagonal = np.arange(4)
     covariance[:, diagonal, diagonal] += rule.association.variances(boxes)
     ones = np.ones(count, dtype=np.int64)
-    return Prospects(
+    return UnconfirmedTracks(
         mean,
         covariance,
-        free[new] * population.new_share(rule.existence),
+        free[new] * detection_model.new_share(rule.existence),
         frame.index * ones,
         np.full(count, frame.time),
         found.numbers[new],
@@ -190,10 +194,12 @@ def _start_moments(motion: MotionModel, boxes: Floats) -> tuple[Floats, Floats]:
     return np.array([mean for mean, _ in moments]), np.array([spread for _, spread in moments])
 
 
-def prune(rule: CrowdRule, population: Population, prospects: Prospects) -> Prospects:
+def prune(
+    rule: CrowdRule, detection_model: DetectionModel, unconfirmed: UnconfirmedTracks
+) -> UnconfirmedTracks:
     """Those that may still become targets, the most probable."""
-    kept = np.flatnonzero(prospects.existence >= HOPELESS * population.new_share(rule.existence))
+    kept = np.flatnonzero(unconfirmed.existence >= HOPELESS * detection_model.new_share(rule.existence))
     if len(kept) > rule.most:
-        best = np.argsort(-prospects.existence[kept], kind="stable")[: rule.most]
+        best = np.argsort(-unconfirmed.existence[kept], kind="stable")[: rule.most]
         kept = np.sort(kept[best])
-    return prospects.take(kept)
+    return unconfirmed.take(kept)
