@@ -26,13 +26,48 @@ STEP = 1e-3
 LEAST_SIDE = 1.0
 """Sides of boxes are at least so long, px."""
 
+
+def _draw_truncated(rng: np.random.Generator, mean: Floats, sd: Floats, low: Floats, high: Floats) -> Floats:
+    # Imported here: most graphs have no such distribution.
+    from scipy.stats import truncnorm
+
+    drawn = truncnorm.ppf(rng.random(mean.shape), (low - mean) / sd, (high - mean) / sd)
+    return np.asarray(np.clip(mean + sd * drawn, low, high))
+
+
 _DRAWS: Mapping[str, Callable[..., Floats]] = {
     "normal": lambda rng, mean, sd: mean + sd * rng.standard_normal(mean.shape),
     "laplace": lambda rng, mean, scale: mean + scale * rng.laplace(size=mean.shape),
     "student_t": lambda rng, mean, scale, degrees: mean + scale * rng.standard_t(degrees),
     "uniform": lambda rng, low, high: low + (high - low) * rng.random(low.shape),
     "logistic": lambda rng, mean, scale: mean + scale * rng.logistic(size=mean.shape),
+    "lognormal": lambda rng, mean, sd: np.exp(mean + sd * rng.standard_normal(mean.shape)),
+    "gamma": lambda rng, shape, scale: scale * rng.standard_gamma(shape),
+    "exponential": lambda rng, scale: scale * rng.standard_exponential(scale.shape),
+    "truncated_normal": _draw_truncated,
 }
+
+
+def _gamma_median(shape: Floats, scale: Floats) -> Floats:
+    from scipy.special import gammaincinv
+
+    return np.asarray(scale * gammaincinv(np.where(shape > 0, shape, np.nan), 0.5))
+
+
+def _truncated_median(mean: Floats, sd: Floats, low: Floats, high: Floats) -> Floats:
+    from scipy.stats import truncnorm
+
+    return np.asarray(mean + sd * truncnorm.ppf(0.5, (low - mean) / sd, (high - mean) / sd))
+
+
+_MEDIANS: Mapping[str, Callable[..., Floats]] = {
+    "uniform": lambda low, high: (low + high) / 2.0,
+    "lognormal": lambda mean, sd: np.exp(mean),
+    "gamma": _gamma_median,
+    "exponential": lambda scale: scale * np.log(2.0),
+    "truncated_normal": _truncated_median,
+}
+"""Of the distributions whose median is not their first parameter."""
 
 
 def draw_given(
@@ -70,7 +105,8 @@ def usual_boxes(given: Conditional, above: Floats) -> Floats:
     boxes = above.copy()
     for column, _, term in _fields(given):
         parameters = _parameters(term, _names(given, above, boxes), len(above))
-        middle = parameters[:2].mean(axis=0) if _distribution(term) == "uniform" else parameters[0]
+        median = _MEDIANS.get(_distribution(term))
+        middle = parameters[0] if median is None else median(*parameters)
         boxes[:, column] = np.where(np.isfinite(middle), middle, above[:, column])
         if column >= 2:
             np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
@@ -147,7 +183,10 @@ def _is_proper(function: str, parameters: Floats) -> NDArray[np.bool_]:
     """(N,) whether a distribution with these parameters exists."""
     if function == "uniform":
         return np.asarray(parameters[1] > parameters[0])
-    return np.asarray((parameters[1:] > 0).min(axis=0))
+    if function == "truncated_normal":
+        return np.asarray((parameters[1] > 0) & (parameters[3] > parameters[2]))
+    first = 0 if function in ("gamma", "exponential") else 1
+    return np.asarray((parameters[first:] > 0).min(axis=0))
 
 
 _SOUND = {
@@ -156,6 +195,10 @@ _SOUND = {
     "student_t": np.array([0.0, 1.0, 1.0]),
     "uniform": np.array([0.0, 1.0]),
     "logistic": np.array([0.0, 1.0]),
+    "lognormal": np.array([0.0, 1.0]),
+    "gamma": np.array([1.0, 1.0]),
+    "exponential": np.array([1.0]),
+    "truncated_normal": np.array([0.0, 1.0, 0.0, 1.0]),
 }
 """Parameters that stand in where there are none, so that the others can be drawn."""
 

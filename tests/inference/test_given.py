@@ -35,6 +35,10 @@ def parents(size=4000):
         ("student_t(parent.x, 2, 3)", stats.t(3, 50, 2)),
         ("uniform(parent.x - 4, parent.x + offset)", stats.uniform(46, 10)),
         ("logistic(parent.x, 3)", stats.logistic(50, 3)),
+        ("lognormal(log(parent.x), 0.1)", stats.lognorm(0.1, scale=50)),
+        ("gamma(parent.x, 2)", stats.gamma(50, scale=2)),
+        ("exponential(parent.x)", stats.expon(scale=50)),
+        ("truncated_normal(parent.x, 5, parent.x + 3, parent.x + 9)", stats.truncnorm(0.6, 1.8, 50, 5)),
     ],
 )
 def test_draws_and_densities_are_those_of_the_distribution(text, exact):

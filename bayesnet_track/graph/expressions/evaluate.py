@@ -184,6 +184,42 @@ def _log_logistic(value: Value, mean: Value, scale: Value) -> Value:
     return -away - np.log(scale) - 2.0 * np.log1p(np.exp(-away))
 
 
+def _log_lognormal(value: Value, mean: Value, sd: Value) -> Value:
+    log = np.log(np.where(value > 0, value, 1.0))
+    return np.where(value > 0, _log_normal(log, mean, sd) - log, _outside(value, (mean, sd), sd > 0))
+
+
+def _log_gamma(value: Value, shape: Value, scale: Value) -> Value:
+    # Imported here: most graphs have no such density.
+    from scipy.special import gammaln, xlogy
+
+    known = (shape > 0) & (scale > 0)
+    log = xlogy(shape - 1.0, value / scale) - value / scale - gammaln(shape) - np.log(scale)
+    return np.where((value >= 0) & known, log, _outside(value, (shape, scale), known))
+
+
+def _log_exponential(value: Value, scale: Value) -> Value:
+    return np.where(value >= 0, -value / scale - np.log(scale), _outside(value, (scale,), scale > 0))
+
+
+def _log_truncated(value: Value, mean: Value, sd: Value, low: Value, high: Value) -> Value:
+    from scipy.special import log_ndtr
+
+    a, b = (low - mean) / sd, (high - mean) / sd
+    upper = a > 0  # in the tail whose probabilities are small, so that their difference is exact
+    near, far = np.where(upper, -a, b), np.where(upper, -b, a)
+    log_mass = log_ndtr(near) + np.log1p(-np.exp(log_ndtr(far) - log_ndtr(near)))
+    known = (sd > 0) & (high > low)
+    inside = (value >= low) & (value <= high) & known
+    return np.where(inside, _log_normal(value, mean, sd) - log_mass, _outside(value, (mean, sd), known))
+
+
+def _outside(value: Value, parameters: tuple[Value, ...], known: Value) -> Value:
+    """-inf, or NaN where the value or a parameter is none."""
+    sound = known & ~np.isnan(sum((value, *parameters), 0.0))
+    return np.where(sound, -np.inf, np.nan)
+
+
 MANY_DEGREES = 1e6
 """From here on Stirling's formula is exact to rounding, and the gamma functions' difference is not."""
 
@@ -204,6 +240,10 @@ _LOG_DENSITIES: Mapping[str, Callable[..., Value]] = {
     "student_t": _log_student,
     "uniform": _log_uniform,
     "logistic": _log_logistic,
+    "lognormal": _log_lognormal,
+    "gamma": _log_gamma,
+    "exponential": _log_exponential,
+    "truncated_normal": _log_truncated,
 }
 
 
@@ -244,6 +284,11 @@ _OPERATIONS: Mapping[str, Callable[..., Value]] = {
     "sqrt": np.sqrt,
     "sin": np.sin,
     "cos": np.cos,
+    "tan": np.tan,
+    "tanh": np.tanh,
+    "sign": np.sign,
+    "floor": np.floor,
+    "mod": np.mod,
     "atan2": np.arctan2,
     "hypot": np.hypot,
 }

@@ -258,8 +258,12 @@ _LATEX_DENSITIES = {
     "student_t": r"\mathrm{t}",
     "uniform": r"\mathcal{U}",
     "logistic": r"\mathrm{Logistic}",
+    "lognormal": r"\mathrm{Lognormal}",
+    "gamma": r"\mathrm{Gamma}",
+    "exponential": r"\mathrm{Exp}",
+    "truncated_normal": r"\mathcal{N}_{\mathrm{trunc}}",
 }
-_LATEX_FUNCTIONS = {name: rf"\{name}" for name in ("min", "max", "exp", "log", "sin", "cos")}
+_LATEX_FUNCTIONS = {name: rf"\{name}" for name in ("min", "max", "exp", "log", "sin", "cos", "tan", "tanh")}
 
 
 def text_of(term: Term) -> str:

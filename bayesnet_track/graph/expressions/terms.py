@@ -121,6 +121,15 @@ DENSITIES = {
     ),
     "uniform": Function(("value", "low", "high"), "density of a uniform distribution; 0 outside"),
     "logistic": Function(("value", "mean", "scale"), "density of a logistic distribution"),
+    "lognormal": Function(
+        ("value", "mean", "sd"), "density of a value whose logarithm is normal; 0 of values up to 0"
+    ),
+    "gamma": Function(("value", "shape", "scale"), "density of a gamma distribution; 0 below 0"),
+    "exponential": Function(("value", "scale"), "density of an exponential distribution, mean `scale`"),
+    "truncated_normal": Function(
+        ("value", "mean", "sd", "low", "high"),
+        "density of a normal distribution cut off outside `low` to `high`",
+    ),
 }
 FUNCTIONS = {
     "where": Function(("condition", "a", "b"), "`a` where the condition is not 0, else `b`"),
@@ -133,6 +142,11 @@ FUNCTIONS = {
     "sqrt": Function(("a",), "square root"),
     "sin": Function(("a",), "sine of an angle in radians"),
     "cos": Function(("a",), "cosine of an angle in radians"),
+    "tan": Function(("a",), "tangent of an angle in radians"),
+    "tanh": Function(("a",), "hyperbolic tangent, between -1 and 1"),
+    "sign": Function(("a",), "-1, 0 or 1"),
+    "floor": Function(("a",), "the largest whole number up to `a`"),
+    "mod": Function(("a", "b"), "what is left of `a` after whole multiples of `b`; it has the sign of `b`"),
     "atan2": Function(("a", "b"), "angle of the point (b, a), radians"),
     "hypot": Function(("a", "b"), "sqrt(a² + b²)"),
     "mask": Function(("a", "b"), "gray value of the factor's mask in column `a`, row `b`: 0 to 1"),

@@ -24,11 +24,33 @@ X = np.array([-40.0, -1.0, 0.0, 0.5, 3.0, 100.0])
         ("student_t(x, 1, 2, 2.5)", stats.t(2.5, 1, 2)),
         ("uniform(x, -2, 4)", stats.uniform(-2, 6)),
         ("logistic(x, 1, 2)", stats.logistic(1, 2)),
+        ("lognormal(x, 1, 2)", stats.lognorm(2, scale=math.e)),
+        ("gamma(x, 2.5, 3)", stats.gamma(2.5, scale=3)),
+        ("gamma(x, 1, 3)", stats.gamma(1, scale=3)),
+        ("exponential(x, 3)", stats.expon(scale=3)),
+        ("truncated_normal(x, 1, 2, -1, 4)", stats.truncnorm(-1, 1.5, 1, 2)),
+        ("truncated_normal(x, -30, 1, 0, 4)", stats.truncnorm(30, 34, -30, 1)),
     ],
 )
 def test_densities_are_those_of_their_names(text, density):
     np.testing.assert_allclose(log_values(parse(text), {"x": X}), density.logpdf(X), rtol=1e-12)
     np.testing.assert_allclose(values_of(parse(text), {"x": X}), density.pdf(X), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "lognormal(x, 0, 0)",
+        "gamma(x, -1, 2)",
+        "gamma(x, 2, 0)",
+        "exponential(x, -1)",
+        "truncated_normal(x, 0, 1, 2, 2)",
+        "truncated_normal(x, 0, -1, 0, 2)",
+        "exponential(x / 0 - x / 0, 1)",
+    ],
+)
+def test_a_distribution_that_is_none_has_no_value(text):
+    assert np.isnan(log_values(parse(text), {"x": np.array([-1.0, 0.5])})).all()
 
 
 def test_students_t_of_many_degrees_is_normal():

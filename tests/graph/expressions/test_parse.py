@@ -31,6 +31,8 @@ VALUES = {"x": 3.0, "y": 5.0, "w": 2.0, "h": 4.0, "parent.x": 7.0}
         ("max(1, x, .5e1) - min(x, y)", 2),
         ("clip(y, 0, 4) + abs(-1) + hypot(3, 4)", 10),
         ("atan2(0, 1) + sin(0) + cos(0) + sqrt(4) + exp(0) + log(1)", 4),
+        ("tan(0) + tanh(0) + sign(-x) + floor(-0.5)", -2),
+        ("mod(-1, 3) + mod(7, 4) + floor(2.7)", 7),
         (" + x ", 3),
     ],
 )
