@@ -28,6 +28,7 @@ from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
+from bayesnet_track.inference.queries import CompiledQuery, compile_query
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import (
@@ -134,6 +135,7 @@ class Engine:
         joins: how targets depend on each other.
         constants: numbers that their factors use by name.
         stages: what a frame goes through, in order.
+        queries: what the beliefs are asked after every frame.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -143,6 +145,7 @@ class Engine:
     joins: tuple[Join, ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     stages: tuple[Stage, ...] = ()
+    queries: tuple[CompiledQuery, ...] = ()
 
 
 def compile_graph(
@@ -171,7 +174,14 @@ def compile_graph(
     with_births = [one for one in plates.values() if one.detector]
     made = {} if detectors is None else _make_detectors(with_births, detectors)
     return Engine(
-        plates, Streams(seed), detectors=made, joins=graph.spec.joins, constants=graph.spec.constants
+        plates,
+        Streams(seed),
+        detectors=made,
+        joins=graph.spec.joins,
+        constants=graph.spec.constants,
+        queries=tuple(
+            compile_query(name, query, graph.spec.constants) for name, query in graph.spec.queries.items()
+        ),
     )
 
 

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple, Protocol, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.frame_columns import per_node
+from bayesnet_track.journal.metrics import Answers, FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Bools, Floats
+from bayesnet_track.numerics.records import changed
 
 
 class LineGroup(Protocol):
@@ -61,6 +63,7 @@ class Lines(Sequence[FrameMetrics]):
         groups: of targets that were finished together.
         order: their targets, in the order of their lines.
         born: lines that are made already, such as those of targets that start.
+        answers: answers to queries, for the lines of all groups.
 
     >>> lines = Lines(born=("first", "second"))
     >>> len(lines), lines[1], lines == ("first", "second")
@@ -72,8 +75,9 @@ class Lines(Sequence[FrameMetrics]):
         groups: Sequence[LineGroup] = (),
         order: Sequence[str] = (),
         born: Sequence[FrameMetrics] = (),
+        answers: Sequence[Answers] = (),
     ) -> None:
-        self._groups, self._order, self.born = groups, order, tuple(born)
+        self._groups, self._order, self.born, self.answers = groups, order, tuple(born), answers
         self._made: tuple[FrameMetrics, ...] | None = None
 
     @classmethod
@@ -88,7 +92,14 @@ class Lines(Sequence[FrameMetrics]):
         groups = self._groups  # read before `_made`: another thread may make them
         if self._made is not None:
             return Lines(born=(*self._made, *born))
-        return Lines(groups, self._order, (*self.born, *born))
+        return Lines(groups, self._order, (*self.born, *born), self.answers)
+
+    def with_answers(self, answers: Sequence[Answers]) -> Lines:
+        """These, with answers to queries."""
+        groups = self._groups
+        if self._made is not None:
+            return Lines(born=_answered(self._made, answers))
+        return Lines(groups, self._order, _answered(self.born, answers), answers)
 
     @property
     def ids(self) -> Sequence[str]:
@@ -137,7 +148,13 @@ class Lines(Sequence[FrameMetrics]):
     def columns(self) -> Mapping[str, NDArray[Any]] | None:
         """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made."""
         groups = self._groups
-        return groups[0].columns() if len(groups) == 1 and not self.born else None
+        columns = groups[0].columns() if len(groups) == 1 and not self.born else None
+        if columns is None or not self.answers:
+            return columns
+        return {
+            **columns,
+            **per_node("queries", [numbers_of(self.answers, target) for target in self._order]),
+        }
 
     def without_hypotheses(self) -> Sequence[FrameMetrics]:
         """The lines, maybe without their hypotheses, which may take most of the time."""
@@ -162,7 +179,7 @@ class Lines(Sequence[FrameMetrics]):
         if [line.target for line in made] != [*self._order]:
             of = {line.target: line for line in made}
             made = [of[target] for target in self._order]
-        return (*made, *self.born)
+        return (*_answered(made, self.answers), *self.born)
 
     @overload
     def __getitem__(self, at: int) -> FrameMetrics: ...
@@ -187,3 +204,9 @@ class Lines(Sequence[FrameMetrics]):
 
     def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
         return tuple, (self._lines(),)
+
+
+def _answered(lines: Sequence[FrameMetrics], answers: Sequence[Answers]) -> Sequence[FrameMetrics]:
+    if not answers:
+        return lines
+    return [changed(line, queries=numbers_of(answers, line.target)) for line in lines]

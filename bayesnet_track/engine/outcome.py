@@ -19,8 +19,10 @@ from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, recompile
 from bayesnet_track.engine.targets import Records, Targets
+from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
+from bayesnet_track.journal.metrics import Answers
 from bayesnet_track.journal.net.net import Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
@@ -40,6 +42,7 @@ class State:
         joins: what is remembered of targets that depend on each other.
         load: what is remembered of late frames.
         scene: what the last frame showed that showed anything; None where no graph asks for cuts.
+        queries: memory of the queries of the graph.
     """
 
     net: Net = field(default_factory=Net)
@@ -49,6 +52,7 @@ class State:
     joins: JoinMemory = field(default_factory=JoinMemory)
     load: Load = field(default_factory=Load)
     scene: Scene | None = None
+    queries: QueryMemory = field(default_factory=QueryMemory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,7 @@ class Outcome:
         seconds: agent (or planes, belief, measure, learn) -> seconds, summed over targets.
         external_inputs: what came from outside: given again with this frame, it repeats.
         heard: target id -> what its agents said.
+        answers: answers to the queries of the graph, in its order.
     """
 
     state: State
@@ -72,6 +77,7 @@ class Outcome:
     seconds: Mapping[str, float] = field(default_factory=dict)
     external_inputs: tuple[Input, ...] = ()
     heard: Mapping[str, Heard] = field(default_factory=dict)
+    answers: tuple[Answers, ...] = ()
 
 
 def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelief) -> Outcome:

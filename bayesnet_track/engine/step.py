@@ -29,6 +29,7 @@ from bayesnet_track.engine.outcome import (
     with_joins,
     with_load,
 )
+from bayesnet_track.engine.queries import answer_queries
 from bayesnet_track.engine.rows.advancing import FilteredGaussians, filter_gaussians
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.finding import arrange
@@ -153,6 +154,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
         stages.append(Stage("tracks", start_and_end, (manage_tracks,)))
     if engine.joins:
         stages.append(Stage("joins", change_joins, (with_joins,)))
+    if engine.queries:
+        stages.append(Stage("queries", ask, (answer_queries,)))
     return (*stages, Stage("load", shed_load, (with_load,)))
 
 
@@ -243,6 +246,11 @@ def change_joins(batch: Batch) -> Batch:
     return changed(batch, outcome=with_joins(batch.work, batch.outcome))
 
 
+def ask(batch: Batch) -> Batch:
+    """The queries of the graph are answered from the beliefs after the frame."""
+    return changed(batch, outcome=answer_queries(batch.work, batch.outcome))
+
+
 def shed_load(batch: Batch) -> Batch:
     """Work is shed or taken back, where a run has a time budget."""
     return changed(batch, outcome=with_load(batch.work, batch.outcome, batch.inputs.timing))
@@ -287,4 +295,5 @@ def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
 
 def finish_first(work: FrameWork, started: Outcome) -> Outcome:
     """As `first_look`, with who gives no answer in the frame."""
-    return with_joins(work, manage_tracks(work, started))
+    outcome = with_joins(work, manage_tracks(work, started))
+    return answer_queries(work, outcome) if work.engine.queries else outcome

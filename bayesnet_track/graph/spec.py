@@ -90,6 +90,7 @@ from bayesnet_track.graph.settings.net import (
     SizeBox,
     Window,
 )
+from bayesnet_track.graph.settings.queries import MOST_QUERIES, Counted, Query
 from bayesnet_track.graph.settings.scores import (
     Alarm,
     Distractors,
@@ -168,6 +169,11 @@ class GraphSpec(Model):
     targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")
     joins: tuple[Join, ...] = Field(
         default=(), max_length=64, description="how targets depend on each other; default not at all"
+    )
+    queries: dict[Name, Query] = Field(
+        default={},
+        max_length=MOST_QUERIES,
+        description="[questions](count_measure_ask.md) that the beliefs answer in every frame, by name",
     )
 
     def _repr_html_(self) -> str:

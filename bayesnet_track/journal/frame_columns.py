@@ -32,8 +32,8 @@ BOXES = {"box": "centre_box", "map": "map", "sd": "sd"}
 """Column -> field of four numbers."""
 REGIONS = {"region50": 0.5, "region90": 0.9}
 """Column -> share of the centre's weight that lies in it."""
-PER_NODE = ("kl", "contribution", "agent_ud_px2", "strength", "features", "modes", "p_values")
-"""Fields of a number per node, mode or feature, besides `ud_nodes`: a column ``FIELD/NAME`` each."""
+PER_NODE = ("kl", "contribution", "agent_ud_px2", "strength", "features", "modes", "p_values", "queries")
+"""Fields of a number per node, mode, feature or query, besides `ud_nodes`: a column ``FIELD/NAME`` each."""
 NUMBERS = ("score", "log_evidence", "surprise", "ess", "learn_rate")
 OPTIONAL = ("quiet_px2", "existence", "hidden", "e_value")
 _LARGEST, _LEAST = 3e38, 1.2e-38
@@ -56,7 +56,7 @@ def all_columns(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[
     }
     columns |= {name: _four([getattr(line, field) for line in lines]) for name, field in BOXES.items()}
     columns["ud_px2"] = np.array([line.ud_px2 for line in lines])
-    columns |= _per_node("ud_nodes", [line.ud_nodes for line in lines])
+    columns |= per_node("ud_nodes", [line.ud_nodes for line in lines])
     columns["quiet_px2"] = _optional([line.quiet_px2 for line in lines])
     columns["status"] = texts(line.status for line in lines)
     columns |= {name: np.array([getattr(line, name) for line in lines], dtype=float) for name in NUMBERS}
@@ -64,7 +64,7 @@ def all_columns(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[
     columns["active"] = texts(" ".join(line.active) for line in lines)
     columns["silent"] = texts(" ".join(line.silent) for line in lines)
     for name in PER_NODE:
-        columns |= _per_node(name, [getattr(line, name) for line in lines])
+        columns |= per_node(name, [getattr(line, name) for line in lines])
     for name, share in REGIONS.items():
         region = _four([getattr(line, name) for line in lines])
         if not _is_gaussian(region, columns["map"], columns["sd"], share):
@@ -185,7 +185,8 @@ def _optional(values: Sequence[float | None]) -> NDArray[np.float64]:
     return np.array([ABSENT if value is None else value for value in values], dtype=np.float64)
 
 
-def _per_node(field: str, rows: Sequence[Mapping[str, float]]) -> dict[str, NDArray[Any]]:
+def per_node(field: str, rows: Sequence[Mapping[str, float]]) -> dict[str, NDArray[Any]]:
+    """The columns ``FIELD/NAME`` of a field that has numbers by name."""
     names = sorted({name for row in rows for name in row})
     return {f"{field}/{name}": np.array([row.get(name, ABSENT) for row in rows], float) for name in names}
 

@@ -1,9 +1,10 @@
-"""Measurements of a frame: what ``frames.npy.gz`` holds, and the estimate as a box by its three names."""
+"""Measurements of a frame, what ``frames.npy.gz`` holds: lines of targets, and answers to queries."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -148,6 +149,9 @@ class FrameMetrics(Boxed):
         e_value: evidence that the target is not held; left out when the graph has no `alarm`.
         p_values: agent that measured -> probability of a measurement farther from its prediction than it was;
             left out when there are none.
+        queries: answers by the names of queries: a probability or a mean, ``NAME_sd``, ``NAME_low`` and
+            ``NAME_high`` of a number, ``NAME/TARGET`` of a pair with another target, ``NAME_count`` of all
+            targets together; left out when the graph has no `queries`.
     """
 
     frame: int
@@ -190,6 +194,7 @@ class FrameMetrics(Boxed):
 
     e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
     p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    queries: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
         """The main facts: who, when, how sure, where, and by whose evidence."""
@@ -201,3 +206,132 @@ class FrameMetrics(Boxed):
             f"<target {self.target} in frame {self.frame}: {hidden}{self.status}, score {self.score:.2f}, "
             f"xywh {self._xywh_text()}, {agents} active>"
         )
+
+
+# ------------------------------------------------------------------------------------ queries
+
+Subject = tuple[str, ...]
+"""Ids of the targets that an answer is about: one, a pair, or none for all together."""
+
+SD, LOW, HIGH = "_sd", "_low", "_high"
+COUNT = "_count"
+"""What is added to the name of a query for its numbers, and for the number of all targets together."""
+
+
+@dataclass(frozen=True, repr=False)
+class Answer:
+    """One answer: a probability, or a number with its sd and interval.
+
+    Attributes:
+        mean: probability of a condition; mean of a number.
+        sd: standard deviation of a number; None of a probability.
+        low: lower bound of the central interval of a number; None of a probability.
+        high: upper bound.
+        unit: of a number, as the graph has it; empty without.
+    """
+
+    mean: float
+    sd: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+
+    @property
+    def probability(self) -> float:
+        """Probability of the condition.
+
+        Raises:
+            ValueError: the answer is a number.
+        """
+        if self.sd is not None:
+            raise ValueError("a number has no probability; it has mean, sd, low, high")
+        return self.mean
+
+    def __repr__(self) -> str:
+        if self.sd is None:
+            return f"<probability {self.mean:.3g}>"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"<{self.mean:.4g} ± {self.sd:.2g}{unit}, {self.low:.4g} to {self.high:.4g}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Answers(Mapping[str | Subject, Answer]):
+    """Answers to one query in one frame, by target id, or by a pair of ids.
+
+    Attributes:
+        query: name of the query.
+        kind: probability, value or count.
+        subjects: the n targets or pairs that were asked.
+        columns: (R, n) probabilities, R = 1; or means, sds, lower and upper bounds, R = 4.
+        total: number of all targets together; None of a query that does not count.
+        unit: of a number.
+    """
+
+    query: str
+    kind: str
+    subjects: Sequence[Subject]
+    columns: NDArray[np.float64]
+    total: Answer | None = None
+    unit: str = ""
+
+    @cached_property
+    def _index(self) -> Mapping[Subject, int]:
+        return {subject: place for place, subject in enumerate(self.subjects)}
+
+    def __getitem__(self, subject: str | Subject) -> Answer:
+        place = self._index[(subject,) if isinstance(subject, str) else tuple(subject)]
+        numbers: list[float] = self.columns[:, place].tolist()
+        if len(numbers) == 1:
+            return Answer(numbers[0])
+        mean, sd, low, high = numbers
+        return Answer(mean, sd, low, high, self.unit)
+
+    def __iter__(self) -> Iterator[str | Subject]:
+        return (subject[0] if len(subject) == 1 else subject for subject in self.subjects)
+
+    def __len__(self) -> int:
+        return len(self.subjects)
+
+    def __contains__(self, subject: object) -> bool:
+        return ((subject,) if isinstance(subject, str) else subject) in self._index
+
+    def __repr__(self) -> str:
+        total = "" if self.total is None else f"total {self.total!r}, "
+        return f"<{self.query}: {total}{dict(self)!r}>"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its columns: the query's name, and with what is added for sd and bounds."""
+        return tuple(self.query + end for end in ("", SD, LOW, HIGH)[: len(self.columns)])
+
+    @cached_property
+    def by_target(self) -> Mapping[str, Mapping[str, float]]:
+        """Target -> its numbers by name; those of a pair stand with the first, as ``NAME/SECOND``."""
+        targets: dict[str, dict[str, float]] = {}
+        rows = self.columns.T.tolist()
+        for subject, row in zip(self.subjects, rows, strict=True):
+            ends = "".join(f"/{second}" for second in subject[1:])
+            numbers = targets.setdefault(subject[0], {})
+            numbers.update(
+                (name + ends, value) for name, value in zip(self.names, row, strict=True) if value == value
+            )
+        return targets
+
+    @property
+    def of_all(self) -> dict[str, float]:
+        """The numbers of all targets together by name."""
+        total = self.total
+        if total is None or total.sd is None or total.low is None or total.high is None:
+            return {}
+        values = (total.mean, total.sd, total.low, total.high)
+        ends = ("", SD, LOW, HIGH)
+        return {f"{self.query}{COUNT}{end}": value for end, value in zip(ends, values, strict=True)}
+
+
+def numbers_of(answers: Sequence[Answers], target: str) -> dict[str, float]:
+    """All numbers of a target by name, with those of all targets together."""
+    numbers: dict[str, float] = {}
+    for answered in answers:
+        numbers.update(answered.by_target.get(target, {}))
+        numbers.update(answered.of_all)
+    return numbers

@@ -179,7 +179,15 @@ class DetectionsTracker(Storable):
             else:
                 outcome = step(self._engine, before.state, now)
             resizing = Resizing.to(kind.width, kind.height, None)
-            self._now = Standing(outcome.state, clock, outcome.metrics, outcome.events, kind, resizing)
+            self._now = Standing(
+                outcome.state,
+                clock,
+                outcome.metrics,
+                outcome.events,
+                kind,
+                resizing,
+                answers=outcome.answers,
+            )
             ids[given.rows] = owners(given.detections.boxes, outcome.metrics)
             return marked
 

@@ -18,7 +18,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.load import Released, Toggled
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import Answers, FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.journal.reader import Notice, read_inputs
 from bayesnet_track.journal.text.wording import plural
@@ -188,6 +188,7 @@ class Result:
         heard: target id -> what its agents said in the frame.
         births: target id -> what its draws are keyed by (`numerics.streams.birth_key`).
         plates: names of all plates of the graph, in its order; empty where unknown.
+        queries: query -> its answers, by target or pair; in pixels of the frames tracked in.
     """
 
     frame: Frame
@@ -202,6 +203,7 @@ class Result:
     heard: Mapping[str, Heard] = field(default_factory=dict)
     births: Mapping[str, str] = field(default_factory=dict)
     plates: tuple[str, ...] = ()
+    queries: Mapping[str, Answers] = field(default_factory=dict)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""

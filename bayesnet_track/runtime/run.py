@@ -236,6 +236,7 @@ def _result(
         outcome.heard,
         outcome.state.history.births,
         plates,
+        {one.query: one for one in outcome.answers},
     )
 
 

@@ -180,7 +180,13 @@ class Tracker(Boxed, Storable):
             shown = resizing.outcome(begun)
             self._engine, self._levels = engine, levels
             self._now = Standing(
-                begun.state, clock, shown.metrics, shown.events, FrameKind.of(first), resizing
+                begun.state,
+                clock,
+                shown.metrics,
+                shown.events,
+                FrameKind.of(first),
+                resizing,
+                answers=shown.answers,
             )
 
     def update(
@@ -222,6 +228,7 @@ class Tracker(Boxed, Storable):
                 metrics=shown.metrics,
                 events=shown.events,
                 nets_before=before.state.net.targets,
+                answers=shown.answers,
             )
         x, y, w, h = self.centre_box
         box = (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)  # as `xywh`, without an array

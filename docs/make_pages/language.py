@@ -21,6 +21,7 @@ from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
 from bayesnet_track.graph.checks.latent import TREE_CHECKS
 from bayesnet_track.graph.checks.lifecycle import EXISTENCE_CHECKS, JOIN_CHECKS, LIFE_CHECKS
 from bayesnet_track.graph.checks.motion import FORMULA_JOIN_CHECKS, gaussians_are_looked_for
+from bayesnet_track.graph.checks.queries import QUERY_CHECKS
 from bayesnet_track.graph.checks.run import RULE_CHECKS, VALUE_CHECKS
 from bayesnet_track.graph.expressions.terms import (
     FRAME_NAMES,
@@ -74,6 +75,7 @@ PAGES: Mapping[str, Page] = {
     ),
     "agents": Page("Agents", "the nodes that see", ("agent", "agent node")),
     "factors": Page("Factors and joins", "what targets have to do with each other", ("factor node", "join")),
+    "queries": Page("Queries", "what the beliefs are asked in every frame", ("query",)),
     "expressions": Page("Expressions", "functions and names in formulas"),
     "cues": Page("Cues", "every installed cue and its parameters"),
     "checks": Page("Checks", "what must hold for a graph to be accepted"),
@@ -261,6 +263,7 @@ def _checks() -> str:
         *CONSTANT_CHECKS,
         *JOIN_CHECKS,
         *FORMULA_JOIN_CHECKS,
+        *QUERY_CHECKS,
     )
     lines = ["A graph is accepted when all of these hold:\n"]
     for check in checks:

@@ -470,6 +470,11 @@ def everything() -> dict[str, Any]:
         "constants": {"slope": 0.32},
         "about": "two\nlines: \u00e9 # \U0001f600",
         "targets": {"t": {"nodes": nodes, **life}},
+        "queries": {
+            "q": {"of": "t", "probability": "x > 3", "event_above": 0.5},
+            "v": {"of": ["t", "t"], "value": "a.x - b.x", "unit": "px", "interval": 0.5},
+            "c": {"of": "t", "count": {"polygon": [[0, 0], [4, 0], [4, 3]], "point": "foot"}},
+        },
         "joins": [
             {
                 "between": ["t", "u"],

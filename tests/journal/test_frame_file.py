@@ -46,6 +46,7 @@ FULL = line(
     hidden=0.75,
     e_value=1e200,
     p_values={"color": 1e-60},
+    queries={"near/2": 0.5, "speed_sd": 1.5},
 )
 
 

@@ -15,6 +15,7 @@ from bayesnet_track.journal.events.beliefs import (
     MeasurementGated,
     ModeChanged,
     ParticlesResized,
+    QueryPassed,
     Reappeared,
     SecondPass,
 )
@@ -270,6 +271,18 @@ GOLDEN = [
         ModeChanged(133, "1", "turn", "straight", 0.51, 0.52, -0.04, -0.08),
         "frame 133: the frame's evidence is 0.04 nats lower in mode turn than in straight → target 1 in mode "
         "turn with probability 0.51, predicted 0.52; would have stayed in straight at ≤ -0.08 nats",
+    ),
+    (
+        QueryPassed(21, "1", "in_goal", 0.9136, 0.9, True),
+        "frame 21: in_goal of target 1 probable: 0.914 ≥ 0.9 (no event if event_above > 0.914)",
+    ),
+    (
+        QueryPassed(22, "1", "near", 1.0, 0.9, True, "2"),
+        "frame 22: near of targets 1 and 2 probable: 1 ≥ 0.9 (at any event_above)",
+    ),
+    (
+        QueryPassed(23, "1", "near", 0.31, 0.9, False, "2"),
+        "frame 23: near of targets 1 and 2 no longer probable: 0.31 < 0.9",
     ),
     (
         DegenerateBelief(12, "1", "all weights are 0"),

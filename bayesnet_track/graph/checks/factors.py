@@ -50,7 +50,7 @@ def factors_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
             parse(node.expression, names_at(plate, str(node.parent)), mask=node.mask is not None)
         except ExpressionError as error:
             message = plate.message(name, error.found, error.allowed, key=("factor",))
-            yield plate.at.inside(_explain_name(message, error.word, error.near), error.at)
+            yield plate.at.inside(explain_name(message, error.word, error.near), error.at)
 
 
 def masks_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
@@ -170,7 +170,8 @@ def read_factors(plate: Plate) -> dict[str, Factor]:
     return found
 
 
-def _explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> GraphMessage:
+def explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> GraphMessage:
+    """The message of an unknown name with what is special about it, or the nearest name."""
     if word.startswith(PARENT):
         where = "known only at a latent node that draws one state for each hypothesis"
         return replace(message, found=f"name {word!r}, {where}")

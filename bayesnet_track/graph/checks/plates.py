@@ -141,8 +141,14 @@ def fields_of_motion(motion: Motion) -> tuple[str, ...]:
 
 
 def further_fields(root: InferenceNode) -> tuple[str, ...]:
-    """Fields of a root's state beside the box that expressions may read, of the motions of all modes."""
-    if root.motion is None or (root.belief is not None and root.belief.grid is not None):
+    """Fields of a root's state beside the box that evidence may read: a grid takes it at places only."""
+    on_grid = root.belief is not None and root.belief.grid is not None
+    return () if on_grid else moving_fields(root)
+
+
+def moving_fields(root: InferenceNode) -> tuple[str, ...]:
+    """Fields of a root's state beside the box, of the motions of all modes."""
+    if root.motion is None:
         return ()
     motions = (root.motion, *(one.motion for one in (root.modes or {}).values() if one.motion is not None))
     return tuple(dict.fromkeys(name for one in motions for name in fields_of_motion(one)))

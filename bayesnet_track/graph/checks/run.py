@@ -40,6 +40,7 @@ from bayesnet_track.graph.checks.motion import (
     gaussians_are_looked_for,
 )
 from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
@@ -250,8 +251,10 @@ def check(
     images = masks_of(spec, FilePath(at.file).parent, masks)
     plates = [Plate(name, target, at, known, spec.constants, images) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS):
+    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS, *QUERY_CHECKS):
         errors += islice(find(spec, at), MAX_MESSAGES + 1)
+    spec, of_polygons = with_polygons(spec, FilePath(at.file).parent, at)
+    errors += of_polygons
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
         errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))

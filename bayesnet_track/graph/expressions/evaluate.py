@@ -1,4 +1,4 @@
-"""The value of an expression at N hypotheses, by NumPy, and the logarithm of one that is a density.
+"""The value of an expression at N hypotheses, the logarithm of a density, and linear forms of the state.
 
 No value raises: a division by zero is infinite, an overflow too, and what has no value (0 / 0, the root or
 logarithm of a negative number, a density of sd 0) is NaN.
@@ -11,13 +11,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.expressions.terms import DENSITIES, MASK, Call, Number, Term
+from bayesnet_track.graph.expressions.terms import (
+    DENSITIES,
+    MASK,
+    NEGATIVE,
+    Call,
+    Number,
+    Term,
+    Variable,
+    names_in,
+)
 
 Floats = NDArray[np.float64]
 Value = Any
@@ -292,3 +302,133 @@ _OPERATIONS: Mapping[str, Callable[..., Value]] = {
     "atan2": np.arctan2,
     "hypot": np.hypot,
 }
+
+
+# ------------------------------------------------------------------------------------ linear forms
+
+COMPARISONS = frozenset(("<", "<=", ">", ">=", "==", "!="))
+CONDITIONS = COMPARISONS | {"and", "or", "not"}
+
+
+def is_condition(term: Term) -> bool:
+    """True of a comparison, or of conditions joined by and, or, not.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> is_condition(parse("x > 3 and not y < 2")), is_condition(parse("where(x > 3, 1, 0)"))
+    (True, False)
+    """
+    return isinstance(term, Call) and term.function in CONDITIONS
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A linear form of the state.
+
+    Attributes:
+        factors: name -> its factor; those that are 0 are left out.
+        constant: what is added.
+    """
+
+    factors: Mapping[str, float]
+    constant: float
+
+
+def linear_of(term: Term, fixed: Mapping[str, float]) -> Linear | None:
+    """The linear form that a term is, with the values of names that are `fixed`; None of any other.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> linear_of(parse("2 * (x - a) + y / 4"), {"a": 3.0})
+    Linear(factors={'x': 2.0, 'y': 0.25}, constant=-6.0)
+    >>> linear_of(parse("x * y"), {}) is None
+    True
+    """
+    if all(name in fixed or name == "pi" for name in names_in(term)):
+        value = float(values_of(term, fixed))
+        return Linear({}, value) if math.isfinite(value) else None
+    if isinstance(term, Variable):
+        return Linear({term.name: 1.0}, 0.0)
+    if isinstance(term, Number) or term.function not in ("+", "-", "*", "/", NEGATIVE):
+        return None
+    parts = [linear_of(argument, fixed) for argument in term.arguments]
+    if any(part is None for part in parts):
+        return None
+    first, *operands = (part for part in parts if part is not None)
+    if not operands:
+        return _scaled(first, -1.0)
+    (second,) = operands
+    if term.function in ("+", "-"):
+        return _added(first, _scaled(second, 1.0 if term.function == "+" else -1.0))
+    if term.function == "/":
+        return None if second.factors or second.constant == 0.0 else _scaled(first, 1.0 / second.constant)
+    if first.factors and second.factors:
+        return None
+    return _scaled(first, second.constant) if first.factors else _scaled(second, first.constant)
+
+
+def _scaled(first: Linear, scale: float) -> Linear:
+    factors = {name: factor * scale for name, factor in first.factors.items() if factor * scale != 0.0}
+    return Linear(factors, first.constant * scale)
+
+
+def _added(first: Linear, second: Linear) -> Linear:
+    names = dict.fromkeys((*first.factors, *second.factors))
+    factors = {name: first.factors.get(name, 0.0) + second.factors.get(name, 0.0) for name in names}
+    factors_left = {name: factor for name, factor in factors.items() if factor != 0.0}
+    return Linear(factors_left, first.constant + second.constant)
+
+
+@dataclass(frozen=True)
+class Between:
+    """The condition that a linear form without a constant lies between two bounds.
+
+    Attributes:
+        factors: of the form; the first one is 1.
+        low: lower bound; -inf without one.
+        high: upper bound; inf without one.
+    """
+
+    factors: Mapping[str, float]
+    low: float
+    high: float
+
+
+def between_of(term: Term, fixed: Mapping[str, float]) -> Between | None:
+    """A condition as bounds of one linear form: a comparison, |form| < number, or `and` of such.
+
+    None of any other. Bounds count as reached or not alike: a density has no mass there.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> between_of(parse("x > 3 and 10 - x > 2"), {})
+    Between(factors={'x': 1.0}, low=3.0, high=8.0)
+    """
+    if not isinstance(term, Call):
+        return None
+    if term.function == "and":
+        first, second = (between_of(argument, fixed) for argument in term.arguments)
+        if first is None or second is None or first.factors != second.factors:
+            return None
+        return Between(first.factors, max(first.low, second.low), min(first.high, second.high))
+    if term.function not in ("<", "<=", ">", ">="):
+        return None
+    left, right = term.arguments if term.function in ("<", "<=") else term.arguments[::-1]
+    if isinstance(left, Call) and left.function == "abs":
+        limit = linear_of(right, fixed)
+        form = linear_of(left.arguments[0], fixed)
+        if limit is None or limit.factors or form is None or not form.factors:
+            return None
+        return _normal(form, -limit.constant, limit.constant)
+    lesser, greater = linear_of(left, fixed), linear_of(right, fixed)
+    if lesser is None or greater is None:
+        return None
+    difference = _added(lesser, _scaled(greater, -1.0))  # below 0
+    return _normal(difference, -math.inf, 0.0) if difference.factors else None
+
+
+def _normal(form: Linear, low: float, high: float) -> Between:
+    """Bounds of a form as bounds of the same with the first factor 1 and no constant."""
+    scale = 1.0 / next(iter(form.factors.values()))
+    factors = {name: factor * scale for name, factor in form.factors.items()}
+    if low > high:  # as abs(x) < -1: never
+        return Between(factors, low, high)
+    low, high = sorted(((low - form.constant) * scale, (high - form.constant) * scale))
+    return Between(factors, low, high)

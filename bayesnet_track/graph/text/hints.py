@@ -147,6 +147,8 @@ def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
         return ""
     if issubclass(model, (GraphSpec, Target)) and is_like_node(around[word]):
         return A_NODE
+    if issubclass(model, Target) and word in GraphSpec.model_fields:
+        return f"`{word}` stands beside `targets:`, not inside a target"
     names = list(around)
     before = names.index(word)
     # A key that stands too far left follows what it belongs to.

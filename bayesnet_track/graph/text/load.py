@@ -189,6 +189,10 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
             for key in (key for key, inside in value.items() if inside is None):
                 found, allowed = "factor is cut at a comma", "quotes around the expression"
                 yield document.at.message((*path, key), found, allowed, on_key=True)
+        elif len(path) == 2 and path[0] == "queries" and isinstance(value, dict) and None in value.values():
+            for key in (key for key, inside in value.items() if inside is None):
+                found, allowed = "expression is cut at a comma", "quotes around the expression"
+                yield document.at.message((*path, key), found, allowed, on_key=True)
         elif name == "agent" and len(path) == 5 and isinstance(value, dict):
             if "cue" in value:
                 yield document.at.message(

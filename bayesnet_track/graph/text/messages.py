@@ -146,14 +146,14 @@ class Positions:
 
 
 def node_of(path: KeyPath) -> str:
-    """The node a path lies in, else its target, else ``graph``.
+    """The node a path lies in, else its target or query, else ``graph``.
 
     >>> node_of(("targets", "ball", "nodes", "color", "fuse")), node_of(("targets", "ball"))
     ('color', 'ball')
     """
-    if path[:1] != ("targets",) or len(path) < 2:
+    if path[:1] not in (("targets",), ("queries",)) or len(path) < 2:
         return "graph"
-    inside = len(path) > 3 and path[2] == "nodes"
+    inside = path[0] == "targets" and len(path) > 3 and path[2] == "nodes"
     return shown_name(path[3] if inside else path[1])
 
 

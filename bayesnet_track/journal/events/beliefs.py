@@ -325,3 +325,36 @@ def _not_resized(event: ParticlesResized) -> str:
     up = (event.particles > event.before) == (event.setting != "threshold")
     turning = round_away(event.turning, decimals(event.turning, event.level), up)
     return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
+
+
+@dataclass(frozen=True)
+class QueryPassed:
+    """The probability of a query passed its level, `event_above`.
+
+    Attributes:
+        frame: frame whose beliefs it is of.
+        target: target id; of a pair the first one.
+        query: name of the query.
+        probability: what the beliefs say.
+        level: the level.
+        above: True when the probability reached it, False when it fell below.
+        other: the second target of a pair; empty without.
+    """
+
+    frame: int
+    target: str
+    query: str
+    probability: float
+    level: float
+    above: bool
+    other: str = ""
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        of = f"targets {self.target} and {self.other}" if self.other else f"target {self.target}"
+        probability, level = distinct_texts(self.probability, self.level)
+        if not self.above:
+            return f"{self.query} of {of} no longer probable: {probability} < {level}"
+        turning = round_away(self.probability, decimals(self.probability, self.level), up=True)
+        unless = "at any event_above" if float(turning) >= 1.0 else f"no event if event_above > {turning}"
+        return f"{self.query} of {of} probable: {probability} ≥ {level} ({unless})"

@@ -12,7 +12,16 @@ which the engine is given it, so that the same lines give the same run again.
 
 from __future__ import annotations
 
-from bayesnet_track.journal.events import beliefs, faults, joins, lives, load, runs, statuses, switches
+from bayesnet_track.journal.events import (
+    beliefs,
+    faults,
+    joins,
+    lives,
+    load,
+    runs,
+    statuses,
+    switches,
+)
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, Released, SpareTime, Toggled
 from bayesnet_track.journal.net.net import Decision
@@ -35,6 +44,7 @@ Event = (
     | beliefs.SecondPass
     | beliefs.Reappeared
     | beliefs.ModeChanged
+    | beliefs.QueryPassed
     | switches.ReferenceGuarded
     | statuses.DistractorSeen
     | statuses.DoubtEnded

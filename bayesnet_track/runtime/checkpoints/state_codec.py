@@ -34,6 +34,7 @@ from bayesnet_track.engine.scoring.score import Encounter, Place, ScoreState
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import SlowReferences
+from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.joins import Joined
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import Fault, TargetNet, Turn
@@ -81,6 +82,7 @@ CLASSES: tuple[type, ...] = (
     Level,
     CarriedHypotheses,
     Scene,
+    QueryMemory,
 )
 """Every class of which the state between frames is made."""
 
@@ -188,6 +190,9 @@ class _Encoder:
         return made
 
     def _made(self, value: Any) -> Any:
+        if is_dataclass(value) and self._known.get(type(value).__name__) is type(value):
+            kind: Any = type(value)
+            return ["o", kind.__name__, *[self.node(getattr(value, name)) for name in _names(kind)]]
         if isinstance(value, Mapping):
             return ["m", *[[self.node(key), self.node(item)] for key, item in value.items()]]
         if isinstance(value, np.ndarray | np.generic):
@@ -196,9 +201,6 @@ class _Encoder:
             return ["p"]
         if isinstance(value, Plan):
             return ["c", value.target, sorted(value.active)]
-        if is_dataclass(value) and self._known.get(type(value).__name__) is type(value):
-            kind: Any = type(value)
-            return ["o", kind.__name__, *[self.node(getattr(value, name)) for name in _names(kind)]]
         raise StateError(f"a {type(value).__module__}.{type(value).__qualname__} cannot be stored")
 
     def _array(self, value: Array | np.generic) -> int:

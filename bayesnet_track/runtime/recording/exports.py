@@ -28,16 +28,16 @@ def as_mot(run: Run, lost: bool = False) -> str:
 
 
 def as_csv(run: Run, lost: bool = True) -> str:
-    """CSV with a header, the columns of `tables.TRACK_COLUMNS`; an empty cell where there is no value."""
+    """CSV with a header, the columns of `Run.columns`; an empty cell where there is no value."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(TRACK_COLUMNS), lineterminator="\n")
+    writer = csv.DictWriter(text, run.columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(_rows(run, lost))
     return text.getvalue()
 
 
 def as_jsonl(run: Run, lost: bool = True) -> str:
-    """JSON Lines: an object a row with the columns of `tables.TRACK_COLUMNS`; `active` is a list."""
+    """JSON Lines: an object a row with the columns of `Run.columns`; `active` is a list."""
     lines = []
     for row in _rows(run, lost):
         shown: dict[str, Any] = {**row, "active": str(row["active"]).split()}
@@ -127,7 +127,7 @@ def _image_names(run: Run, frames: Sequence[int]) -> tuple[str, ...]:
 
 
 def _rows(run: Run, lost: bool) -> list[Row]:
-    return track_rows(_lines(run, lost), run.kinds)
+    return track_rows(_lines(run, lost), run.kinds, run.columns[len(TRACK_COLUMNS) :])
 
 
 def _lines(run: Run, lost: bool) -> list[FrameMetrics]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.journal.frame_columns import columns_of, narrowed, strings
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
 from bayesnet_track.runtime.recording.tracks import Tracked
 
 FEW = 8
@@ -42,4 +42,5 @@ def measured(
         columns["score"].tolist(),
         columns["ud_px2"].tolist(),
         [name.decode() for name in columns["active"].tolist()],
+        [numbers_of(lines.answers, target) for target in lines.ids] if lines.answers else (),
     )

@@ -16,6 +16,7 @@ import numpy as np
 
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.frame_columns import lines_of
@@ -36,7 +37,7 @@ from bayesnet_track.runtime.recording.beliefs import BeliefWriter
 from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
 from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
+from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter, QueryWriter
 from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
 from bayesnet_track.runtime.results import Result
 
@@ -90,6 +91,7 @@ class Recorder:
         before_first: Callable[[], None] | None = None,
     ) -> None:
         self._directory, self._interval, self._optional = directory, frame_interval_s, optional
+        self._asked = graph.spec.queries
         self._has_ids, self._hypotheses = not has_births(graph), "hypotheses" in optional
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
@@ -111,8 +113,13 @@ class Recorder:
             self._frames = files.enter_context(FrameWriter(directory.frames, at.get("frames")))
             mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids)
             self._mot = files.enter_context(mot)
-            self._csv = files.enter_context(CsvWriter(directory.csv, at.get("csv")))
+            self._csv = files.enter_context(
+                CsvWriter(directory.csv, at.get("csv"), query_columns(self._asked))
+            )
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
+            self._queries: QueryWriter | None = None
+            if self._asked:
+                self._queries = files.enter_context(QueryWriter(directory.queries, at.get("queries")))
             self._beliefs: BeliefWriter | None = None
             if "beliefs" in self._optional:
                 self._beliefs = files.enter_context(BeliefWriter(directory.beliefs, at.get("beliefs")))
@@ -179,7 +186,12 @@ class Recorder:
     def _lines(self) -> dict[str, LineFile]:
         files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames, "mot": self._mot}
         files |= {"csv": self._csv, "timings": self._timings}
-        more = {"inputs": self._inputs, "beliefs": self._beliefs, "forecasts": self._forecasts}
+        more = {
+            "queries": self._queries,
+            "inputs": self._inputs,
+            "beliefs": self._beliefs,
+            "forecasts": self._forecasts,
+        }
         return files | {name: file for name, file in more.items() if file is not None}
 
     def event(self, event: Event) -> None:
@@ -209,6 +221,8 @@ class Recorder:
                     if target in result.states:
                         said = result.heard.get(target)
                         self._beliefs.write(result.frame.index, target, result.states[target], said)
+        if self._queries is not None:
+            self._queries.write(result.frame, result.queries.values())
         if self._forecasts is not None:
             self._forecasts.write(result)
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}

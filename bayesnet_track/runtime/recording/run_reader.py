@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.journal.blocks import Blocks, targets_of
@@ -178,13 +179,19 @@ class Run:
         html = page_html(self.directory, self.events, self.metrics, boxes, largest)
         return Page(html, height, self.name)
 
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of its table: `tables.TRACK_COLUMNS`, then the numbers that queries ask of a target."""
+        asks = "\nqueries:" in self.graph_text
+        return (*TRACK_COLUMNS, *(query_columns(self.spec.queries) if asks else ()))
+
     def to_rows(self) -> list[Row]:
-        """One row per live target and frame, with the columns of `tables.TRACK_COLUMNS`."""
-        return track_rows(self.metrics, self.kinds)
+        """One row per live target and frame, with the columns of `columns`."""
+        return track_rows(self.metrics, self.kinds, self.columns[len(TRACK_COLUMNS) :])
 
     def to_dict(self) -> dict[str, list[Any]]:
         """The same as columns: ``pandas.DataFrame(run.to_dict())``."""
-        return columns(self.to_rows(), TRACK_COLUMNS)
+        return columns(self.to_rows(), self.columns)
 
     def agents_to_dict(self) -> dict[str, list[Any]]:
         """One row per active agent, target and frame, as columns: its KL, contribution, UD, strength."""

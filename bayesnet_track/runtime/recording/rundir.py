@@ -59,6 +59,8 @@ class RunDirectory:
     """Tracks in MOT's format."""
     csv = RunFile("tracks.csv")
     """Tracks as CSV."""
+    queries = RunFile("queries.csv")
+    """Answers to the queries of the graph, where it has any."""
     timings = RunFile("timings.jsonl")
     """Wall-clock timings: the only file that differs between equal runs."""
     graph = RunFile("graph.yaml")

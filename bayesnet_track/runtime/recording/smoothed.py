@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
 
+from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.writer import JournalWriter, LineFile, Position
@@ -48,7 +49,7 @@ def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpe
         journal = files.enter_context(JournalWriter(directory.journal))
         frames = files.enter_context(FrameWriter(directory.frames))
         mot = files.enter_context(MotWriter(directory.mot, not has_births))
-        csv = files.enter_context(CsvWriter(directory.csv))
+        csv = files.enter_context(CsvWriter(directory.csv, queries=query_columns(graph.queries)))
         for event in smoothed.events:
             journal.write(event)
         for _, group in groupby(smoothed.metrics, key=lambda line: line.frame):

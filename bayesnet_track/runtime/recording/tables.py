@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -55,10 +55,14 @@ AGENT_COLUMNS = ("frame", "time_s", "target", "agent", "silent", "kl", "contribu
 """One row per active agent: nats, but ud_px2. None where it was not measured."""
 
 
-def track_rows(metrics: Iterable[FrameMetrics], kinds: Mapping[str, str]) -> list[Row]:
-    """Rows of `TRACK_COLUMNS`; `kinds` is target id -> plate."""
+def track_rows(
+    metrics: Iterable[FrameMetrics], kinds: Mapping[str, str], queries: Sequence[str] = ()
+) -> list[Row]:
+    """Rows of `TRACK_COLUMNS`, then of `queries`, numbers by name; `kinds` is target id -> plate."""
     return [
-        {name: get(line) for name, get in TRACK_COLUMNS.items()} | {"kind": kinds.get(line.target)}
+        {name: get(line) for name, get in TRACK_COLUMNS.items()}
+        | {"kind": kinds.get(line.target)}
+        | {name: line.queries.get(name) for name in queries}
         for line in metrics
     ]
 

@@ -1,9 +1,10 @@
-"""The track as text: MOT (10 columns) and CSV. Box values are the top-left corner's, as OpenCV has it."""
+"""Tracks and answers as text: MOT (10 columns) and CSV. Box values are those of the top-left corner."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -12,9 +13,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import Answer, Answers, FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.planes import Frame
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
@@ -39,6 +41,7 @@ class Tracked:
         scores: of each target, 0..1.
         uds: UD of each target, px^2.
         actives: agents that gave evidence of each target, separated by spaces.
+        answers: of each target the answers to queries by name; empty without queries.
     """
 
     frame: int
@@ -49,6 +52,7 @@ class Tracked:
     scores: Sequence[float]
     uds: Sequence[float]
     actives: Sequence[str]
+    answers: Sequence[Mapping[str, float]] = ()
 
     @classmethod
     def of(cls, lines: Sequence[FrameMetrics]) -> Self:
@@ -62,6 +66,7 @@ class Tracked:
             [line.score for line in lines],
             [line.ud_px2 for line in lines],
             [" ".join(line.active) for line in lines],
+            [line.queries for line in lines],
         )
 
     @cached_property
@@ -111,16 +116,17 @@ class _Lines:
 
 
 class CsvWriter(LineFile):
-    """CSV with the header `CSV_COLUMNS`.
+    """CSV with the header `CSV_COLUMNS`, then a column for each number that queries ask of a target.
 
     frame (from 0), time_s, target, x, y, w, h (top-left corner, width, height, px), status, score (0..1),
     ud_px2, active (agents that gave evidence, separated by spaces).
     """
 
-    def __init__(self, path: Path, after: int | None = None) -> None:
+    def __init__(self, path: Path, after: int | None = None, queries: Sequence[str] = ()) -> None:
         super().__init__(path, after)
+        self._queries = tuple(queries)
         if after is None:
-            self.append(",".join(CSV_COLUMNS))
+            self.append(",".join((*CSV_COLUMNS, *self._queries)))
             self.flush()
 
     def write(self, tracked: Tracked) -> None:
@@ -134,12 +140,20 @@ class CsvWriter(LineFile):
             tracked.scores,
             tracked.uds,
             tracked.actives,
+            self._ends(tracked),
             strict=True,
         )
-        for target, corner, status, score, ud, active in rows:
+        for target, corner, status, score, ud, active, end in rows:
             score, ud = score if abs(score) >= _NO_SCORE else 0.0, ud if abs(ud) >= 0.0005 else 0.0
-            cells += (*first, _cell(target), *corner, _cell(status), score, ud, _cell(active))
+            cells += (*first, _cell(target), *corner, _cell(status), score, ud, _cell(active) + end)
         self.append("\n".join([_CSV] * len(tracked.targets)) % tuple(cells))
+
+    def _ends(self, tracked: Tracked) -> list[str]:
+        """The cells of queries of each line."""
+        if not self._queries:
+            return [""] * len(tracked.targets)
+        rows = tracked.answers or [{}] * len(tracked.targets)
+        return ["".join(f",{_number_cell(row.get(name))}" for name in self._queries) for row in rows]
 
 
 _MOT = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.6f,-1,-1,-1"
@@ -156,6 +170,14 @@ def _cell(text: str) -> str:
     return cells[0][: -len(",0")]
 
 
+def _number_cell(value: float | None) -> str:
+    """A number with six digits, without a sign where it is 0; empty for none."""
+    if value is None or math.isnan(value):
+        return ""
+    text = f"{value:.6g}"
+    return text[1:] if text[0] == "-" and float(text) == 0.0 else text
+
+
 def _corner(metrics: FrameMetrics) -> list[str]:
     x, y, w, h = metrics.centre_box
     return [_fix(value, 3) for value in (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)]
@@ -164,3 +186,42 @@ def _corner(metrics: FrameMetrics) -> list[str]:
 def _fix(value: float, digits: int) -> str:
     text = f"{value:.{digits}f}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text
+
+
+QUERY_COLUMNS = ("frame", "time_s", "query", "of", "probability", "mean", "sd", "low", "high", "unit")
+
+
+class QueryWriter(LineFile):
+    """CSV with the header `QUERY_COLUMNS`; a new file, or one that is continued.
+
+    of: the target, both of a pair separated by a space, or ``all`` for the number of all targets together. A
+    condition has a probability, a number all others; a cell is empty where no hypothesis has a value.
+    """
+
+    def __init__(self, path: Path, size: int | None = None) -> None:
+        super().__init__(path, size)
+        if size is None:
+            self.append(",".join(QUERY_COLUMNS))
+            self.flush()
+
+    def write(self, frame: Frame, answers: Iterable[Answers]) -> None:
+        """Add the answers of one frame to the next flush."""
+        first = f"{frame.index},{frame.time_s:.6f}"
+        for answered in answers:
+            name = _cell(answered.query)
+            for subject, answer in _lines_of(answered):
+                self.append(f"{first},{name},{_cell(subject)},{_numbers(answer, _cell(answered.unit))}")
+
+
+def _lines_of(answered: Answers) -> Iterator[tuple[str, Answer]]:
+    for subject in answered.subjects:
+        yield " ".join(subject), answered[subject]
+    if answered.total is not None:
+        yield "all", answered.total
+
+
+def _numbers(answer: Answer, unit: str) -> str:
+    if answer.sd is None:
+        return f"{_number_cell(answer.mean)},,,,,"
+    cells = (answer.mean, answer.sd, answer.low, answer.high)
+    return f",{','.join(map(_number_cell, cells))},{unit}"

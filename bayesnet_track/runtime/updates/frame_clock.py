@@ -10,7 +10,7 @@ from typing import Never, Self
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.step import Engine, State
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import Answers, FrameMetrics
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.resizing import Resizing
@@ -188,6 +188,7 @@ class Standing:
         kind: of the frames.
         resizing: how these become those that the engine sees.
         nets_before: nets that were live before it.
+        answers: answers to the queries of the graph.
     """
 
     state: State
@@ -197,3 +198,4 @@ class Standing:
     kind: FrameKind
     resizing: Resizing
     nets_before: Mapping[str, TargetNet] = field(default_factory=dict)
+    answers: tuple[Answers, ...] = ()

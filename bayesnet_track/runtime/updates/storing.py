@@ -24,6 +24,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph, read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import event_classes, type_hints
+from bayesnet_track.journal.metrics import Answer, Answers
 from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.image_files import Mask
@@ -113,7 +114,18 @@ class Stored:
 @cache
 def stored_classes() -> tuple[type, ...]:
     """Every class of which a stored tracker is made."""
-    own = (Standing, FrameClock, FrameKind, Resizing, Frame, RightEye, PointMap, StereoGeometry)
+    own = (
+        Standing,
+        Answers,
+        Answer,
+        FrameClock,
+        FrameKind,
+        Resizing,
+        Frame,
+        RightEye,
+        PointMap,
+        StereoGeometry,
+    )
     found = dict.fromkeys((*CLASSES, *own))
     for kind in event_classes().values():
         found |= dict.fromkeys(_held(kind))
@@ -257,6 +269,17 @@ class Storable:
 
     def _renew_engine(self) -> None:
         """Make what of the engine is not shared with a copy, or depends on where it stands."""
+
+    @property
+    def queries(self) -> Mapping[str, Answers]:
+        """Query of the graph -> its answers after the last frame, by target or pair; empty before.
+
+        Lengths are those of the frames that it tracks in::
+
+            tracker.queries["in_goal"]["1"].probability, tracker.queries["inside"].total.mean
+        """
+        now = self._now
+        return {} if now is None else {one.query: one for one in now.answers}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the graph, the options and all that is known after the last frame into a file.

@@ -1,0 +1,200 @@
+"""Queries of a graph, through the front doors: Python, files of a run, the log, and a resumed run."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from bayesnet_track import DetectionsTracker, Start, Tracker, open_run, track
+from bayesnet_track.cli.main import main
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graphs import find_graph
+from bayesnet_track.journal.events.beliefs import QueryPassed
+from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.sources.scenes.library import SceneSource
+
+FRAMES = 12
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.csv", "queries.csv", "graph.yaml")
+QUERIES = {
+    "right": {"of": "square", "probability": "x > 100", "event_above": 0.9},
+    "speed": {"of": "square", "value": "hypot(vx, vy) / frame_s", "unit": "px/s"},
+    "inside": {"of": "square", "count": {"polygon": [[0, 0], [100, 0], [100, 240], [0, 240]]}},
+}
+
+
+def graph_with(queries: dict[str, object], name: str = "two_squares_velocity") -> dict[str, object]:
+    graph = yaml.safe_load(find_graph(name).read_text(encoding="utf-8"))
+    return {**graph, "queries": queries}
+
+
+def begun(folder: Path, frames: int | None = None, **options: object) -> Path:
+    source = SceneSource.named("two_squares", 0, FRAMES)
+    graph = check_graph(graph_with(QUERIES))
+    results = track(graph, source, [Start(source.scene.start_box)], out=folder, **options)
+    for _ in itertools.islice(results, frames):
+        pass
+    results.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return begun(tmp_path_factory.mktemp("whole") / "run")
+
+
+def test_answers_are_those_of_the_belief() -> None:
+    source = SceneSource.named("two_squares", 0, 4)
+    results = list(track(check_graph(graph_with(QUERIES)), source, source.scene.start_box))
+    for result in results[1:]:
+        belief = result.states["1"].belief
+        weights, x = belief.weights.weights, belief.states[:, 0]
+        assert result.queries["right"]["1"].probability == pytest.approx(weights[x > 100].sum())
+        speed = np.hypot(belief.states[:, 4], belief.states[:, 5]) * 25
+        answer = result.queries["speed"]["1"]
+        assert (answer.mean, answer.unit) == (pytest.approx(weights @ speed), "px/s")
+        assert answer.low < answer.mean < answer.high
+        assert result.targets[0].queries["speed_sd"] == answer.sd
+        assert result.queries["inside"].total.mean == result.queries["inside"]["1"].mean
+
+
+def test_a_run_that_was_broken_off_goes_on_with_the_same_bytes(tmp_path: Path, whole: Path) -> None:
+    run = begun(tmp_path / "run", 5)
+    assert len(list(resume(run))) == FRAMES - 5
+    for name in FILES:
+        assert (run / name).read_bytes() == (whole / name).read_bytes(), name
+
+
+def test_the_files_of_a_run_have_the_answers(whole: Path) -> None:
+    with (whole / "queries.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    of_last = [row for row in rows if row["frame"] == str(FRAMES - 1)]
+    assert [(row["query"], row["of"]) for row in of_last] == [
+        ("right", "1"),
+        ("speed", "1"),
+        ("inside", "1"),
+        ("inside", "all"),
+    ]
+    right, speed, _, total = of_last
+    assert (right["mean"], speed["probability"], speed["unit"]) == ("", "", "px/s")
+    with (whole / "tracks.csv").open(encoding="utf-8") as file:
+        line = list(csv.DictReader(file))[-1]
+    assert (line["right"], line["speed"], line["speed_sd"]) == (
+        right["probability"],
+        speed["mean"],
+        speed["sd"],
+    )
+    metrics = open_run(whole).metrics[-1]
+    assert metrics.queries["speed"] == pytest.approx(float(speed["mean"]), rel=1e-4)
+    assert metrics.queries["inside_count"] == pytest.approx(float(total["mean"]), abs=1e-5)
+
+
+def test_tables_and_exports_have_the_answers(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = open_run(whole).to_dict()
+    assert len(table["speed"]) == FRAMES
+    assert table["speed"][0] is None  # no time has passed before the first frame
+    assert table["right"][-1] == pytest.approx(open_run(whole).metrics[-1].queries["right"])
+    assert main(["export", str(whole), "--format", "frames"]) == 0
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert last["queries"]["speed"] == pytest.approx(table["speed"][-1])
+    assert main(["export", str(whole), "--format", "csv"]) == 0
+    assert "speed_high" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_the_log_says_where_a_probability_passes_its_level(
+    whole: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    passed = [event for event in open_run(whole).events if isinstance(event, QueryPassed)]
+    assert passed
+    assert main(["log", str(whole)]) == 0
+    said = capsys.readouterr().out
+    first = passed[0]
+    assert f"frame {first.frame}: right of" in said
+    assert "(no event if event_above > " in said or "at any event_above" in said
+
+
+def test_a_level_that_the_log_names_would_have_prevented_the_event(whole: Path) -> None:
+    first = next(event for event in open_run(whole).events if isinstance(event, QueryPassed))
+    assert first.probability >= first.level
+    text = first.describe()
+    if "no event" in text:
+        named = float(text.rsplit("> ", 1)[1].rstrip(")"))
+        assert named >= first.probability
+
+
+def crowd(queries: dict[str, object], frames: int = 12, **options: object) -> DetectionsTracker:
+    graph = graph_with(queries, "kalman_detections")
+    tracker = DetectionsTracker(check_graph(graph), size=(640, 480), fps=25, **options)
+    rng = np.random.default_rng(3)
+    places = np.array([[100.0, 100], [200, 300], [400, 200], [500, 400]])
+    for _ in range(frames):
+        places = places + [2.0, 1.0]
+        centres = places + rng.normal(0, 1, places.shape)
+        boxes = np.hstack([centres - 10, centres + 10])
+        tracker.update(SimpleNamespace(xyxy=boxes, confidence=np.ones(len(boxes))))
+    return tracker
+
+
+def test_crowds_answer_as_rows_and_pairs() -> None:
+    tracker = crowd(
+        {
+            "left": {"of": "target", "probability": "x < 320"},
+            "count": {"of": "target", "count": {"condition": "x < 320"}},
+            "gap": {"of": ["target", "target"], "value": "b.x - a.x"},
+        }
+    )
+    left = tracker.queries["left"]
+    assert sorted(left) == [one.target for one in tracker.targets]
+    assert sorted(round(left[one].probability, 6) for one in left) == [0, 0, 1, 1]
+    assert tracker.queries["count"].total.mean == pytest.approx(2.0, abs=1e-6)
+    places = {one.target: one.centre_box[0] for one in tracker.targets}
+    gaps = tracker.queries["gap"]
+    assert len(gaps) == 6
+    for (first, second), answer in gaps.items():
+        assert answer.mean == pytest.approx(places[second] - places[first], abs=1e-9)
+
+
+def test_a_crowd_that_exists_with_a_probability_is_counted_so() -> None:
+    graph = graph_with({"all": {"of": "person", "count": {"condition": "x > -1000"}}}, "jpda")
+    kind = next(iter(graph["targets"]))
+    graph["queries"]["all"]["of"] = kind
+    tracker = DetectionsTracker(check_graph(graph), size=(640, 480), fps=25)
+    for step in range(8):
+        boxes = np.array([[100.0 + step, 100, 120 + step, 140], [300, 200, 320, 240]])[: 2 if step < 6 else 1]
+        tracker.update(SimpleNamespace(xyxy=boxes, confidence=np.ones(len(boxes))))
+    total = tracker.queries["all"].total
+    expected = sum(one.existence for one in tracker.targets)
+    assert 0 < total.mean < 2
+    assert total.mean == pytest.approx(expected, rel=1e-9)
+
+
+def test_answers_are_stored_with_a_tracker(tmp_path: Path) -> None:
+    tracker = crowd({"left": {"of": "target", "probability": "x < 320"}})
+    tracker.save(tmp_path / "tracker")
+    again = DetectionsTracker.load(tmp_path / "tracker")
+    assert dict(again.queries["left"]) == dict(tracker.queries["left"])
+
+
+def test_a_graph_without_queries_has_no_stage_for_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["graph", "two_squares", "--plan"]) == 0
+    assert "queries" not in capsys.readouterr().out
+
+
+def test_a_tracker_answers_from_its_first_frame_on() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 90, (120, 160, 3), dtype=np.uint8)
+    image[50:70, 40:60] = (0, 0, 255)
+    tracker = Tracker(check_graph(graph_with(QUERIES)))
+    assert tracker.queries == {}
+    tracker.init(image, (40, 50, 20, 20))
+    assert tracker.queries["right"]["1"].probability == 0.0
+    tracker.update(image)
+    assert tracker.metrics.queries["right"] == tracker.queries["right"]["1"].probability
+    with pytest.raises(ValueError, match="no probability"):
+        _ = tracker.queries["speed"]["1"].probability
