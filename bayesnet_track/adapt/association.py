@@ -28,7 +28,7 @@ Owners = NDArray[np.intp]
 COVERED = 0.5
 """Share of the smaller box from which on two boxes are taken for one object, unless said otherwise."""
 
-NOBODY = -1
+UNASSIGNED = -1
 
 
 def distances(a: Floats, b: Floats) -> Floats:
@@ -54,17 +54,17 @@ def alike(a: Floats, b: Floats, apart: float, covered: float | None = COVERED) -
 
 
 def pair_up(cost: Floats, limit: Floats) -> Owners:
-    """(N,) column of each row of the costs (N, K) that it is paired with, one to one, or `NOBODY`.
+    """(N,) column of each row of the costs (N, K) that it is paired with, one to one, or `UNASSIGNED`.
 
     The cheapest pair of all comes first, then the cheapest of what is left; pairs above `limit`, which
     broadcasts to (N, K), are none. Of equal costs the lower row comes first, then the lower column.
     """
-    owner = np.full(len(cost), NOBODY, dtype=np.intp)
+    owner = np.full(len(cost), UNASSIGNED, dtype=np.intp)
     rows, columns = np.nonzero(cost <= limit)
     free = np.ones(cost.shape[1], dtype=bool)
     for k in np.argsort(cost[rows, columns], kind="stable"):
         row, column = rows[k], columns[k]
-        if owner[row] == NOBODY and free[column]:
+        if owner[row] == UNASSIGNED and free[column]:
             owner[row], free[column] = column, False
     return owner
 
@@ -82,14 +82,14 @@ def associate(
         covered: how much of the smaller box another holds that is taken for the same object; None: no share.
 
     Returns:
-        (N,) the live target that it is given to, one to one, or `NOBODY`; and (N,) True where it is nobody's
+        (N,) the live target that it is given to, one to one, or `UNASSIGNED`; and (N,) True where it is nobody's
         second detection either.
     """
     if len(live) == 0 or len(detections) == 0:
-        return np.full(len(detections), NOBODY, dtype=np.intp), np.ones(len(detections), dtype=bool)
+        return np.full(len(detections), UNASSIGNED, dtype=np.intp), np.ones(len(detections), dtype=bool)
     reach = apart + 2.0 * sd_px / _sides(live)
     owner = pair_up(distances(detections, live), np.broadcast_to(reach, (len(detections), len(live))))
-    return owner, (owner == NOBODY) & ~alike(detections, live, apart, covered).any(axis=1)
+    return owner, (owner == UNASSIGNED) & ~alike(detections, live, apart, covered).any(axis=1)
 
 
 def _sides(boxes: Floats) -> Floats:
@@ -122,14 +122,14 @@ def gated_gains(
 
 
 def assign(gain: Floats) -> Owners:
-    """(N,) column of each row of gains (N, K), one to one, or `NOBODY`.
+    """(N,) column of each row of gains (N, K), one to one, or `UNASSIGNED`.
 
     As many pairs as can be, and of those the largest sum of gains; -inf forbids a pair. O(N^2 K).
 
     >>> assign(np.array([[0.0, -1.0], [-0.5, -9.0]])).tolist()
     [1, 0]
     """
-    owner = np.full(len(gain), NOBODY, dtype=np.intp)
+    owner = np.full(len(gain), UNASSIGNED, dtype=np.intp)
     allowed = gain > -np.inf
     rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
     if not len(rows):
@@ -148,7 +148,7 @@ def assign(gain: Floats) -> Owners:
 
 
 def assign_total(gain: Floats, is_pair: NDArray[np.bool_]) -> Owners:
-    """(N,) column of each row of gains (N, K), one to one, or `NOBODY`: the largest sum of all gains.
+    """(N,) column of each row of gains (N, K), one to one, or `UNASSIGNED`: the largest sum of all gains.
 
     What is not a pair is rejected after the assignment, in which all gains count, as SORT has it (Bewley et
     al. 2016): a row may stay alone though another could have been its own.
@@ -158,7 +158,7 @@ def assign_total(gain: Floats, is_pair: NDArray[np.bool_]) -> Owners:
     """
     from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
 
-    owner = np.full(len(gain), NOBODY, dtype=np.intp)
+    owner = np.full(len(gain), UNASSIGNED, dtype=np.intp)
     rows, columns = linear_sum_assignment(gain, maximize=True)
     kept = is_pair[rows, columns]
     owner[rows[kept]] = columns[kept]
@@ -176,7 +176,7 @@ def assign_total_pairs(
     owner = assign_pairs(rows, columns, gains, count, found, by_total)
     kept = np.zeros(count, dtype=np.bool_)
     kept[rows[(owner[rows] == columns) & (gains >= least)]] = True
-    return np.where(kept, owner, NOBODY)
+    return np.where(kept, owner, UNASSIGNED)
 
 
 def assign_pairs(
@@ -201,7 +201,7 @@ def assign_pairs(
     for (a, r, c), (b, s, d) in pairwise(starts.tolist()):
         own_rows, own_columns = all_rows[r:s], all_columns[c:d]
         chosen = assign_group(matrices[a:b].reshape(s - r, d - c))
-        is_given = chosen != NOBODY
+        is_given = chosen != UNASSIGNED
         owner[own_rows[is_given]] = own_columns[chosen[is_given]]
     return np.asarray(owner)
 
@@ -334,20 +334,20 @@ Ask = Callable[[Pass, Owners, Owners], Owners]
 
 
 def share_in_passes(rule: AssociationRule, scores: Floats, count: int, ask: Ask) -> Owners:
-    """(T,) the detection of each of `count` targets, or `NOBODY`; `scores` (N,) are the detections'.
+    """(T,) the detection of each of `count` targets, or `UNASSIGNED`; `scores` (N,) are the detections'.
 
     First those of at least `first_score`, for all targets; then the others, for the targets left; with
     `recover` at last what is left of the first, by the targets' last detections.
     """
-    owner = np.full(count, NOBODY, dtype=np.intp)
+    owner = np.full(count, UNASSIGNED, dtype=np.intp)
     is_first = scores >= rule.first_score
     is_free = np.ones(len(scores), dtype=np.bool_)
 
     def give(by: Pass, takes_part: Bools) -> None:
-        rows, free = (owner == NOBODY).nonzero()[0], (takes_part & is_free).nonzero()[0]
+        rows, free = (owner == UNASSIGNED).nonzero()[0], (takes_part & is_free).nonzero()[0]
         if len(rows) and len(free):
             chosen = ask(by, rows, free)
-            got = chosen != NOBODY
+            got = chosen != UNASSIGNED
             given = free[chosen[got]]
             owner[rows[got]] = given
             is_free[given] = False
@@ -363,7 +363,7 @@ def share_in_passes(rule: AssociationRule, scores: Floats, count: int, ask: Ask)
 def share_by_overlap(
     rule: AssociationRule, expected: Floats, observed: Floats, boxes: Floats, scores: Floats
 ) -> Owners:
-    """(T,) the detection of each target, or `NOBODY`, by overlap with the boxes (T, 4) that are expected.
+    """(T,) the detection of each target, or `UNASSIGNED`, by overlap with the boxes (T, 4) that are expected.
 
     `observed` (T, H) is what is remembered of the targets' detections. All overlaps count
     in the assignment; pairs that overlap by less than `min_overlap` are rejected after it.

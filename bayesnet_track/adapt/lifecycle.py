@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesnet_track.adapt.association import NOBODY, Owners, distances, pair_up
+from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair_up
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.target_net import Fault
@@ -238,7 +238,7 @@ def feed(
     confirm = rule.confirm
     expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
     owner = pair_up(distances(boxes, expected), np.full((len(boxes), len(expected)), FOLLOW_BOX))
-    found = {int(k): row for row, k in enumerate(owner) if k != NOBODY}
+    found = {int(k): row for row, k in enumerate(owner) if k != UNASSIGNED}
     kept = []
     for number, one in enumerate(candidates):
         row = found.get(number)
@@ -249,7 +249,7 @@ def feed(
             after = changed(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
         if not _is_hopeless(after, confirm):
             kept.append(after)
-    for new in np.flatnonzero(owner == NOBODY).tolist():
+    for new in np.flatnonzero(owner == UNASSIGNED).tolist():
         kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame, births[new]))
     return keep_best(kept, rule)
 

@@ -12,7 +12,7 @@ from bayesnet_track.numerics.arrays import Floats, Ints
 LEAST_IOU = 0.5
 KEPT = 1000.0
 """What a pair of the frame before is worth more: beyond any sum of overlaps in a frame."""
-NOBODY = -1
+UNASSIGNED = -1
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     In each frame boxes are matched one to one where they overlap by at least `min_iou`: a pair that was
     matched in the frame before stays matched, the rest so that the sum of overlaps is largest.
     """
-    previous_match = np.full(len(pairs.true_boxes), NOBODY, dtype=np.int64)
+    previous_match = np.full(len(pairs.true_boxes), UNASSIGNED, dtype=np.int64)
     earlier = previous_match.copy()
     tp, idsw, iou_sum = 0, 0, 0.0
     for frame in pairs.frames:
@@ -58,9 +58,9 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
             continue  # such a frame parts nobody: a correspondence holds until there is evidence against it
         rows, columns = _match(frame, earlier, min_iou)
         true, tracked = frame.true[rows], frame.tracked[columns]
-        idsw += int(((previous_match[true] != NOBODY) & (previous_match[true] != tracked)).sum())
+        idsw += int(((previous_match[true] != UNASSIGNED) & (previous_match[true] != tracked)).sum())
         previous_match[true] = tracked
-        earlier = np.full_like(earlier, NOBODY)
+        earlier = np.full_like(earlier, UNASSIGNED)
         earlier[true] = tracked
         tp += len(rows)
         iou_sum += float(frame.iou[rows, columns].sum())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.association import (
-    NOBODY,
+    UNASSIGNED,
     assign_total,
     first_observed,
     observe,
@@ -45,8 +45,8 @@ def test_the_second_pass_takes_nothing_from_the_first():
 def test_what_overlaps_too_little_is_rejected_in_every_pass():
     by_score = replace(RULE, first_score=0.6)
     # 6 px of 10 apart: 4 / 16 = .25 of both
-    assert shared(by_score, boxes(0.0), boxes(6.0), [0.9]) == [NOBODY]
-    assert shared(by_score, boxes(0.0), boxes(6.0), [0.1]) == [NOBODY]
+    assert shared(by_score, boxes(0.0), boxes(6.0), [0.9]) == [UNASSIGNED]
+    assert shared(by_score, boxes(0.0), boxes(6.0), [0.1]) == [UNASSIGNED]
 
 
 def test_a_target_left_is_found_by_its_last_detection():
@@ -54,7 +54,7 @@ def test_a_target_left_is_found_by_its_last_detection():
     # The filter ran on to 40 while the target stood still at 0.
     observed = first_observed(rule, boxes(0.0), 8)
     assert shared(rule, boxes(40.0), boxes(1.0), [0.9], observed) == [0]
-    assert shared(RULE, boxes(40.0), boxes(1.0), [0.9]) == [NOBODY]
+    assert shared(RULE, boxes(40.0), boxes(1.0), [0.9]) == [UNASSIGNED]
 
 
 def test_direction_decides_between_two_that_overlap_alike():
@@ -82,9 +82,9 @@ def test_groups_give_the_total_of_the_full_assignment(seed):
 
 
 def test_no_detections_and_no_targets_are_no_pairs():
-    assert shared(RULE, boxes(0.0), np.empty((0, 4)), []) == [NOBODY]
+    assert shared(RULE, boxes(0.0), np.empty((0, 4)), []) == [UNASSIGNED]
     assert shared(RULE, np.empty((0, 4)), boxes(0.0), [0.9]) == []
     assert share_in_passes(RULE, np.empty(0), 2, lambda *_: pytest.fail("nothing to ask")).tolist() == [
-        NOBODY,
-        NOBODY,
+        UNASSIGNED,
+        UNASSIGNED,
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.association import NOBODY, alike, associate, distances, pair_up
+from bayesnet_track.adapt.association import UNASSIGNED, alike, associate, distances, pair_up
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.lifecycle.recognise import (
@@ -22,8 +22,8 @@ NOWHERE = AppearanceMemory("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {}, "bi
 
 def test_the_cheapest_pairs_come_first_one_to_one():
     cost = np.array([[1.0, 0.5], [0.4, 0.6], [0.3, 9.0]])
-    np.testing.assert_array_equal(pair_up(cost, np.full((3, 2), 5.0)), [1, NOBODY, 0])
-    np.testing.assert_array_equal(pair_up(cost, np.full((3, 2), 0.4)), [NOBODY, NOBODY, 0])
+    np.testing.assert_array_equal(pair_up(cost, np.full((3, 2), 5.0)), [1, UNASSIGNED, 0])
+    np.testing.assert_array_equal(pair_up(cost, np.full((3, 2), 0.4)), [UNASSIGNED, UNASSIGNED, 0])
 
 
 def test_one_detection_is_claimed_and_near_ones_are_nobodys():
@@ -60,13 +60,13 @@ def test_boxes_are_alike_that_are_near_or_cover_each_other():
 
 def test_of_equal_costs_the_lower_row_and_column_come_first():
     assert pair_up(np.ones((2, 3)), np.float64(1.0)).tolist() == [0, 1]
-    assert pair_up(np.ones((2, 3)), np.array([[0.5], [1.0]])).tolist() == [NOBODY, 0]
+    assert pair_up(np.ones((2, 3)), np.array([[0.5], [1.0]])).tolist() == [UNASSIGNED, 0]
 
 
 def test_nobody_claims_where_nobody_is():
     boxes = np.array([[70.0, 50, 20, 20]])
     owner, free = associate(boxes, np.empty((0, 4)), np.empty(0), 0.5)
-    assert owner.tolist() == [NOBODY] and free.tolist() == [True]
+    assert owner.tolist() == [UNASSIGNED] and free.tolist() == [True]
     owner, free = associate(np.empty((0, 4)), boxes, np.array([1.0]), 0.5)
     assert owner.shape == free.shape == (0,)
 

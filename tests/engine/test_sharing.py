@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.adapt.association import GAP, NOBODY, Layout, first_observed
+from bayesnet_track.adapt.association import GAP, UNASSIGNED, Layout, first_observed
 from bayesnet_track.engine.lifecycle.assigning import TENTATIVE, name_owners
 from bayesnet_track.engine.lifecycle.sharing import (
     Predict,
@@ -79,7 +79,7 @@ def test_only_tracks_seen_again_are_filtered_anew():
     observed[1:, layout.covariance] = np.eye(8).ravel()
     before = Tracks(np.tile([140.0, 50, 20, 40, 9, 0, 0, 0], (3, 1)), np.tile(np.eye(8), (3, 1, 1)), observed)
     expected = Tracks(*predict(before.mean, before.covariance), observed)
-    owner = np.array([0, 1, NOBODY])
+    owner = np.array([0, 1, UNASSIGNED])
     seen = np.tile([100.0, 50, 20, 40], (2, 1))
     after, changed = follow(RULE, before, expected, owner, own_detections(owner, seen, np.ones(2)), predict)
     assert list(changed) == [1]
@@ -105,7 +105,7 @@ def test_a_tentative_track_is_filtered_and_given_up():
 
 
 def test_detections_are_named_by_their_owners_tentative_tracks_come_last():
-    owner = np.array([2, NOBODY, 0])
+    owner = np.array([2, UNASSIGNED, 0])
     assert name_owners(owner, ["7", "9"], 4) == (TENTATIVE, None, "7", None)
 
 

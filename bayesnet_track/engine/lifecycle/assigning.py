@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesnet_track.adapt.association import (
-    NOBODY,
+    UNASSIGNED,
     Owners,
     Pass,
     assign_pairs,
@@ -40,14 +40,14 @@ LEAST_LOG = -50.0
 def assign_detections(
     rule: AssociationRule, expected: Tracks, seen: Found, log_looks: Callable[[int, Floats], Floats]
 ) -> Owners:
-    """(T,) the detection of each track, or `NOBODY`; see `adapt.association` and `adapt.association`.
+    """(T,) the detection of each track, or `UNASSIGNED`; see `adapt.association` and `adapt.association`.
 
     `log_looks` takes a row and boxes (M, 4) and gives (M,) log-likelihoods by what the target looks like.
     """
     mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
     if rule.similarity == "iou":
         if not len(boxes):
-            return np.full(len(mean), NOBODY, dtype=np.intp)
+            return np.full(len(mean), UNASSIGNED, dtype=np.intp)
         return share_by_overlap(rule, mean[:, :4], expected.observed, boxes, seen.scores)
     if rule.first_score <= 0.0:
         return _assign_by_density(rule, mean, covariance, boxes, log_looks)
@@ -116,7 +116,7 @@ def name_owners(owner: Owners, names: Sequence[str], found: int) -> tuple[str | 
     """Whose each of the detections is: a target's, `TENTATIVE`, or nobody's."""
     whose: list[str | None] = [None] * found
     for row, column in enumerate(owner.tolist()):
-        if column != NOBODY:
+        if column != UNASSIGNED:
             whose[column] = names[row] if row < len(names) else TENTATIVE
     return tuple(whose)
 

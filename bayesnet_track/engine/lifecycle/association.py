@@ -14,7 +14,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from bayesnet_track.adapt.association import NOBODY, first_observed, remembered
+from bayesnet_track.adapt.association import UNASSIGNED, first_observed, remembered
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
@@ -33,7 +33,7 @@ from bayesnet_track.engine.lifecycle.assigning import (
     tentative_tracks,
 )
 from bayesnet_track.engine.lifecycle.detecting import Found, look
-from bayesnet_track.engine.lifecycle.existing import Crowd, Division, divide
+from bayesnet_track.engine.lifecycle.existing import Crowd, MarginalAssociation, associate_marginal
 from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.rows.columns import Rows
@@ -58,7 +58,7 @@ class Given:
         existence: (T,) probability that each exists.
         observed: (T, H) what is remembered of the detections of each.
         boxes: (N, 4) the detections.
-        division: which of them may be whose, where targets share them by probability.
+        marginal: which of them may be whose, where targets share them by probability.
     """
 
     mean: Floats
@@ -68,7 +68,7 @@ class Given:
     existence: Floats
     observed: Floats
     boxes: Floats
-    division: Division | None = None
+    marginal: MarginalAssociation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def associate_first(work: FrameWork, targets: Targets, history: TrackHistory) ->
             continue
         own = {target: one for target, one in apart.items() if net.targets[target].template == plate}
         several = Several(work, compiled, tables.get(plate), own)
-        share = several.assign if CrowdRule.of(compiled) is None else several.divide
+        share = several.assign if CrowdRule.of(compiled) is None else several.associate_marginal
         done = share(history, found.get(plate))
         history = done.history
         apart |= done.others
@@ -174,7 +174,7 @@ class Several:
         if waiting:
             left = advance_tentative(compiled, waiting, after, own, found is not None)
             history = changed(history, candidates={**history.candidates, compiled.plate.name: left})
-        is_given, count, rows = owner != NOBODY, self.count, None
+        is_given, count, rows = owner != UNASSIGNED, self.count, None
         if self.rows is not None:
             live = slice(count)
             rows = Given(
@@ -193,7 +193,7 @@ class Several:
             others[target] = remember_detections(state, agent, after.observed[row], refiltered.get(row))
         return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
 
-    def divide(self, history: TrackHistory, found: Found | None) -> Shared:
+    def associate_marginal(self, history: TrackHistory, found: Found | None) -> Shared:
         """What was `found` by probability, among targets that exist with one and unconfirmed tracks."""
         work, compiled, count, plate = self.work, self.compiled, self.count, self.compiled.plate.name
         rule, seen = CrowdRule.of(compiled), Found.none() if found is None else found
@@ -218,7 +218,7 @@ class Several:
             self._log_looks,
             mixtures,
         )
-        done = divide(rule, work.cache.frames, crowd, history.detection_models.get(plate), found)
+        done = associate_marginal(rule, work.cache.frames, crowd, history.detection_models.get(plate), found)
         history = changed(history, detection_models={**history.detection_models, plate: done.detection_model})
         rows, live = None, slice(count)
         if self.rows is not None:

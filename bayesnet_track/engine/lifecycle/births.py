@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesnet_track.adapt.association import NOBODY, alike, associate
+from bayesnet_track.adapt.association import UNASSIGNED, alike, associate
 from bayesnet_track.adapt.lifecycle import Candidate, feed, is_confirmed, keep_best
 from bayesnet_track.engine.lifecycle.confirming import (
     TESTED,
@@ -36,7 +36,7 @@ def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None)
         held = tracks.held(now.plate)
         sd = np.array([_sd_px(tracks.state(target)) for target in held])
         owner, free = associate(found.boxes, tracks.boxes(held), sd, apart, covered)
-        seen = [held[k] for k in owner if k != NOBODY]
+        seen = [held[k] for k in owner if k != UNASSIGNED]
     else:
         seen = [target for target in owners if target]
         free = np.array([one is None for one in owners], dtype=bool)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesnet_track.adapt.association import NOBODY, assign_pairs
+from bayesnet_track.adapt.association import UNASSIGNED, assign_pairs
 from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, Shared, UnconfirmedTracks, share
 from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes
@@ -59,7 +59,7 @@ class Crowd:
 
 
 @dataclass(frozen=True, eq=False)
-class Division:
+class MarginalAssociation:
     """What T targets are given of N detections.
 
     Attributes:
@@ -68,7 +68,7 @@ class Division:
         columns: (P,) which detection.
         weights: (P,) the probability that it is the target's, given that this exists.
         missed: (T,) that none is.
-        owner: (T,) the detection that is the target's more probably than not, or `NOBODY`.
+        owner: (T,) the detection that is the target's more probably than not, or `UNASSIGNED`.
         detection_model: what was learnt, and the unconfirmed tracks.
     """
 
@@ -81,13 +81,13 @@ class Division:
     detection_model: DetectionModel
 
 
-def divide(
+def associate_marginal(
     rule: CrowdRule,
     frames: FramePair,
     crowd: Crowd,
     detection_model: DetectionModel | None,
     found: Found | None,
-) -> Division:
+) -> MarginalAssociation:
     """Share of each target in what was `found` (None: nobody looked), and the unconfirmed tracks after it."""
     frame, before = frames.current, frames.previous
     dt = 1.0 if before is None else frame.time - before.time
@@ -101,13 +101,13 @@ def divide(
     if found is None:
         unconfirmed = changed(unconfirmed, existence=existence[count:])
         nothing = np.empty(0, np.int64)
-        return Division(
+        return MarginalAssociation(
             existence[:count],
             np.zeros(count + 1, np.int64),
             nothing,
             np.empty(0),
             np.ones(count),
-            np.full(count, NOBODY, dtype=np.int64),
+            np.full(count, UNASSIGNED, dtype=np.int64),
             changed(detection_model, unconfirmed=unconfirmed),
         )
     detection_model = detection_model.with_sizes(found.boxes)
@@ -215,7 +215,7 @@ def _assigned(shared: Shared, found: int) -> Pairs:
     gains, count = shared.gains, len(shared.existence)
     likely = gains.values > 0.0
     owner = assign_pairs(gains.rows[likely], gains.columns[likely], gains.values[likely], count, found)
-    rows = np.flatnonzero(owner != NOBODY)
+    rows = np.flatnonzero(owner != UNASSIGNED)
     return Pairs(rows, owner[rows].astype(np.int64), np.ones(len(rows)))
 
 
@@ -256,13 +256,17 @@ def _learn(
     return changed(detection_model.after_look(false).after_chances(cover, seen, chances), hidden=now)
 
 
-def _of_targets(pairs: Pairs, shared: Shared, count: int, detection_model: DetectionModel) -> Division:
+def _of_targets(
+    pairs: Pairs, shared: Shared, count: int, detection_model: DetectionModel
+) -> MarginalAssociation:
     own = pairs.rows < count
     rows, columns, weights = pairs.rows[own], pairs.columns[own], pairs.values[own]
     best = np.flatnonzero(weights >= 0.5)
-    owner = np.full(count, NOBODY, dtype=np.int64)
+    owner = np.full(count, UNASSIGNED, dtype=np.int64)
     owner[rows[best]] = columns[best]
     missed = np.clip(1.0 - np.bincount(rows, weights, minlength=count), 0.0, 1.0)
     missed[missed < 1e-12] = 0.0
     starts = np.searchsorted(rows, np.arange(count + 1))
-    return Division(shared.existence[:count], starts, columns, weights, missed, owner, detection_model)
+    return MarginalAssociation(
+        shared.existence[:count], starts, columns, weights, missed, owner, detection_model
+    )

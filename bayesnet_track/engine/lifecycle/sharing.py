@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.adapt.association import GAP, LAST, NOBODY, Layout, Owners, first_observed, observe
+from bayesnet_track.adapt.association import GAP, LAST, UNASSIGNED, Layout, Owners, first_observed, observe
 from bayesnet_track.adapt.lifecycle import Candidate, look_again
 from bayesnet_track.graph.settings.lifecycle import Confirm
 from bayesnet_track.numerics.arrays import Floats
@@ -68,7 +68,7 @@ class Tracks:
 
 def own_detections(owner: Owners, boxes: Floats, scores: Floats) -> Floats:
     """(T, 5) the detection that each was given, centre box and score; 0 where none was."""
-    own, is_given = np.zeros((len(owner), 5)), owner != NOBODY
+    own, is_given = np.zeros((len(owner), 5)), owner != UNASSIGNED
     own[is_given, :4], own[is_given, 4] = boxes[owner[is_given]], scores[owner[is_given]]
     return own
 
@@ -81,7 +81,7 @@ def follow(
     A track that has a detection after a gap is filtered anew over the gap, where the rule says so; what is
     remembered of detections is brought up to this frame.
     """
-    is_given = owner != NOBODY
+    is_given = owner != UNASSIGNED
     changed: dict[int, tuple[Floats, Floats]] = {}
     mean, covariance = expected.mean, expected.covariance
     if rule.re_update:

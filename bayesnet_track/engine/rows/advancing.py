@@ -272,9 +272,9 @@ def filter_gaussians(work: FrameWork, rows: Rows, given: Given) -> FilteredGauss
     from bayesnet_track.numerics.kernels.row_kernels import update_rows
 
     rule, started, frame = rows.rule, work.engine.clock(), work.frame
-    mean, covariance, division = given.mean, given.covariance, given.division
+    mean, covariance, marginal = given.mean, given.covariance, given.marginal
     image = image_of(rule, frame.width, frame.height)
-    if division is None:
+    if marginal is None:
         boxes = np.ascontiguousarray(given.own[:, :4])
         variances = rule.association.variances(boxes) * rule.temperature
         variances[~given.is_given] = 1.0
@@ -282,16 +282,16 @@ def filter_gaussians(work: FrameWork, rows: Rows, given: Given) -> FilteredGauss
             mean, covariance, boxes, given.is_given, variances, rule.floor, image, rule.counts, ALONE
         )
     else:
-        starts = division.starts[: len(rows.ids) + 1]
-        boxes = np.ascontiguousarray(given.boxes[division.columns[: starts[-1]]])
+        starts = marginal.starts[: len(rows.ids) + 1]
+        boxes = np.ascontiguousarray(given.boxes[marginal.columns[: starts[-1]]])
         numbers = measure_and_mix_rows(
             mean,
             covariance,
             starts,
             boxes,
             rule.association.variances(boxes) * rule.temperature,
-            division.weights[: starts[-1]],
-            division.missed[: len(rows.ids)],
+            marginal.weights[: starts[-1]],
+            marginal.missed[: len(rows.ids)],
             rule.floor,
             image,
             rule.counts,
