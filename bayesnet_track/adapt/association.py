@@ -82,8 +82,8 @@ def associate(
         covered: how much of the smaller box another holds that is taken for the same object; None: no share.
 
     Returns:
-        (N,) the live target that it is given to, one to one, or `UNASSIGNED`; and (N,) True where it is nobody's
-        second detection either.
+        (N,) the live target that it is given to, one to one, or `UNASSIGNED`; and (N,) True where it is no
+        target's second detection either.
     """
     if len(live) == 0 or len(detections) == 0:
         return np.full(len(detections), UNASSIGNED, dtype=np.intp), np.ones(len(detections), dtype=bool)

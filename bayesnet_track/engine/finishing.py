@@ -19,7 +19,7 @@ from bayesnet_track.adapt.rule_columns import STATUSES
 from bayesnet_track.belief.particles.belief import find_maps
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.groups import FilteredEach, FilteredGroup, Heard, LiveGroup
+from bayesnet_track.engine.groups import AgentMessages, FilteredEach, FilteredGroup, LiveGroup
 from bayesnet_track.engine.judging import JudgedGroup, judge_group
 from bayesnet_track.engine.learning import LearntGroup, learn_group
 from bayesnet_track.engine.lines import Lines
@@ -219,11 +219,11 @@ class Results:
         return Lines((*self.gaussians, *self.groups), self.order)
 
     @property
-    def heard(self) -> Mapping[str, Heard]:
+    def heard(self) -> Mapping[str, AgentMessages]:
         """Target -> what its agents said."""
         return Found(self.order, self._find_heard)
 
-    def _find_heard(self) -> dict[str, Heard]:
+    def _find_heard(self) -> dict[str, AgentMessages]:
         groups: Iterable[FinishedGroup[Any]] = (*self.gaussians, *self.groups)
         return {target: of.filtered.heard(row) for of in groups for row, target in enumerate(of.ids)}
 

@@ -33,7 +33,7 @@ from bayesnet_track.observation.cue import Measurement, Reference
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class AgentMessages:
     """Answers of the agents of one target.
 
     Attributes:
@@ -46,7 +46,7 @@ class Heard:
     measured: Mapping[str, Measurement] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, step: Step[Any], agents: frozenset[str]) -> Heard:
+    def of(cls, step: Step[Any], agents: frozenset[str]) -> AgentMessages:
         """Answers of the active `agents` in a step, for the hypotheses that are still the belief's."""
         evidence = step.evidence
         is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
@@ -125,7 +125,7 @@ class FilteredGroup(Protocol[Table]):
             LookupError: columns say all of these targets.
         """
 
-    def heard(self, row: int) -> Heard:
+    def heard(self, row: int) -> AgentMessages:
         """Answers of the agents of one target."""
 
     def beside(self, row: int) -> Filtered | None:
@@ -247,10 +247,10 @@ class FilteredEach:
         """The first half of the frame of one target."""
         return self.targets[row]
 
-    def heard(self, row: int) -> Heard:
+    def heard(self, row: int) -> AgentMessages:
         """Answers of the agents of one target."""
         one = self.targets[row]
-        return Heard.of(one.step, one.plan.active)
+        return AgentMessages.of(one.step, one.plan.active)
 
     def beside(self, row: int) -> Filtered | None:
         """The same: it may say more than the columns."""

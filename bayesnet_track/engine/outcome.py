@@ -13,7 +13,7 @@ from bayesnet_track.adapt.shedding import Load, balance
 from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.finishing import Results
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.groups import Heard
+from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.joining import JointBelief, reaches_of
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.shedding import balance_load
@@ -76,7 +76,7 @@ class Outcome:
     covariances: Mapping[str, Floats] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     external_inputs: tuple[Input, ...] = ()
-    heard: Mapping[str, Heard] = field(default_factory=dict)
+    heard: Mapping[str, AgentMessages] = field(default_factory=dict)
     answers: tuple[Answers, ...] = ()
 
 

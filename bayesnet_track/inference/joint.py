@@ -34,7 +34,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bayesnet_track.inference.joint_members import Crowd, Edge, Member, Pair
-from bayesnet_track.inference.joint_messages import Keys, Talk, ragged, talk_over
+from bayesnet_track.inference.joint_messages import Keys, PairBatch, pass_messages, ragged
 from bayesnet_track.numerics.arrays import Floats
 
 
@@ -72,21 +72,21 @@ def joint_marginals(
     if not members:
         return {}, {}
     crowd = Crowd.of(members)
-    talk = Talk.along(crowd, edges, closing, above)
-    said = talk_over(crowd, members, talk, keys)
-    heard = [talk.heard[name] for name in members]
+    batch = PairBatch.along(crowd, edges, closing, above)
+    said = pass_messages(crowd, members, batch, keys)
+    heard = [batch.heard[name] for name in members]
     log, hides, fronts = conclude(
-        crowd.log_likelihood, crowd.seen, crowd.starts, talk.at, ragged(heard), said
+        crowd.log_likelihood, crowd.seen, crowd.starts, batch.at, ragged(heard), said
     )
     marginals = {
         name: Marginal(
-            log[crowd.starts[m] : crowd.starts[m + 1]], {talk.pairs[k][0]: float(hides[k]) for k in heard[m]}
+            log[crowd.starts[m] : crowd.starts[m + 1]], {batch.pairs[k][0]: float(hides[k]) for k in heard[m]}
         )
         for m, name in enumerate(members)
     }
     orders = {
         edge.pair: edge.first_in_front if edge.factor is not None else float(front + 1.0 - back) / 2
-        for edge, front, back in zip(talk.edges[::2], fronts[::2], fronts[1::2], strict=True)
+        for edge, front, back in zip(batch.edges[::2], fronts[::2], fronts[1::2], strict=True)
     }
     return marginals, orders
 

@@ -22,8 +22,8 @@ COMMON_LOG = 50.0
 
 
 @dataclass(frozen=True, eq=False)
-class Talk:
-    """Who speaks to whom: two pairs for each edge, one in either direction.
+class PairBatch:
+    """Pairs of targets between which messages pass: two for each edge, one in either direction.
 
     Attributes:
         pairs: speaker and hearer of each of the K.
@@ -48,7 +48,7 @@ class Talk:
     @classmethod
     def along(
         cls, crowd: Crowd, edges: Sequence[Edge], closing: Sequence[Edge], above: Mapping[str, str | None]
-    ) -> Talk:
+    ) -> PairBatch:
         """That of a forest, in which `above` has the parents, after children, and of edges that close rings.
 
         Along these a target says what it believes by itself, and no more.
@@ -78,38 +78,38 @@ class Talk:
         return cls(pairs, both, (speakers, hearers), begins[:-1], int(begins[-1]), heard, before, order)
 
 
-def talk_over(crowd: Crowd, members: Mapping[str, Member], talk: Talk, keys: Keys) -> Floats:
-    """(4, ...) what all say, each in units of its own evidence.
+def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch, keys: Keys) -> Floats:
+    """Messages of all pairs, (4, ...), each in units of its own evidence.
 
     In front; behind but not touched; behind and partly hidden; and the last times the share.
     """
     from bayesnet_track.numerics.kernels.speaking_kernels import ask, speak
 
-    said = np.zeros((4, talk.columns))
-    if not talk.pairs:
+    said = np.zeros((4, batch.columns))
+    if not batch.pairs:
         return said
     known = (crowd.boxes, crowd.losses, crowd.bad, crowd.seen, *crowd.prior, crowd.by_place)
-    pairs, heard = (*talk.ends, talk.at), ragged(talk.before)
-    draws = _draw(crowd, talk, keys)
+    pairs, heard = (*batch.ends, batch.at), ragged(batch.before)
+    draws = _draw(crowd, batch, keys)
     rules = (
-        crowd.hidden(members, talk.pairs),
-        crowd.hidden(members, [pair[::-1] for pair in talk.pairs]),
-        np.array([(edge.first_in_front, edge.nats) for edge in talk.edges]),
+        crowd.hidden(members, batch.pairs),
+        crowd.hidden(members, [pair[::-1] for pair in batch.pairs]),
+        np.array([(edge.first_in_front, edge.nats) for edge in batch.edges]),
     )
     given = known, crowd.starts, crowd.log_evidence, pairs, heard, draws
-    for is_plain, some in groupby(talk.order, key=lambda k: talk.edges[k].factor is None):
+    for is_plain, some in groupby(batch.order, key=lambda k: batch.edges[k].factor is None):
         if is_plain:
             speak(np.array([*some]), *given, rules, said)
             continue
         for k in some:
             partners, log_importance, free, taken = ask(k, *given, said)
-            (speaker, hearer), factor = talk.pairs[k], talk.edges[k].factor
+            (speaker, hearer), factor = batch.pairs[k], batch.edges[k].factor
             assert factor is not None
-            own = slice(crowd.starts[talk.ends[0][k]], crowd.starts[talk.ends[0][k] + 1])
+            own = slice(crowd.starts[batch.ends[0][k]], crowd.starts[batch.ends[0][k] + 1])
             weight = np.exp(log_importance - crowd.losses[own]) * (free + taken)
             ends = members[hearer].states, members[speaker].states
             found = related(*ends, factor, partners, weight)
-            said[0, talk.at[k] : talk.at[k] + len(found)] = found
+            said[0, batch.at[k] : batch.at[k] + len(found)] = found
     return said
 
 
@@ -119,7 +119,7 @@ def ragged(several: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
     return starts, np.array([one for own in several for one in own], dtype=np.int64)
 
 
-def _draw(crowd: Crowd, talk: Talk, keys: Keys) -> tuple[Floats, Ints, Ints, Ints]:
+def _draw(crowd: Crowd, batch: PairBatch, keys: Keys) -> tuple[Floats, Ints, Ints, Ints]:
     """Random numbers of all partners: shifts, turns, where those of a pair begin, how many each has.
 
     In each round of a pair every hypothesis of the hearer has one partner from every stratum of as many:
@@ -127,9 +127,9 @@ def _draw(crowd: Crowd, talk: Talk, keys: Keys) -> tuple[Floats, Ints, Ints, Int
     """
     from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each
 
-    rounds = np.array([edge.pairings for edge in talk.edges], dtype=np.int64)
-    begins = np.cumsum([0, *(rounds * np.diff(crowd.starts)[talk.ends[1]]).tolist()])
-    return *shuffled_of_each(keys(talk.pairs), begins, rounds), begins[:-1], rounds
+    rounds = np.array([edge.pairings for edge in batch.edges], dtype=np.int64)
+    begins = np.cumsum([0, *(rounds * np.diff(crowd.starts)[batch.ends[1]]).tolist()])
+    return *shuffled_of_each(keys(batch.pairs), begins, rounds), begins[:-1], rounds
 
 
 def related(

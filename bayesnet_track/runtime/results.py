@@ -12,7 +12,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.groups import Heard
+from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event, Input
@@ -200,7 +200,7 @@ class Result:
     external_inputs: tuple[Input, ...] = ()
     kinds: dict[str, str] = field(default_factory=dict)
     states: Mapping[str, TargetState] = field(default_factory=dict)
-    heard: Mapping[str, Heard] = field(default_factory=dict)
+    heard: Mapping[str, AgentMessages] = field(default_factory=dict)
     births: Mapping[str, str] = field(default_factory=dict)
     plates: tuple[str, ...] = ()
     queries: Mapping[str, Answers] = field(default_factory=dict)

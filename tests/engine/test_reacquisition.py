@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import pytest
 
-from bayesnet_track.engine.scoring.score import Look, ScoreState, follow_fit
+from bayesnet_track.engine.scoring.score import ScoreState, Sighting, follow_fit
 from bayesnet_track.graph.spec import Lost
 
 RULE = Lost(score_below=0.25, uncertain_below=0.55, frames=3, found_fit=0.25)
-HELD = Look(10, "1", "tracking", 0.9, 0.4, 2.0, 50.0, 50.0, 20.0)
+HELD = Sighting(10, "1", "tracking", 0.9, 0.4, 2.0, 50.0, 50.0, 20.0)
 NOTHING = replace(HELD, score=0.1, fit=0.001)
 
 
-def after(*looks: Look) -> ScoreState:
+def after(*looks: Sighting) -> ScoreState:
     scored = ScoreState()
     for frame, look in enumerate(looks):
         scored, _, _ = follow_fit(scored, RULE, replace(look, frame=frame))

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Crowd, Edge, Member, bad_shares
-from bayesnet_track.inference.joint_messages import Talk
+from bayesnet_track.inference.joint_messages import PairBatch
 from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of, pick_in_strata
 from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
@@ -419,13 +419,13 @@ def test_each_pair_speaks_after_those_whom_its_speaker_has_to_hear():
     crowd = Crowd.of({name: member(rng, 50.0 + 4 * k) for k, name in enumerate("abcd")})
     edges = [Edge(pair, 0.4) for pair in (("a", "b"), ("b", "c"), ("b", "d"))]
     above = {"a": None, "b": "a", "c": "b", "d": "b"}
-    talk = Talk.along(crowd, edges, [Edge(("c", "a"), 0.4)], above)
-    assert sorted(talk.order) == list(range(8)) and talk.columns == 8 * 9
-    for turn, k in enumerate(talk.order):
-        assert set(talk.before[k]) <= set(talk.order[:turn])
-        heard = {talk.pairs[one] for one in talk.before[k]}
-        speaker, hearer = talk.pairs[k]
+    batch = PairBatch.along(crowd, edges, [Edge(("c", "a"), 0.4)], above)
+    assert sorted(batch.order) == list(range(8)) and batch.columns == 8 * 9
+    for turn, k in enumerate(batch.order):
+        assert set(batch.before[k]) <= set(batch.order[:turn])
+        heard = {batch.pairs[one] for one in batch.before[k]}
+        speaker, hearer = batch.pairs[k]
         if {speaker, hearer} == {"a", "c"}:
             assert not heard, "what closes a ring is said by itself"
         else:
-            assert heard == {pair for pair in talk.pairs if pair[1] == speaker and pair[0] != hearer}
+            assert heard == {pair for pair in batch.pairs if pair[1] == speaker and pair[0] != hearer}

@@ -18,7 +18,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.groups import Heard
+from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.lifecycle.association import Given, image_of
 from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
@@ -132,14 +132,14 @@ class FilteredGaussians:
         """Nothing: columns say all of these targets."""
         raise LookupError(f"target {self.ids[row]} is a row of a table of Gaussian beliefs")
 
-    def heard(self, row: int) -> Heard:
+    def heard(self, row: int) -> AgentMessages:
         """Its own detection, unless several targets share it."""
         rule, now = self.before.rule, self.columns
         if rule.shares_detections or now.given[row] != GIVEN:
-            return Heard()
+            return AgentMessages()
         box = now.own[row, :4]
         noise = np.diag(rule.association.variances(box) * rule.temperature)
-        return Heard(measured={rule.agent: Measurement(BOX_FIELDS, box, noise)})
+        return AgentMessages(measured={rule.agent: Measurement(BOX_FIELDS, box, noise)})
 
     def beside(self, row: int) -> Filtered | None:
         """Nothing beside the columns is known of a target."""

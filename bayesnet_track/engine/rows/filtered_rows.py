@@ -17,7 +17,7 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.groups import Heard, statuses_of
+from bayesnet_track.engine.groups import AgentMessages, statuses_of
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.state import TargetState
@@ -188,9 +188,9 @@ class FilteredRows(Mapping[str, Filtered]):
         asks = [bool(net.quarantined) for net in nets]
         return np.array(asks) if any(asks) else None
 
-    def heard(self, row: int) -> Heard:
+    def heard(self, row: int) -> AgentMessages:
         """Answers of the agents of one target."""
-        return Heard({agent: said[row] for agent, said in self.messages.items()})
+        return AgentMessages({agent: said[row] for agent, said in self.messages.items()})
 
     def apart(self, decided: Collection[int]) -> Mapping[int, str]:
         """Row -> target, of those that are an object each after the frame, where some were `decided` on."""

@@ -20,9 +20,9 @@ from bayesnet_track.engine.scoring.rivals import (
     with_distractor,
 )
 from bayesnet_track.engine.scoring.score import (
-    Look,
     Place,
     ScoreState,
+    Sighting,
     confidences,
     extent_beyond,
     follow_fit,
@@ -225,12 +225,12 @@ def _follow_distractors(
     return scored, seen, ended
 
 
-def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Look:
+def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Sighting:
     """Appearance of a target whose estimate is `box` (4,)."""
     target, (x, y, w, h) = filtered.target, box.tolist()
     surprise = kl(filtered.step.support.weights.log, filtered.step.prior.log)
     status = work.net.targets[target].status
-    return Look(work.frame.index, target, status, score, fit, surprise, x, y, float(np.sqrt(w * h)))
+    return Sighting(work.frame.index, target, status, score, fit, surprise, x, y, float(np.sqrt(w * h)))
 
 
 def _follow(

@@ -347,7 +347,7 @@ fifth roots of the levels count."""
 
 
 @dataclass(frozen=True)
-class Look:
+class Sighting:
     """Appearance of a target in one frame.
 
     Attributes:
@@ -379,7 +379,7 @@ def usual_fit(scored: ScoreState) -> float | None:
     return math.exp(median(scored.fits))
 
 
-def follow_fit(scored: ScoreState, rule: Lost, look: Look) -> tuple[ScoreState, float, FoundAgain | None]:
+def follow_fit(scored: ScoreState, rule: Lost, look: Sighting) -> tuple[ScoreState, float, FoundAgain | None]:
     """Memory after a frame, the most that its score may be, and how a target was found again.
 
     A target is missing after `frames` frames with a score below `score_below`, those left out in which

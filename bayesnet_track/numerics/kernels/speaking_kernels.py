@@ -15,7 +15,7 @@ from bayesnet_track.numerics.kernels.joint_kernels import Indices, pair_sums, pi
 
 Members = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Indices]
 Pairs = tuple[Indices, Indices, Indices]
-Heard = tuple[Indices, Indices]
+HearingPairs = tuple[Indices, Indices]
 Draws = tuple[Floats, Indices, Indices, Indices]
 
 
@@ -88,7 +88,7 @@ def ask(
     starts: Indices,
     evidence: Floats,
     pairs: Pairs,
-    heard: Heard,
+    heard: HearingPairs,
     draws: Draws,
     said: Floats,
 ) -> tuple[Indices, Floats, Floats, Floats]:
@@ -129,7 +129,7 @@ def speak(
     starts: Indices,
     evidence: Floats,
     pairs: Pairs,
-    heard: Heard,
+    heard: HearingPairs,
     draws: Draws,
     rules: tuple[Floats, Floats, Floats],
     said: Floats,
@@ -178,7 +178,7 @@ def speak(
 
 @compiled
 def conclude(
-    log: Floats, seen: Floats, starts: Indices, at: Indices, heard: Heard, said: Floats
+    log: Floats, seen: Floats, starts: Indices, at: Indices, heard: HearingPairs, said: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Combine for each target all messages that it receives.
 

@@ -23,7 +23,7 @@ from bayesnet_track.belief.grid.cells import AXIS, GridBelief
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.engine.groups import Heard
+from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.journal.encoder import JournalError, short
@@ -55,7 +55,7 @@ class KeptBelief:
     time: float
     posterior: ParticleSet | GaussianPosterior
     influences: Influences | None = None
-    heard: Heard = field(default_factory=Heard)
+    heard: AgentMessages = field(default_factory=AgentMessages)
 
 
 class UnkeptBeliefError(ValueError):
@@ -81,7 +81,7 @@ def check_kept(graph: GraphSpec) -> None:
 class BeliefWriter(LineFile):
     """``beliefs.jsonl``: a new file, or one that is continued."""
 
-    def write(self, frame: int, target: str, state: TargetState, heard: Heard | None = None) -> None:
+    def write(self, frame: int, target: str, state: TargetState, heard: AgentMessages | None = None) -> None:
         """Add the belief of one target in one frame, and what its agents said, to the next flush."""
         known = state.motion_context
         line = {"frame": frame, "target": target, "time": state.time, **_posterior_to_plain(state.belief)}
@@ -148,7 +148,7 @@ def _influences_to_plain(influences: Influences) -> dict[str, Any]:
     return plain
 
 
-def _heard_to_plain(heard: Heard) -> dict[str, Any]:
+def _heard_to_plain(heard: AgentMessages) -> dict[str, Any]:
     plain: dict[str, Any] = {}
     if heard.log_likelihoods:
         said = heard.log_likelihoods.items()
@@ -178,12 +178,12 @@ def _kept(line: dict[str, Any]) -> KeptBelief:
     )
 
 
-def _heard(line: dict[str, Any], posterior: ParticleSet | GaussianPosterior) -> Heard:
+def _heard(line: dict[str, Any], posterior: ParticleSet | GaussianPosterior) -> AgentMessages:
     said = {str(a): _from_text(text, "<f4") for a, text in line.get("log_likelihoods", {}).items()}
     for agent, values in said.items():
         if not isinstance(posterior, ParticleSet) or len(values) != len(posterior):
             raise ValueError(f"{len(values)} log-likelihoods of {agent} for {len(posterior)} particles")
-    return Heard(said, {str(a): _measured(one) for a, one in line.get("measured", {}).items()})
+    return AgentMessages(said, {str(a): _measured(one) for a, one in line.get("measured", {}).items()})
 
 
 def _measured(plain: dict[str, Any]) -> Measurement:
