@@ -30,7 +30,7 @@ LEAST_FREE = 0.2
 """A detection that is free with less probability starts no prospect."""
 
 PROSPECTS = 4
-"""Prospects that are kept, in multiples of `birth.max_targets`."""
+"""Unconfirmed tracks that are kept, in multiples of `birth.max_targets`."""
 
 
 @dataclass(frozen=True, eq=False)
