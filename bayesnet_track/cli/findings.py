@@ -68,7 +68,7 @@ def find_failures(target: str, failures: Sequence[Quarantined]) -> Iterator[Find
 def until_lost(lines: Lines) -> Lines:
     """The lines without the last stretch in which the target is lost: a target that leaves ends so."""
     end = len(lines)
-    while end and lines[end - 1].status == "lost":
+    while end and lines[end - 1].is_gone:
         end -= 1
     return lines[:end]
 
@@ -171,7 +171,7 @@ def _lost(lines: Lines) -> Iterator[Finding]:
         return
     decided = _decided(lines, lost[0])
     what = f"lost in {len(lost)} of {len(lines)} frames, decided in frame {decided}"
-    is_gone = lines[-1].status == "lost"
+    is_gone = lines[-1].is_gone
     yield Finding(lines[0].target, what, "gone" if is_gone else None, frame=decided)
 
 

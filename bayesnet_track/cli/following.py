@@ -322,7 +322,7 @@ class Narrator:
 def _show(progress: Progress, summary: Summary, result: Result) -> None:
     active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
     kinds = result.kinds
-    lost = [f"{kinds.get(m.target, 'target')} {m.target}" for m in result.targets if m.status == "lost"]
+    lost = [f"{kinds.get(m.target, 'target')} {m.target}" for m in result.targets if m.is_gone]
     status = ("tracking" if result.targets else "no target") if not lost else "lost"
     if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
         status = "uncertain"

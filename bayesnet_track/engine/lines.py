@@ -114,7 +114,7 @@ class Lines(Sequence[FrameMetrics]):
         parts = [] if self._made is not None else [Places(one.ids, one.boxes, one.is_lost) for one in groups]
         if born:
             boxes = np.array([line.centre_box for line in born])
-            lost = np.array([line.status == "lost" for line in born])
+            lost = np.array([line.is_gone for line in born])
             parts.append(Places([line.target for line in born], boxes, lost))
         if len(parts) == 1:
             (whole,) = parts

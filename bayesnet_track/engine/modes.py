@@ -78,10 +78,26 @@ class ModeState:
         )
 
 
+def status_by_modes(status: str, modes: Modes | None, probabilities: Floats) -> str:
+    """The status that is reported: `hidden` of a target that is lost because it is probably hidden."""
+    is_hidden = modes is not None and modes.probability_hidden(probabilities) > modes.lost_above
+    return "hidden" if status == "lost" and is_hidden else status
+
+
 def with_modes(metrics: FrameMetrics, state: ModeState | None, calibrated: bool = False) -> FrameMetrics:
-    """The line with the target's modes; a score that is not `calibrated` falls with what is hidden."""
+    """The line with the target's modes; a score that is not `calibrated` falls with what is hidden.
+
+    A target that is lost because it is probably hidden has the status `hidden`.
+    """
     if state is None:
         return metrics
     hidden = state.hidden
     score = metrics.score if calibrated or hidden is None else metrics.score * (1.0 - hidden)
-    return replace(metrics, modes=state.named(), hidden=hidden, score=score)
+    return replace(
+        metrics,
+        modes=state.named(),
+        modes_predicted=state.modes.named(state.predicted),
+        hidden=hidden,
+        score=score,
+        status=status_by_modes(metrics.status, state.modes, state.now),
+    )

@@ -62,7 +62,7 @@ def score_run(
     metrics = [lines.get(frame) for frame in frames]
     run_score = score(
         np.array([_NOTHING if line is None else corner_from_centre(line.centre_box) for line in metrics]),
-        [line is None or line.status == "lost" for line in metrics],
+        [line is None or line.is_gone for line in metrics],
         truth[frames],
         seconds=_seconds(folder / "timings.jsonl", frames, seconds),
         active=[0 if line is None else len(line.active) for line in metrics],

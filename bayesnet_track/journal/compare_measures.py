@@ -14,6 +14,7 @@ from bayesnet_track.journal.blocks import Block, Blocks, spans
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import CandidateConfirmed, Returned, TargetStarted
 from bayesnet_track.journal.frame_columns import is_absent
+from bayesnet_track.journal.metrics import NOT_SHOWN
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.arrays import Floats
@@ -255,7 +256,7 @@ class Figures:
             self._used[key >> 32, key & 0xFFFF_FFFF] += count
         self._particles += int(block.columns["particles"].sum())
         statuses = self._side.texts["status"].texts
-        is_lost = np.array([status == "lost" for status in statuses], dtype=bool)
+        is_lost = np.array([status in NOT_SHOWN for status in statuses], dtype=bool)
         self._lost += int(is_lost[block.codes("status")].sum())
         self._seen.append(np.unique(block.frame))
         uds = block.columns["ud_px2"]

@@ -32,7 +32,10 @@ BOXES = {"box": "centre_box", "map": "map", "sd": "sd"}
 """Column -> field of four numbers."""
 REGIONS = {"region50": 0.5, "region90": 0.9}
 """Column -> share of the centre's weight that lies in it."""
-PER_NODE = ("kl", "contribution", "agent_ud_px2", "strength", "features", "modes", "p_values", "queries")
+PER_NODE = (
+    *("kl", "contribution", "agent_ud_px2", "strength", "features", "modes", "modes_predicted", "p_values"),
+    "queries",
+)
 """Fields of a number per node, mode, feature or query, besides `ud_nodes`: a column ``FIELD/NAME`` each."""
 NUMBERS = ("score", "log_evidence", "surprise", "ess", "learn_rate")
 OPTIONAL = ("quiet_px2", "existence", "hidden", "e_value")

@@ -63,6 +63,10 @@ class Boxed:
         return ",".join(f"{value:.1f}" for value in self.xywh)
 
 
+NOT_SHOWN = ("lost", "hidden")
+"""Statuses in which the box does not show the target; `hidden` where the graph models what hides it."""
+
+
 @dataclass(frozen=True, repr=False)
 class PartMetrics(Boxed):
     """Measurements of one part of a target in one frame.
@@ -120,7 +124,7 @@ class FrameMetrics(Boxed):
         ud_px2: uncertainty deviation at the root.
         ud_nodes: inference node -> its UD in px^2.
         quiet_px2: measured baseline of UD at the root, or None.
-        status: tracking, uncertain or lost.
+        status: tracking, uncertain, lost, or hidden: lost because it is probably hidden, by its modes.
         score: probability of being on target (an IoU above 0.5) if the graph has coefficients for it; else an
             uncalibrated index in 0..1 from UD and evidence, high when certain.
         log_evidence: log normalising constant of the frame.
@@ -145,6 +149,7 @@ class FrameMetrics(Boxed):
         join: results of the joint belief; left out for a target that is not joined.
         existence: probability that it exists; left out when the graph has no `existence` for its type.
         modes: mode -> its probability; left out when the graph has no `modes`.
+        modes_predicted: mode -> its probability before the frame's evidence.
         hidden: probability that the target is hidden; None, and left out, when the graph has no hidden mode.
         e_value: evidence that the target is not held; left out when the graph has no `alarm`.
         p_values: agent that measured -> probability of a measurement farther from its prediction than it was;
@@ -185,7 +190,13 @@ class FrameMetrics(Boxed):
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})
     existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
     modes: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    modes_predicted: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     hidden: float | None = field(default=None, metadata={"left_out_when_empty": True})
+
+    @property
+    def is_gone(self) -> bool:
+        """True where the box does not show the target: it is lost, or hidden."""
+        return self.status in NOT_SHOWN
 
     @property
     def mode(self) -> str:
@@ -199,11 +210,12 @@ class FrameMetrics(Boxed):
     def __repr__(self) -> str:
         """The main facts: who, when, how sure, where, and by whose evidence."""
         agents = ", ".join(self.active) or "no agent"
+        status = "" if self.status == "hidden" else f"{self.status}, "
         hidden = (
             "" if self.hidden is None or self.hidden <= 0.5 else f"hidden, probability {self.hidden:.2f}, "
         )
         return (
-            f"<target {self.target} in frame {self.frame}: {hidden}{self.status}, score {self.score:.2f}, "
+            f"<target {self.target} in frame {self.frame}: {hidden}{status}score {self.score:.2f}, "
             f"xywh {self._xywh_text()}, {agents} active>"
         )
 

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.modes import mode_probabilities
 from bayesnet_track.engine.forecasting import Forecast, forecast
 from bayesnet_track.engine.lines import Lines
+from bayesnet_track.engine.modes import status_by_modes
 from bayesnet_track.engine.scoring.outcome import reported_status
 from bayesnet_track.engine.starts import Start, check_given, check_started, say_blank, start_targets
 from bayesnet_track.engine.step import Engine, make_engine, step
@@ -21,7 +23,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.metrics import Boxed, FrameMetrics
+from bayesnet_track.journal.metrics import NOT_SHOWN, Boxed, FrameMetrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
@@ -234,7 +236,7 @@ class Tracker(Boxed, Storable):
         box = (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)  # as `xywh`, without an array
         if self._whole_px:
             box = (round(box[0]), round(box[1]), round(w), round(h))
-        return self.status != "lost", box
+        return self.status not in NOT_SHOWN, box
 
     @property
     def centre_box(self) -> tuple[float, ...]:
@@ -326,7 +328,7 @@ class Tracker(Boxed, Storable):
 
     @property
     def status(self) -> str:
-        """tracking, uncertain or lost after the last frame, of the first target; lost without any."""
+        """tracking, uncertain, lost or hidden after the last frame, of the first target; lost without any."""
         now = self._started
         first = next((target for target, _ in _live(now)), None)
         if first is None:
@@ -334,9 +336,12 @@ class Tracker(Boxed, Storable):
         net = now.state.net.targets[first]
         plate = self._graph.targets[net.template]
         rule = plate.inference(plate.root).guarantee
-        return (
-            net.status if rule is None else reported_status(net.status, now.state.targets[first].scored, rule)
-        )
+        state = now.state.targets[first]
+        status = net.status if rule is None else reported_status(net.status, state.scored, rule)
+        modes = self._engine.plates[net.template].modes
+        if modes is None or not modes.can_hide:
+            return status
+        return status_by_modes(status, modes, mode_probabilities(state.belief, len(modes)))
 
     @property
     def _started(self) -> Standing:

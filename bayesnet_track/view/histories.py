@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.journal.blocks import Block, Blocks
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import NOT_SHOWN, FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 
 COLUMNS = ("ud_px2", "quiet_px2", "status", "active")
@@ -70,7 +70,7 @@ def histories(metrics: Sequence[FrameMetrics], targets: Iterable[str]) -> dict[s
                 columns = {name: column[rows] for name, column in block.columns.items() if name in COLUMNS}
                 of_target.append(Block(block.frame[rows].astype(np.int32), columns))
     actives = [tuple(text.split()) for text in blocks.texts["active"].texts]
-    lost = np.array([status == "lost" for status in blocks.texts["status"].texts], dtype=bool)
+    lost = np.array([status in NOT_SHOWN for status in blocks.texts["status"].texts], dtype=bool)
     return {target: _history(some, actives, lost) for target, some in parts.items()}
 
 

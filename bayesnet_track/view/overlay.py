@@ -19,6 +19,7 @@ STATUS_COLOUR: dict[str, Colour] = {
     "tracking": (110, 230, 90),
     "uncertain": (60, 200, 250),
     "lost": (70, 70, 245),
+    "hidden": (200, 130, 150),
 }
 CLOUD_COLOUR: Colour = (255, 215, 120)
 TRUTH_COLOUR: Colour = (255, 255, 255)

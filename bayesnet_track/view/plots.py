@@ -115,7 +115,7 @@ def plot_tracks(
     for target in dict.fromkeys(line.target for line in run.metrics):
         lines = _lines(run, target)
         path = np.array([line.centre_box[:2] for line in lines], dtype=np.float64)
-        visible = np.array([line.status != "lost" for line in lines])
+        visible = np.array([not line.is_gone for line in lines])
         curve = ax.plot(*np.where(visible[:, None], path, np.nan).T, lw=1.4, label=f"target {target}")
         ax.plot(*np.where(visible[:, None], np.nan, path).T, lw=1.0, ls=":", color=curve[0].get_color())
         x, y, w, h = corner_from_centre(lines[-1].centre_box)
@@ -183,5 +183,5 @@ def _name(ax: Any) -> None:
 
 
 def _shade_lost(ax: Any, lines: Sequence[FrameMetrics]) -> None:
-    for first, end in _spans([line.frame for line in lines if line.status == "lost"]):
+    for first, end in _spans([line.frame for line in lines if line.is_gone]):
         ax.axvspan(first - 0.5, end + 0.5, color=LOST, alpha=0.5, lw=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import ModeChanged
 from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.text.sentences import why
 from bayesnet_track.sources.scenes import make_scene
 
 FRAMES = 40
@@ -69,11 +71,35 @@ def test_it_is_lost_and_nothing_is_learnt_while_it_is_probably_hidden(followed):
     lines, _ = followed
     for before, line in pairwise(lines[1:]):
         if before.hidden > 0.5:
-            assert line.status == "lost"
+            assert line.status == ("hidden" if line.hidden > 0.5 else "lost") and line.is_gone
         if line.hidden > 0.5:
             assert line.learn_rate == 0.0 and line.score < 0.5
     assert lines[10].status == "tracking" and lines[-1].status == "tracking"
     assert any(line.learn_rate > 0 for line in lines[1:18])
+
+
+def test_the_tracker_says_hidden_and_that_the_box_does_not_show_it(scene):
+    tracker, images = Tracker(load_graph("hidden_ball"), seed=1), iter(scene.frames)
+    tracker.init(next(images), scene.start_box)
+    said = {}
+    for _ in range(FRAMES - 1):
+        ok, _ = tracker.update(next(images))
+        said.setdefault(tracker.status, set()).add(ok)
+    assert said["hidden"] == {False} and said["tracking"] == {True}
+
+
+def test_a_frame_is_accounted_for_by_prior_evidence_and_posterior(followed):
+    lines, events = followed
+    there = next(event for event in events if isinstance(event, ModeChanged))
+    line = lines[there.frame]
+    text = next(row for row in why(events, lines, there.frame).splitlines() if row.startswith("  modes"))
+    found = re.findall(r"(\w+) predicted (\S+), evidence (\S+) nats, now (\S+?)(?:;|$)", text)
+    assert [mode for mode, *_ in found] == ["seen", "behind"]
+    for mode, predicted, _, now in found:
+        assert float(predicted) == pytest.approx(line.modes_predicted[mode], rel=0.01)
+        assert float(now) == pytest.approx(line.modes[mode], rel=0.01)
+    prior = np.array([float(one[1]) for one in found]) * np.exp([float(one[2]) for one in found])
+    assert prior / prior.sum() == pytest.approx([line.modes[one[0]] for one in found], abs=0.01)
 
 
 def test_it_is_told_why(followed):
@@ -83,6 +109,7 @@ def test_it_is_told_why(followed):
     assert there.probability == pytest.approx(lines[there.frame].hidden, abs=1e-6)
     assert there.nats > there.turning
     lost = next(event for event in events if isinstance(event, StatusChanged))
+    assert "→ target 1 hidden; would have stayed at lost_above" in lost.describe()
     assert lost.frame == there.frame and lost.hidden.hidden == pytest.approx(there.hidden)
 
 
@@ -92,7 +119,7 @@ def test_lines_survive_and_say_hidden(followed):
     again = from_json(to_json(line))
     assert again.modes == pytest.approx(line.modes) and again.hidden == pytest.approx(line.hidden)
     assert line.mode == "behind"
-    assert repr(line).startswith("<target 1 in frame 25: hidden, probability 0.99, lost")
+    assert repr(line).startswith("<target 1 in frame 25: hidden, probability 0.99, score")
 
 
 def test_the_box_goes_on_as_predicted(followed, scene):

@@ -43,6 +43,7 @@ FULL = line(
     join=JoinMetrics(("2", "3"), 0.1, "2", {"2": 0.3, "3": 0.7}, None, 17.3),
     existence=0.75,
     modes={"seen": 0.25, "behind": 0.75},
+    modes_predicted={"seen": 0.5, "behind": 0.5},
     hidden=0.75,
     e_value=1e200,
     p_values={"color": 1e-60},

@@ -258,7 +258,7 @@ GOLDEN = [
     ),
     (
         StatusChanged(132, "1", "lost", hidden=HiddenCause(0.5, 0.931)),
-        "frame 132: hidden with probability 0.931 > 0.5 → target 1 lost; would have stayed at lost_above ≥ "
+        "frame 132: hidden with probability 0.931 > 0.5 → target 1 hidden; would have stayed at lost_above ≥ "
         "0.931",
     ),
     (

@@ -38,7 +38,7 @@ class StatusChanged:
         if isinstance(self.cause, FitCause):
             return _by_fit(self.cause, result)
         if self.hidden is not None:
-            return _by_hiding(self.hidden, result)
+            return _by_hiding(self.hidden, f"target {self.target} hidden")
         if self.cause is None:
             return f"{self.reason} → {result}" if self.reason else result
         if not lost:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from math import isclose, tanh
+from math import isclose, log, tanh
 from types import MappingProxyType
 from typing import get_args
 
@@ -169,6 +169,8 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
         f"  UD         {', '.join(f'{node} {_ud(ud)} px²' for node, ud in line.ud_nodes.items())}; "
         f"baseline {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
     ]
+    if line.modes:
+        rows.append(_modes(line))
     mine = [event for event in events if getattr(event, "target", None) == line.target]
     if line.features:
         rows.append(f"{_score(line, slopes)}{_limit(line, mine)}")
@@ -192,6 +194,20 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
     levels = _levels(mine)
     rows += [f"  thresholds {', '.join(levels)}"] if levels else []
     return "\n".join(rows)
+
+
+def _modes(line: FrameMetrics) -> str:
+    """Each mode before the evidence, what the frame says of it in nats, the best one 0, and after it."""
+    if not line.modes_predicted:
+        return f"  modes      {', '.join(f'{mode} {p:.3g}' for mode, p in line.modes.items())}"
+    before = line.modes_predicted
+    nats = {mode: log(p / before[mode]) for mode, p in line.modes.items()}
+    best = max(nats.values())
+    said = (
+        f"{mode} predicted {before[mode]:.3g}, evidence {nats[mode] - best:+.2f} nats, now {now:.3g}"
+        for mode, now in line.modes.items()
+    )
+    return f"  modes      {'; '.join(said)}"
 
 
 def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:

@@ -201,8 +201,9 @@ def _more(done: Sequence[Event]) -> str:
 def _ending(mine: Sequence[Event], statuses: Sequence[str]) -> str:
     """The last line: how long it lived, how long it was lost, and how it is left."""
     lost = statuses.count("lost")
+    hidden = f", hidden in {statuses.count('hidden')}" if "hidden" in statuses else ""
     chapters = [event for event in mine if isinstance(event, CHAPTERS)]
     left = "ended" if isinstance(chapters[-1], TargetDied | DuplicateEnded) else "alive at the end of the run"
-    if left != "ended" and statuses[-1:] == ["lost"]:
-        left = "lost at the end of the run"
-    return f"summary: {plural(len(statuses), 'frame')}, lost in {lost}; {left}"
+    if left != "ended" and statuses[-1:] in (["lost"], ["hidden"]):
+        left = f"{statuses[-1]} at the end of the run"
+    return f"summary: {plural(len(statuses), 'frame')}, lost in {lost}{hidden}; {left}"

@@ -70,8 +70,6 @@ def _judge(
     level = level_afterwards(rule.afterwards, means)
     assured = dict(zip(scores, (means > level).tolist(), strict=True))
     return level, [
-        line
-        if line.status == "lost"
-        else replace(line, status="tracking" if assured[line.frame] else "uncertain")
+        line if line.is_gone else replace(line, status="tracking" if assured[line.frame] else "uncertain")
         for line in own
     ]

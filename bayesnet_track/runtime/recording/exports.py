@@ -131,7 +131,7 @@ def _rows(run: Run, lost: bool) -> list[Row]:
 
 
 def _lines(run: Run, lost: bool) -> list[FrameMetrics]:
-    return [line for line in run.metrics if lost or line.status != "lost"]
+    return [line for line in run.metrics if lost or not line.is_gone]
 
 
 def _numbers(run: Run) -> dict[str, int]:

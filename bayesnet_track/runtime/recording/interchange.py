@@ -48,7 +48,7 @@ class Detections:
             classes: plates in the order of their numbers; those of `kinds` as they come when None.
             lost: True for the boxes of lost targets, too.
         """
-        lines = [line for line in metrics if lost or line.status != "lost"]
+        lines = [line for line in metrics if lost or not line.is_gone]
         plates = ["" if kinds is None else kinds.get(line.target, "") for line in lines]
         known = list(dict.fromkeys((kinds or {}).values())) if classes is None else list(classes)
         numbers = {name: number for number, name in enumerate(known)}

@@ -22,7 +22,12 @@ from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.results import Result
 
 JPEG_QUALITY = 85
-COLOURS = {"tracking": (60, 200, 90), "uncertain": (240, 180, 40), "lost": (230, 70, 60)}
+COLOURS = {
+    "tracking": (60, 200, 90),
+    "uncertain": (240, 180, 40),
+    "hidden": (150, 130, 200),
+    "lost": (230, 70, 60),
+}
 SERIOUS = ("quarantined", "source_damaged", "detector_failed", "degenerate_belief", "target_died")
 
 

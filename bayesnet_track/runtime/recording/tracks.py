@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from bayesnet_track.journal.metrics import Answer, Answers, FrameMetrics
+from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
@@ -102,7 +102,7 @@ class MotWriter(LineFile):
         rows = zip(tracked.targets, tracked.statuses, tracked.corners, tracked.scores, strict=True)
         for target, status, corner, score in rows:
             identity = self.ids.setdefault(target, len(self.ids) + 1)
-            if self._lost or status != "lost":
+            if self._lost or status not in NOT_SHOWN:
                 cells += (number, identity, *corner, score if abs(score) >= _NO_SCORE else 0.0)
         if cells:
             self.append("\n".join([_MOT] * (len(cells) // 7)) % tuple(cells))

@@ -10,8 +10,8 @@ export function inkOf(track: { calibrated: boolean }, status: string): string {
   return INK[status as "tracking"] ?? INK.tracking;
 }
 
-export const INK = { followed: "#b9c7d8", tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", cloud: "#6fd3ff", truth: "#ffffff" };
-const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4] };
+export const INK = { followed: "#b9c7d8", tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", hidden: "#b79cff", cloud: "#6fd3ff", truth: "#ffffff" };
+const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4], hidden: [2, 4] };
 const HALO = "rgba(10,14,20,.75)";
 
 /** The part of the source that is shown, and how large. */

@@ -22,7 +22,7 @@ export function shade(u: uPlot, state: State): void {
     if (status !== "tracking") {
       const x = u.valToPos(track.value("frame", from) - 0.5, "x", true);
       const end = u.valToPos(track.value("frame", row) + 0.5, "x", true);
-      g.fillStyle = colour(status === "lost" ? "lost-veil" : "uncertain-veil");
+      g.fillStyle = colour(`${status === "lost" || status === "hidden" ? status : "uncertain"}-veil`);
       g.fillRect(x, top, end - x, height);
     }
     from = row + 1;
@@ -154,7 +154,7 @@ export function people(u: uPlot, targets: NonNullable<Panel["targets"]>, state: 
       const lasts = row + 1 < track.length && track.value("frame", row + 1) <= track.value("frame", row) + track.gap;
       if (lasts && track.status(row + 1) === status) continue;
       const [a, b] = [x(track.value("frame", from) - 0.5), x(track.value("frame", row) + 0.5)];
-      const high = tall * (status === "lost" ? 0.9 : status === "uncertain" ? 0.7 : chosen ? 0.45 : 0.25);
+      const high = tall * (status === "lost" || status === "hidden" ? 0.9 : status === "uncertain" ? 0.7 : chosen ? 0.45 : 0.25);
       g.fillStyle = statusColour(track, status);
       g.fillRect(a, middle - high / 2, Math.max(b - a, ratio), high);
       from = row + 1;

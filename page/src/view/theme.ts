@@ -13,7 +13,7 @@ export function agentColour(index: number): string {
 
 /** Gray for what is followed without a fitted score: nothing says that it is on the target. */
 export function statusName(track: { calibrated: boolean }, status: string): string {
-  if (status === "lost" || status === "uncertain") return status;
+  if (status === "lost" || status === "uncertain" || status === "hidden") return status;
   return status === "tracking" && !track.calibrated ? "soft" : "tracking";
 }
 

@@ -111,7 +111,7 @@ function Ribbon({ state }: { state: State }) {
       const status = track.status(row);
       const ends = row + 1 === track.length || track.status(row + 1) !== status || track.value("frame", row + 1) > track.value("frame", row) + 1;
       if (!ends) continue;
-      const tall = status === "lost" ? 14 : status === "uncertain" ? 10 : 6;
+      const tall = status === "lost" || status === "hidden" ? 14 : status === "uncertain" ? 10 : 6;
       g.fillStyle = statusColour(track, status);
       const left = x(track.value("frame", from)) - half;
       g.fillRect(left, middle - tall / 2, x(track.value("frame", row)) + half - left, tall);
