@@ -29,6 +29,12 @@ from bayesnet_track.observation.planes import Plane, Planes
 
 FIELDS = ("x", "y", "w", "h")
 
+CONTINUE_BOX = 1.25
+"""Default of `continue_box` beside `density`."""
+
+MIN_OVERLAP = 0.2
+"""Overlap below which a detection is not the target's, unless the graph says it, beside `iou`."""
+
 
 class DetectionParameters(CueParameters):
     """Parameters of the detection agent."""
@@ -51,12 +57,21 @@ class DetectionParameters(CueParameters):
         description="A detection farther from the prediction than this share of correct ones is not the "
         "target's (0..1).",
     )
-    min_overlap: float = Field(
-        default=0.2,
+    min_overlap: float | None = Field(
+        default=None,
         ge=0,
         le=1,
         description="A detection that overlaps the predicted box by less is not the target's (intersection "
-        "over union).",
+        "over union). Default: 0 beside `density`, whose gate says how far a target may move; 0.2 beside "
+        "`iou`.",
+    )
+    continue_box: float | None = Field(
+        default=None,
+        ge=0,
+        le=10,
+        description="Detections that would start a target go on with a live one instead, if its own stopped "
+        "when they began, within this many box sides a frame of it (0: never). Default: 1.25 beside "
+        "`density`, 0 beside `iou`.",
     )
     first_score: float = Field(
         default=0.0,
@@ -115,6 +130,20 @@ class Detection:
     context: ClassVar[float] = 0.0
 
     @property
+    def _min_overlap(self) -> float:
+        p = self.parameters
+        if p.min_overlap is not None:
+            return p.min_overlap
+        return MIN_OVERLAP if p.similarity == "iou" else 0.0
+
+    @property
+    def _continue_box(self) -> float:
+        p = self.parameters
+        if p.continue_box is not None:
+            return p.continue_box
+        return 0.0 if p.similarity == "iou" else CONTINUE_BOX
+
+    @property
     def rule(self) -> AssociationRule:
         """Rule by which a detection is the target's."""
         p = self.parameters
@@ -122,7 +151,7 @@ class Detection:
             p.sd_place,
             p.sd_size,
             p.gate,
-            p.min_overlap,
+            self._min_overlap,
             p.appearance,
             p.floor,
             sd_place_px=p.sd_place_px,
@@ -133,6 +162,7 @@ class Detection:
             direction_frames=p.direction_frames,
             recover=p.recover,
             re_update=p.re_update,
+            continue_box=self._continue_box,
         )
 
     def learn(self, planes: Planes, box: Floats) -> Reference:

@@ -180,6 +180,9 @@ def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[
 FOLLOW_BOX = 1.0
 """How far from where it is expected a candidate is looked for, in box sides."""
 
+ALONE_BOX = 3.5
+"""The same after its first detection, where neither another candidate nor another detection is so near."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -195,6 +198,8 @@ class Candidate:
         covariance: (D, D) of its belief.
         existence: probability that it exists.
         observed: (H,) what is remembered of the detections of a tentative track (`adapt.association`).
+        is_far: whether its first two detections are more than `FOLLOW_BOX` apart.
+        track: its detections in the looks that count, in order: time (frame intervals) and centre box (4,).
     """
 
     box: Floats
@@ -206,6 +211,8 @@ class Candidate:
     covariance: Floats | None = None
     existence: float | None = None
     observed: Floats | None = None
+    track: tuple[tuple[float, Floats], ...] = ()
+    is_far: bool = False
 
     @property
     def seen(self) -> int:
@@ -219,25 +226,38 @@ class Candidate:
         return sum(scores) / len(scores)
 
 
-def feed(
-    candidates: Sequence[Candidate],
-    boxes: Floats,
-    scores: Floats,
-    births: Sequence[str],
-    frame: int,
-    rule: Birth,
-) -> tuple[Candidate, ...]:
-    """The candidates after a look that found the boxes (N, 4), the best first, which are no live target's.
+@dataclass(frozen=True, eq=False)
+class FreeDetections:
+    """Detections of a frame that are no live target's, the best first.
 
-    A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
+    Attributes:
+        boxes: (N, 4) centre boxes.
+        scores: (N,).
+        births: what the draws of each are keyed by if it is the first of a target.
+        frame: index of the frame.
+        time: its time, frame intervals.
+        alone_box: how far from its first detection a candidate is looked for that is alone, in box sides.
+    """
+
+    boxes: Floats
+    scores: Floats
+    births: Sequence[str]
+    frame: int
+    time: float
+    alone_box: float = 0.0
+
+
+def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> tuple[Candidate, ...]:
+    """The candidates after a look at the free detections.
+
+    A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected, or with the one box
+    within `free.alone_box` of its only detection, if that is near no other candidate. One that was missed
     too often to be confirmed by the looks it has left is dropped. No more than twice `rule.max_targets` (and
-    8) are
-    kept: those seen most often, then those with the best scores. `births` are what the draws of each box are
-    keyed by if it is the first of a target.
+    8) are kept: those seen most often, then those with the best scores.
     """
     confirm = rule.confirm
-    expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
-    owner = pair_up(distances(boxes, expected), np.full((len(boxes), len(expected)), FOLLOW_BOX))
+    near, far = _follow(candidates, free)
+    owner = np.maximum(near, far)
     found = {int(k): row for row, k in enumerate(owner) if k != UNASSIGNED}
     kept = []
     for number, one in enumerate(candidates):
@@ -245,13 +265,32 @@ def feed(
         if row is None:
             after = _add_look(_move_on(one), None, confirm)
         else:
-            after = _add_look(one, float(scores[row]), confirm)
-            after = changed(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
+            box = free.boxes[row].copy()
+            after = _add_look(one, float(free.scores[row]), confirm)
+            track = (*one.track, (free.time, box))[-confirm.of :]
+            is_far = one.is_far or far[row] != UNASSIGNED
+            after = changed(after, box=box, step=box[:2] - one.box[:2], track=track, is_far=is_far)
         if not _is_hopeless(after, confirm):
             kept.append(after)
-    for new in np.flatnonzero(owner == UNASSIGNED).tolist():
-        kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame, births[new]))
+    for new in np.flatnonzero(near == UNASSIGNED).tolist():  # one far from a candidate may be another's first
+        box, looks = free.boxes[new].copy(), (float(free.scores[new]),)
+        track = ((free.time, box),)
+        kept.append(Candidate(box, np.zeros(2), looks, free.frame, free.births[new], track=track))
     return keep_best(kept, rule)
+
+
+def _follow(candidates: Sequence[Candidate], free: FreeDetections) -> tuple[Owners, Owners]:
+    """(N,) the candidate that each detection goes on with, or `UNASSIGNED`; and those that are far away."""
+    expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
+    away = distances(free.boxes, expected)
+    owner = pair_up(away, np.full(away.shape, FOLLOW_BOX))
+    far = np.full_like(owner, UNASSIGNED)
+    near = away <= free.alone_box
+    alone = near & (near.sum(axis=0) == 1) & (near.sum(axis=1, keepdims=True) == 1)
+    for row, column in zip(*np.nonzero(alone), strict=True):
+        if owner[row] == UNASSIGNED and len(candidates[column].track) == 1:
+            far[row] = column
+    return owner, far
 
 
 def look_again(

@@ -39,6 +39,8 @@ class AssociationRule:
         direction_frames: over how many frames the direction of a target is measured.
         recover: whether targets left without a detection are compared by their last one in another pass.
         re_update: whether a target that has a detection again is filtered anew over the gap.
+        continue_box: within how many box sides a frame of a target that lost its detections others go on with
+            it; 0: never.
     """
 
     sd_place: float
@@ -55,6 +57,7 @@ class AssociationRule:
     direction_frames: int = 3
     recover: bool = False
     re_update: bool = False
+    continue_box: float = 0.0
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""

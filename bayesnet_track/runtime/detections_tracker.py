@@ -19,6 +19,7 @@ from bayesnet_track.engine.step import make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
@@ -123,6 +124,11 @@ class DetectionsTracker(Storable):
     def targets(self) -> tuple[FrameMetrics, ...]:
         """Measurements of every target in the last frame, also of lost ones."""
         return () if self._now is None else tuple(self._now.metrics)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Events and decisions of the last frame."""
+        return () if self._now is None else self._now.events
 
     def __repr__(self) -> str:
         """The graph, the frames so far, and the targets."""

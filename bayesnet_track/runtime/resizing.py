@@ -23,6 +23,7 @@ from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import (
     CandidateConfirmed,
+    Continued,
     Reacquired,
     Recognition,
     Returned,
@@ -179,7 +180,7 @@ class Resizing:
         if self.is_none:
             return event
         match event:
-            case TargetStarted():
+            case TargetStarted() | Continued():
                 return replace(event, box=self._box(event.box))
             case Returned() | Reacquired():
                 return replace(event, box=self._box(event.box), recognition=self._known(event.recognition))

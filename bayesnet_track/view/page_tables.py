@@ -21,6 +21,7 @@ from bayesnet_track.journal.codec import event_name
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.lives import (
+    Continued,
     DuplicateEnded,
     Reacquired,
     Returned,
@@ -102,7 +103,7 @@ def short_floats(values: Any) -> NDArray[np.float32]:
     return np.where(np.isfinite(exact) & np.isfinite(rounded), rounded, exact)
 
 
-LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
+LIVES = (TargetStarted, Returned, Reacquired, Continued, TargetDied, DuplicateEnded, Joined, Parted)
 ARROW = " → "
 _PREVENTED = re.compile(r"; (?=would (?:not )?have |not at )")
 _FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")

@@ -278,7 +278,7 @@ def test_a_prospect_begins_with_the_share_of_new_targets_among_free_detections()
     unconfirmed = first_population(rule, Found(boxes, np.ones(2), np.arange(2)), seventh).unconfirmed
     np.testing.assert_allclose(unconfirmed.existence, 0.1 / (0.1 + 0.3))
     np.testing.assert_array_equal(unconfirmed.mean[:, :4], boxes)
-    assert unconfirmed.first.tolist() == [7, 7] and confirmed(rule, unconfirmed, "target") == {}
+    assert unconfirmed.first.tolist() == [7, 7] and confirmed(rule, unconfirmed, "target", 7.0) == {}
 
 
 def test_a_target_starts_and_is_remembered_with_the_belief_that_it_has(graph):

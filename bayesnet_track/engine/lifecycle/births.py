@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, alike, associate
-from bayesnet_track.adapt.lifecycle import Candidate, feed, is_confirmed, keep_best
+from bayesnet_track.adapt.lifecycle import ALONE_BOX, Candidate, FreeDetections, feed, is_confirmed, keep_best
 from bayesnet_track.engine.lifecycle.confirming import (
     TESTED,
     Births,
@@ -19,6 +19,7 @@ from bayesnet_track.engine.lifecycle.confirming import (
 )
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.ends import remember
+from bayesnet_track.engine.lifecycle.initiating import has_way
 from bayesnet_track.engine.lifecycle.sharing import start_tentative
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.starting import restart
@@ -75,7 +76,7 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
     else:
         tracks.mark_seen([target for target in owners if target is not None])
         detection_model = tracks.history.detection_models[plate]
-    ready = confirmed(rule, detection_model.unconfirmed, plate)
+    ready = confirmed(rule, detection_model.unconfirmed, plate, now.frame.time)
     if ready:
         done = start_confirmed(now, list(ready.values()), found)
         left = np.ones(len(detection_model.unconfirmed), dtype=bool)
@@ -90,9 +91,11 @@ def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:
     """The candidates of a plate after the look, in which nobody was given these detections."""
     before, frame = now.tracks.history.candidates.get(now.plate, ()), now.frame.index
     births = [birth_key(now.frame.time, now.plate, number) for number in found.numbers.tolist()]
-    if not now.birth.tentative:
-        return feed(before, found.boxes, found.scores, births, frame, now.birth)
     compiled = now.work.engine.plates[now.plate]
+    if not now.birth.tentative:
+        alone_box = ALONE_BOX if has_way(compiled) else 0.0
+        free = FreeDetections(found.boxes, found.scores, births, frame, now.frame.time, alone_box)
+        return feed(before, free, now.birth)
     rule = next(iter(compiled.association_rules.values()))
     new = [
         start_tentative(rule, box, float(score), (frame, birth), compiled.moments.start_moments(box))

@@ -1,7 +1,8 @@
-"""What is confirmed becomes a target: an old one when it is recognised, else a new one."""
+"""What is confirmed becomes a target: a live one that turned, a dead one that is recognised, or a new one."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,18 +11,20 @@ import numpy as np
 
 from bayesnet_track.adapt.association import alike
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackRecord, is_refusal_notable
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found
+from bayesnet_track.engine.lifecycle.initiating import initiate, velocity
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
-from bayesnet_track.engine.starting import start
+from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
-from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Returned
+from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Continued, Returned
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import OBSERVED
@@ -29,6 +32,16 @@ from bayesnet_track.observation.planes import Frame
 
 TESTED = 32
 """Detections, the best, that are compared with remembered targets in a frame: bounds the time it takes."""
+
+
+MAX_RATIO = 1.25
+"""The area of a target's box changes by this factor a frame at most."""
+
+COVERED = 0.25
+"""A target so much covered by another is missed because of it."""
+
+MAX_GAP = 1.5
+"""Frame intervals at most between the last detection of a target and the next one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +68,20 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
     nearest = {one.detection: one for one in match_known(now, dead, boxes, found.boxes)}
     done: list[Candidate] = []
     refused: list[Floats] = []
-    for number, candidate in enumerate(ready):
-        if _is_one_of(now, candidate, tracks.boxes(tracks.held(now.plate))):
-            done.append(candidate)
+    compiled = now.work.engine.plates[now.plate]
+    for number, waiting in enumerate(ready):
+        candidate = initiate(compiled, waiting)
+        if candidate.is_far and candidate.mean is None:
+            continue
+        held = tracks.boxes(tracks.held(now.plate))
+        if _is_one_of(now, candidate, held) or _continue(now, candidate):
+            done.append(waiting)
         elif len(tracks.of_plate(now.plate)) >= most:
             if not _is_one_of(now, candidate, np.array(refused).reshape(-1, 4)):
                 refused.append(candidate.box)
         else:
             _start(now, candidate, nearest.get(number))
-            done.append(candidate)
+            done.append(waiting)
     if refused:
         _refuse(now, len(refused))
     return done
@@ -72,6 +90,26 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
 def _is_one_of(now: Births, candidate: Candidate, boxes: Floats) -> bool:
     """Whether a candidate is the object in one of the boxes (K, 4)."""
     return bool(alike(candidate.box[None], boxes, now.birth.min_distance_box, now.birth.covered).any())
+
+
+def _continue(now: Births, candidate: Candidate) -> bool:
+    """Let a live target go on with a candidate's detections if it lost its own when these began."""
+    compiled, tracks, frame = now.work.engine.plates[now.plate], now.tracks, now.frame
+    rules = compiled.association_rules
+    reach_box = max((rule.continue_box for rule in rules.values()), default=0.0)
+    if reach_box <= 0.0:
+        return False
+    same = find_continuation(tracks, now.plate, candidate, frame.time, compiled.motion)
+    if same is None or same.distance_box > reach_box:
+        return False
+    target, box = same.target, candidate.box
+    state = restart(now.work, target, now.plate, box, tracks.state(target))
+    state = with_belief(state, candidate, rules)
+    numbers = (candidate.first_frame, same.distance_box, reach_box)
+    tracks.decide(Continued(frame.index, target, box_of(box), *numbers))
+    since = tracks.record(target).since
+    tracks.put_back(target, state, start_record(state, since, frame))
+    return True
 
 
 def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:
@@ -173,3 +211,63 @@ def box_of(box: Floats) -> tuple[float, float, float, float]:
     """A box as numbers of an event."""
     x, y, w, h = (float(value) for value in box)
     return x, y, w, h
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """A live target that a candidate is.
+
+    Attributes:
+        target: target id.
+        distance_box: from where the target was, or should have been, to that detection, in its sides
+            sqrt(w h) a frame interval.
+    """
+
+    target: str
+    distance_box: float
+
+
+def find_continuation(
+    tracks: LiveTable, plate: str, candidate: Candidate, now: float, motion: MotionModel
+) -> Continuation | None:
+    """The nearest live target of a plate that lost its detections when the candidate's began.
+
+    In the frame of its last detection the candidate had none, for else they are two objects; and no other
+    target covers it, for that would be why it is missed. `now` is the time, frame intervals.
+    """
+    targets = tracks.unseen(plate)
+    others = tracks.boxes([one for one in tracks.held(plate) if one not in dict(targets)])
+    places = []
+    for target, unseen in targets:
+        if len(candidate.looks) > unseen and candidate.looks[-1 - unseen] is not None:
+            continue
+        last = now - unseen
+        later = [(time, box) for time, box in candidate.track if time > last + 0.5]
+        if later and later[0][0] - last <= MAX_GAP:
+            (time, box), mean = later[0], tracks.state(target).belief.mean
+            if _is_covered(mean, others):
+                continue
+            moved = velocity(motion, mean)
+            seen = mean[:2] - moved * unseen
+            away = min(
+                _sides_between(mean, place, box, MAX_RATIO**unseen)
+                for place in (seen, seen + moved * (time - last))
+            )
+            places.append(Continuation(target, away / max(time - last, 1.0)))
+    return min(places, key=lambda one: one.distance_box, default=None)
+
+
+def _is_covered(mean: Floats, others: Floats) -> bool:
+    """True if one of the boxes (K, 4) covers at least `COVERED` of a target's own."""
+    low = np.maximum(mean[:2] - mean[2:4] / 2, others[:, :2] - others[:, 2:4] / 2)
+    high = np.minimum(mean[:2] + mean[2:4] / 2, others[:, :2] + others[:, 2:4] / 2)
+    shared = np.maximum(high - low, 0.0).prod(axis=1)
+    return bool((shared >= COVERED * mean[2] * mean[3]).any())
+
+
+def _sides_between(mean: Floats, place: Floats, box: Floats, most: float) -> float:
+    """From a place (2,) of a target to a box, in its sides; infinite if areas differ by more than `most`."""
+    ratio = box[2] * box[3] / max(mean[2] * mean[3], 1e-12)
+    if not 1.0 / most <= ratio <= most:
+        return math.inf
+    return float(np.hypot(*(box[:2] - place)) / np.sqrt(mean[2] * mean[3]))

@@ -24,6 +24,7 @@ from bayesnet_track.engine.lifecycle.unconfirmed import (
     begin_unconfirmed,
     predict_unconfirmed,
     prune,
+    with_fast,
 )
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
@@ -89,13 +90,15 @@ def associate_marginal(
     found: Found | None,
 ) -> MarginalAssociation:
     """Share of each target in what was `found` (None: nobody looked), and the unconfirmed tracks after it."""
-    frame, before = frames.current, frames.previous
-    dt = 1.0 if before is None else frame.time - before.time
+    frame, last = frames.current, frames.previous
+    dt = 1.0 if last is None else frame.time - last.time
     if detection_model is None:
         detection_model = DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields)))
-    unconfirmed = predict_unconfirmed(
-        detection_model.unconfirmed, rule.motion, dt, (frame.width, frame.height)
-    )
+    size, before = (frame.width, frame.height), detection_model.unconfirmed
+    unconfirmed = predict_unconfirmed(before, rule.motion, dt, size)
+    if found is not None:
+        fast = with_fast(rule, before, unconfirmed, found.boxes, dt)
+        unconfirmed = unconfirmed.extend(predict_unconfirmed(fast, rule.motion, dt, size))
     survival = rule.existence.survival**dt
     count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, unconfirmed.existence])
     if found is None:

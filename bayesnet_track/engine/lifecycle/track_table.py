@@ -124,6 +124,18 @@ class LiveTable:
         rows = self._table_of(target)
         return rows.record(rows.index[target])
 
+    def unseen(self, plate: str) -> list[tuple[str, int]]:
+        """Live targets of a plate without a detection of their own, and for how many frames."""
+        unseen = []
+        if plate in self.tables:
+            rows = self.tables[plate]
+            frames = rows.columns.unseen_frames
+            at = np.flatnonzero(frames > 0).tolist()
+            unseen = [(rows.ids[row], int(frames[row])) for row in at if rows.ids[row] not in self.gone]
+        others = (target for target in self.states if self.net.targets[target].template == plate)
+        counted = ((target, self.records[target].unseen_frames) for target in others)
+        return [*unseen, *((target, frames) for target, frames in counted if frames > 0)]
+
     def _table_of(self, target: str) -> Rows:
         return next(rows for rows in self.tables.values() if target in rows.index)
 

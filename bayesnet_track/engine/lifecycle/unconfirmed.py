@@ -8,16 +8,18 @@ from functools import lru_cache
 import numpy as np
 
 from bayesnet_track.adapt.existence import DetectionModel, Pairs, Shared, UnconfirmedTracks
-from bayesnet_track.adapt.lifecycle import Candidate
+from bayesnet_track.adapt.lifecycle import FOLLOW_BOX, Candidate
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.lifecycle.detecting import Found
+from bayesnet_track.engine.lifecycle.initiating import fast_covariance, is_moving, velocity
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.numerics.streams import birth_key
 from bayesnet_track.observation.cue import AssociationRule
@@ -28,6 +30,9 @@ HOPELESS = 0.02
 
 LEAST_FREE = 0.2
 """A detection that is free with less probability starts no prospect."""
+
+FAST_SHARE = 0.1
+"""Prior probability that a new target is faster than the graph's start velocities say."""
 
 PROSPECTS = 4
 """Unconfirmed tracks that are kept, in multiples of `birth.max_targets`."""
@@ -73,26 +78,33 @@ def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionMo
     return changed(detection_model, unconfirmed=begin_unconfirmed(rule, detection_model, found, free, frame))
 
 
-def confirmed(rule: CrowdRule, unconfirmed: UnconfirmedTracks, plate: str) -> dict[int, Candidate]:
-    """Rows of a plate's unconfirmed tracks that exist probably enough, the most probable first."""
+def confirmed(
+    rule: CrowdRule, unconfirmed: UnconfirmedTracks, plate: str, time: float
+) -> dict[int, Candidate]:
+    """Rows of a plate's unconfirmed tracks that exist probably enough at `time`, the most probable first."""
     ready = np.flatnonzero(unconfirmed.existence >= rule.existence.confirm)
     ready = ready[np.argsort(-unconfirmed.existence[ready], kind="stable")]
-    return {row: _candidate(unconfirmed, row, plate) for row in ready.tolist()}
+    return {row: _candidate(rule.motion, unconfirmed, row, plate, time) for row in ready.tolist()}
 
 
-def _candidate(unconfirmed: UnconfirmedTracks, row: int, plate: str) -> Candidate:
+def _candidate(
+    motion: MotionModel, unconfirmed: UnconfirmedTracks, row: int, plate: str, time: float
+) -> Candidate:
     seen, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
-    mean = unconfirmed.mean[row]
+    mean, born = unconfirmed.mean[row], float(unconfirmed.born[row])
+    first = mean[:4].copy()
+    first[:2] -= velocity(motion, mean) * (time - born)
     scores = (float(unconfirmed.score[row]) / seen,) * seen
     return Candidate(
         mean[:4],
         np.zeros(2),
         ((None,) * max(looks - seen, 0) + scores),
         int(unconfirmed.first[row]),
-        birth_key(float(unconfirmed.born[row]), plate, int(unconfirmed.number[row])),
+        birth_key(born, plate, int(unconfirmed.number[row])),
         mean,
         unconfirmed.covariance[row],
         float(unconfirmed.existence[row]),
+        track=((born, first),),
     )
 
 
@@ -125,6 +137,34 @@ def _moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
         return linear_gaussian(motion, dt)
     except ValueError:
         return None
+
+
+def with_fast(
+    rule: CrowdRule, before: UnconfirmedTracks, expected: UnconfirmedTracks, boxes: Floats, dt: float
+) -> UnconfirmedTracks:
+    """Second hypotheses of tracks seen once: faster than the graph's start velocities say.
+
+    A track has one if none of the detections (N, 4) is inside its gate where it is `expected`, and one is
+    within `FOLLOW_BOX` of its sides a frame interval of where it was `before`: its velocity is known by that
+    reach only, and it is as much less probable as `FAST_SHARE` says. All others would have none of a chance.
+    """
+    motion = rule.motion
+    once = np.flatnonzero(before.looks == 1)
+    if not len(once) or not len(boxes) or not is_moving(motion):
+        return before.take(np.empty(0, np.int64))
+    sides = np.sqrt(before.mean[once, 2] * before.mean[once, 3])
+    away = boxes[None, :, :2] - before.mean[once, None, :2]
+    is_reached = np.hypot(away[..., 0], away[..., 1]) <= (FOLLOW_BOX * dt * sides)[:, None]
+    spread = expected.covariance[once][:, (0, 1), (0, 1)][:, None] + rule.association.variances(boxes)[:, :2]
+    away = boxes[None, :, :2] - expected.mean[once, None, :2]
+    is_near = (away**2 / spread).sum(axis=2) <= chi_square_quantile(rule.association.gate, 4)
+    fast = before.take(once[is_reached.any(axis=1) & ~is_near.any(axis=1)])
+    covariance = [fast_covariance(motion, *one) for one in zip(fast.covariance, fast.mean, strict=True)]
+    return changed(
+        fast,
+        covariance=np.array(covariance).reshape(fast.covariance.shape),
+        existence=FAST_SHARE * fast.existence,
+    )
 
 
 def advance_unconfirmed(

@@ -99,6 +99,42 @@ class Reacquired:
         return replace(net, status="tracking")
 
 
+@dataclass(frozen=True)
+class Continued:
+    """Detections that would have started a target go on with one whose own had stopped: it turned or jumped.
+
+    Attributes:
+        frame: frame in which they were often enough for a target of their own.
+        target: target id.
+        box: centre box x, y, w, h in px of the last of them.
+        first_frame: frame of the first of them.
+        distance_box: distance of the first of them from where the target was last seen, in sides sqrt(w h) of
+            the target a frame interval.
+        continue_box: the level of the rule.
+    """
+
+    frame: int
+    target: str
+    box: tuple[float, float, float, float]
+    first_frame: int
+    distance_box: float
+    continue_box: float
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        value, level = distinct_texts(self.distance_box, self.continue_box)
+        refused = round_away(self.distance_box, 2, up=False)
+        return (
+            f"detections began in frame {self.first_frame}, when those of target {self.target} had ended, "
+            f"{value} sides a frame from it ≤ {level} → target {self.target} goes on with them"
+            f"{_at(self.box)}; would have been a new target at continue_box < {refused}"
+        )
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, status="tracking")
+
+
 def _describe_recognition(by: Recognition, then: str, otherwise: str) -> str:
     value, level = distinct_texts(by.probability, by.min_probability)
     # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.

@@ -39,6 +39,7 @@ Decision = (
     | statuses.SceneCut
     | lives.Returned
     | lives.Reacquired
+    | lives.Continued
     | lives.TargetDied
     | lives.DuplicateEnded
     | joins.Joined

@@ -13,6 +13,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.journal.events.lives import (
     CandidateConfirmed,
+    Continued,
     DuplicateEnded,
     Reacquired,
     Returned,
@@ -119,6 +120,7 @@ CHAPTERS = (
     SceneCut,
     StatusChanged,
     Reacquired,
+    Continued,
     TargetDied,
     DuplicateEnded,
     # What limits the score or frees it, withholds the status, or finds the target: a status has a cause.

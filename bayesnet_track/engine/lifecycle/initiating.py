@@ -1,0 +1,95 @@
+"""The first belief of a target from all detections of its candidate."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from bayesnet_track.adapt.lifecycle import FOLLOW_BOX, Candidate
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.graph.spec import Gaussian
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import chi_square_quantile
+from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.cue import AssociationRule
+
+VELOCITY = ("vx", "vy")
+
+MIN_DETECTIONS = 3
+"""Of two detections each velocity is the way of one object."""
+
+ROUTE = 0.999
+"""Detections are one object's way if none is farther from its prediction than this share of right ones."""
+
+
+def initiate(compiled: CompiledPlate, candidate: Candidate) -> Candidate:
+    """A candidate with the moments of its state if it moves faster than the graph's start velocities say.
+
+    The filter runs from the first detection on, with the start velocity of the graph. If a detection is
+    outside its gate, it runs again with a velocity that is known only by how far a candidate is followed
+    (`FOLLOW_BOX` sides a frame). If all further detections are inside then, they tell the velocity; else they
+    are no way of one object, and the target starts in the last detection, as one does that fits at once.
+    """
+    if candidate.mean is not None or len(candidate.track) < MIN_DETECTIONS or not has_way(compiled):
+        return candidate
+    rule = next(iter(compiled.association_rules.values()))
+    mean, covariance = compiled.motion.start_moments(candidate.track[0][1])
+    limit = chi_square_quantile(ROUTE, 4)
+    if follow(compiled.motion, rule, candidate, (mean, covariance))[2] <= limit:
+        return candidate
+    fast = fast_covariance(compiled.motion, covariance, mean)
+    mean, covariance, d2 = follow(compiled.motion, rule, candidate, (mean, fast))
+    return candidate if d2 > limit else changed(candidate, mean=mean, covariance=covariance)
+
+
+def has_way(compiled: CompiledPlate) -> bool:
+    """True if the detections of a plate tell the velocity of a target: by their density, where it has one."""
+    is_dense = any(rule.similarity == "density" for rule in compiled.association_rules.values())
+    return is_dense and is_moving(compiled.motion)
+
+
+def is_moving(motion: MotionModel) -> bool:
+    """True if a target has a velocity."""
+    return all(name in motion.fields for name in VELOCITY)
+
+
+def velocity(motion: MotionModel, mean: Floats) -> Floats:
+    """(2,) velocity of a state (D,), px a frame interval; 0 of a motion without one."""
+    return mean[[motion.fields.index(name) for name in VELOCITY]] if is_moving(motion) else np.zeros(2)
+
+
+def fast_covariance(motion: MotionModel, covariance: Floats, mean: Floats) -> Floats:
+    """(D, D) covariance of a start at (D,) with a velocity of sd `FOLLOW_BOX` sides of the box a frame."""
+    at = [motion.fields.index(name) for name in VELOCITY]
+    fast = covariance.copy()
+    fast[at, at] = np.maximum(fast[at, at], FOLLOW_BOX**2 * mean[2] * mean[3])
+    return fast
+
+
+def follow(
+    motion: MotionModel, rule: AssociationRule, candidate: Candidate, moments: tuple[Floats, Floats]
+) -> tuple[Floats, Floats, float]:
+    """Mean (D,) and covariance (D, D) after a candidate's detections, and the largest d^2 of one.
+
+    d is its distance from its prediction, in sds. `moments` are those of a start in the first detection as if
+    that had no errors.
+    """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.row_kernels import correct_row
+
+    mean, covariance = (np.array(one) for one in moments)
+    size, largest = len(mean), 0.0
+    covariance[range(4), range(4)] += rule.variances(candidate.track[0][1])
+    for (before, _), (time, box) in pairwise(candidate.track):
+        moved = predict(mean, covariance, motion, time - before, Gaussian(filter="extended"))
+        mean, covariance = (np.ascontiguousarray(one) for one in moved)
+        work = np.empty((3, size, size))
+        away, variances = box - mean[:4], rule.variances(box)
+        spread = covariance[:4, :4] + np.diag(variances)
+        largest = max(largest, float(away @ np.linalg.solve(spread, away)))
+        correct_row(mean, covariance, away, variances, work)
+        np.maximum(mean[2:4], 1.0, out=mean[2:4])
+    return mean, covariance, largest
