@@ -276,19 +276,19 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
     On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
     """
     reading = _read(inputs, memory, inputs.plate.root, rule.above, None)
-    fits, is_wide, columns = inputs.measures.fits >= rule.fit_below, reading.is_above, memory.layout.streaks
+    fits, is_wide = inputs.measures.fits >= rule.fit_below, reading.is_above
     if inputs.hidden is not None:
         fits |= inputs.hidden >= 0.5
     if inputs.is_hidden is not None:
         fits[:] = True
-    looks_found, values = fits & ~is_wide, np.where(np.isnan(reading.values), 0.0, reading.values)
-    for streak, holds, numbers in (
-        (LOST, ~looks_found, np.where(fits, values, np.inf)),
-        (UNFIT, ~looks_found, np.where(is_wide, -np.inf, inputs.measures.fits)),
-        (FOUND, looks_found, values),
-    ):
-        streaks.holds[:, columns[streak]], streaks.values[:, columns[streak]] = holds, numbers
-    streaks.keeps[:, columns[SEEN]] = streaks.keeps[:, columns[UNSURE]] = True
+    looks_found, values = fits > is_wide, np.fmax(reading.values, 0.0)  # 0 where it cannot be told
+    lost, unfit, found, seen = range(4)  # places in `STATUS_STREAKS`, which come first
+    streaks.holds[:, :found] = ~looks_found[:, None]
+    streaks.holds[:, found] = looks_found
+    streaks.values[:, lost] = np.where(fits, values, np.inf)
+    streaks.values[:, unfit] = np.where(is_wide, -np.inf, inputs.measures.fits)
+    streaks.values[:, found] = values
+    streaks.keeps[:, seen : len(STATUS_STREAKS)] = True
 
 
 def _due(inputs: RuleColumns, counts: Ints, frames: int, two_levels: bool) -> Bools:

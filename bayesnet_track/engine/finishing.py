@@ -7,8 +7,8 @@ functions of the targets' states and the frame; time is read for the timings onl
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any, Generic, TypeVar
 
@@ -49,9 +49,9 @@ from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.records import Found, changed
 from bayesnet_track.observation.cue import Reference
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, read_only
 
-NO_IMAGE = np.zeros((0, 0, 3), dtype=np.uint8)
+NO_IMAGE = read_only(np.zeros((0, 0, 3), dtype=np.uint8))
 
 Table = TypeVar("Table", covariant=True)
 
@@ -193,15 +193,15 @@ class Results:
         gaussians: of tables of Gaussian beliefs, one a plate.
         groups: of other targets that were finished together.
         others: the targets of these.
-        covariances: target -> (D, D) of its belief.
+        find_covariances: () -> target -> (D, D) of its belief.
     """
 
     gaussians: Sequence[FinishedGroup[Rows]] = ()
     groups: Sequence[FinishedGroup[ParticleTable]] = ()
     others: Sequence[str] = ()
-    covariances: Mapping[str, Floats] = field(default_factory=dict)
+    find_covariances: Callable[[], Mapping[str, Floats]] = dict
 
-    @property
+    @cached_property
     def order(self) -> Sequence[str]:
         """All targets."""
         own = [group.ids for group in self.gaussians]
@@ -217,6 +217,11 @@ class Results:
     def lines(self) -> Lines:
         """Lines of metrics."""
         return Lines((*self.gaussians, *self.groups), self.order)
+
+    @property
+    def covariances(self) -> Mapping[str, Floats]:
+        """Target -> (D, D) covariance of its belief."""
+        return Found(self.order, self.find_covariances)
 
     @property
     def heard(self) -> Mapping[str, AgentMessages]:
@@ -235,31 +240,31 @@ def finish_targets(
 
     One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
     """
-    started = work.engine.clock()
-    groups = [LiveGroup(one, one.nets(work.net.targets)) for one in gaussians] + _groups_of(work, filtered)
-    started = work.charge("belief", started)
-    bare = changed(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
+    started, others = work.engine.clock(), [*filtered] if len(filtered) else []
+    groups = [LiveGroup(one, one.nets(work.net.targets)) for one in gaussians]
+    if others:
+        groups += _groups_of(work, filtered)
+        started = work.charge("belief", started)
     judged = [judge_group(work, group) for group in groups]
     started = work.charge("measure", started)
     learnt = [learn_group(work, group) for group in judged]
     work.charge("learn", started)
-    count = len(gaussians)
+    bare = changed(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
     tables = [
         FinishedGroup(bare, own, of, found, {}, partial(own.summaries, bare))
         for own, of, found in zip(gaussians, judged, learnt, strict=False)
     ]
-    others = [*filtered]
-    covariances = Found(
-        [*chain(*(one.ids for one in gaussians), others)], partial(_covariances, gaussians, filtered)
-    )
-    summaries = find_summaries(bare, filtered, covariances)
+    results = Results(tables, (), others, partial(_covariances, gaussians, filtered))
+    if not others:
+        return results
+    summaries, count = find_summaries(bare, filtered, results.covariances), len(gaussians)
     done = [
         FinishedGroup(
             bare, of.filtered, of, found, of.filtered.apart(found.beside), lambda hypotheses: summaries
         )
         for of, found in zip(judged[count:], learnt[count:], strict=True)
     ]
-    return Results(tables, done, others, covariances)
+    return changed(results, groups=done)
 
 
 def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> dict[str, Floats]:
@@ -269,7 +274,7 @@ def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> 
 
 
 def _without_image(frame: Frame) -> Frame:
-    return Frame(frame.index, frame.time, NO_IMAGE, time_s=frame.time_s, stride=frame.stride)
+    return changed(frame, image=NO_IMAGE, depth=None)
 
 
 def _with_level(seen: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:

@@ -81,6 +81,12 @@ def inside_frame(box: Floats, frame: Frame) -> Floats:
 
 def inside_frame_all(boxes: Floats, frame: Frame) -> Floats:
     """(T, 4) the same of several boxes."""
-    width, height = float(frame.width), float(frame.height)
-    limits = [width - 1.0, height - 1.0, 2.0 * width, 2.0 * height]
-    return np.asarray(np.minimum(np.maximum(boxes, [0.0, 0.0, 1.0, 1.0]), limits))
+    return np.asarray(np.minimum(np.maximum(boxes, _SMALLEST), _largest(frame.width, frame.height)))
+
+
+_SMALLEST = np.array([0.0, 0.0, 1.0, 1.0])
+
+
+@lru_cache(maxsize=64)
+def _largest(width: int, height: int) -> Floats:
+    return np.array([width - 1.0, height - 1.0, 2.0 * width, 2.0 * height])

@@ -257,7 +257,9 @@ def shed_load(batch: Batch) -> Batch:
 
 
 def _with_outcome(batch: Batch, outcome: Outcome) -> Batch:
-    return changed(batch, outcome=changed(outcome, events=(*batch.cuts, *outcome.events)))
+    if batch.cuts:
+        outcome = changed(outcome, events=(*batch.cuts, *outcome.events))
+    return changed(batch, outcome=outcome)
 
 
 def start_target(

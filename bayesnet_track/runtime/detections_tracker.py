@@ -233,8 +233,8 @@ def blank_image(width: int, height: int) -> NDArray[np.uint8]:
 
 def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
     """The target of each centre box (n, 4), best overlaps first; a target has one at most."""
-    ids, places = _held(targets)
-    found = np.full(len(boxes), NO_TARGET, dtype=np.int64)
+    ids, places = Lines.of(targets).held()
+    found = [NO_TARGET] * len(boxes)
     columns, rows, shares = overlapping_pairs(places, boxes)
     order = np.lexsort((columns, rows, -shares))
     best = order[shares[order] >= LEAST_OVERLAP]
@@ -243,12 +243,7 @@ def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArr
         if found[row] == NO_TARGET and column not in taken:
             found[row] = int(ids[column])
             taken.add(column)
-    return found
-
-
-def _held(targets: Sequence[FrameMetrics]) -> tuple[list[str], NDArray[np.float64]]:
-    """Ids and (T, 4) centre boxes of the targets that are not lost."""
-    return Lines.of(targets).held()
+    return np.array(found, dtype=np.int64)
 
 
 def _checked(size: tuple[int, int]) -> tuple[int, int]:

@@ -110,13 +110,13 @@ class FilteredGaussians:
 
     def measures(self, areas_px2: Floats) -> GroupMeasures:
         """UD, contributions, ... of the beliefs."""
-        numbers, rule = self.numbers, self.before.rule
+        numbers, rule = self.numbers.T.copy(), self.before.rule
         return GroupMeasures(
-            uds={rule.root: numbers[:, UD].copy()},
-            areas=numbers[:, AREA].copy(),
-            fits=numbers[:, FIT].copy(),
+            uds={rule.root: numbers[UD]},
+            areas=numbers[AREA],
+            fits=numbers[FIT],
             agents=(rule.agent,),
-            nats=numbers[:, NATS, None],
+            nats=numbers[NATS, :, None],
             of=self._measures_of,
         )
 

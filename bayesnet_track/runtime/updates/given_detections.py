@@ -48,8 +48,9 @@ class GivenDetections:
 
     def without(self, fits: NDArray[np.bool_], describe: Callable[[Sequence[int]], str]) -> GivenDetections:
         """Detections for which `fits` (N,) is true; a notice describes the rows of the others."""
-        if not fits.all():
-            notice(describe(self.rows[~fits].tolist()))
+        if fits.all():
+            return self
+        notice(describe(self.rows[~fits].tolist()))
         return self.kept(fits)
 
     def inside(self, width: int, height: int) -> GivenDetections:
