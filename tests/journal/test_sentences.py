@@ -489,8 +489,8 @@ GOLDEN = [
     (
         Continued(60, "3", BORN.box, 58, 0.374, 1.25),
         "frame 60: detections began in frame 58, when those of target 3 had ended, 0.374 sides a frame from "
-        "it ≤ 1.25 → target 3 goes on with them, centre 270, 190, 40 x 40 px; would have been a new target at "
-        "continue_box < 0.37",
+        "it ≤ 1.25 → target 3 goes on with them, centre 270, 190, 40 x 40 px; would have been a new target "
+        "at continue_box < 0.37",
     ),
     (
         Reacquired(60, "3", BORN.box, replace(LIKELY, contested=True)),
