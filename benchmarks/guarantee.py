@@ -118,10 +118,10 @@ def alarm_rows(data: Sequence[CalibrationData], share: float) -> list[list[str]]
         for one in own:
             gone = np.flatnonzero(one.all_iou < OFF_TARGET)
             end = int(gone[0]) if len(gone) else None
-            rise, raised = 0.0, None
+            cusum, raised = 0.0, None
             for k, score in enumerate(one.all_scores):
-                rise = next_cusum(rise, float(score))
-                if e_value(rise, rule) >= 1.0 / share:
+                cusum = next_cusum(cusum, float(score))
+                if e_value(cusum, rule) >= 1.0 / share:
                     raised = k
                     break
             is_false = raised is not None and (end is None or raised < end)

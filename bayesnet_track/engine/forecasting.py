@@ -12,12 +12,12 @@ from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.journal.metrics import Boxed, FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics, HasBox
 from bayesnet_track.numerics.streams import moment_of
 
 
 @dataclass(frozen=True)
-class Forecast(Boxed):
+class Forecast(HasBox):
     """Where a target is expected some frames ahead.
 
     Attributes:

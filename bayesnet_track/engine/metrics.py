@@ -24,7 +24,7 @@ from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.predictive import p_values
-from bayesnet_track.journal.encoder import written
+from bayesnet_track.journal.encoder import encode_clouds
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import effective, kl
@@ -106,7 +106,7 @@ def frame_metrics(
         existence=measured.existence,
         features=features,
         parts=_part_metrics(measures),
-        e_value=None if root.alarm is None else e_value(measured.scored.rise, root.alarm),
+        e_value=None if root.alarm is None else e_value(measured.scored.cusum, root.alarm),
         p_values=dict(summary.p_values),
     )
 
@@ -274,7 +274,12 @@ def _summarise_rows(work: FrameWork, several: Sequence[Filtered], spreads: Float
     chosen = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
     clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
     numbers = zip(
-        variances, ess, surprises, (list(map(tuple, one)) for one in regions), written(clouds), strict=True
+        variances,
+        ess,
+        surprises,
+        (list(map(tuple, one)) for one in regions),
+        encode_clouds(clouds),
+        strict=True,
     )
     return {one.target: _summary(work, one, own) for one, own in zip(several, numbers, strict=True)}
 

@@ -158,12 +158,12 @@ def _judged(run: Run, levels: Sequence[float]) -> Run:
 
 def largest_evidence(scores: Iterable[float], iou: Iterable[float]) -> float:
     """The largest X of the alarm while the target is held: before the first frame with an IoU below 0.1."""
-    rise = largest = 0.0
+    cusum = largest = 0.0
     for score, overlap in zip(scores, iou, strict=True):
         if overlap < OFF_TARGET:
             break
-        rise = next_cusum(rise, score)
-        largest = max(largest, rise)
+        cusum = next_cusum(cusum, score)
+        largest = max(largest, cusum)
     return math.exp(largest)
 
 

@@ -29,24 +29,24 @@ _NOTHING = object()
 """Equal to no value."""
 
 
-class Written(tuple[tuple[int, ...], ...]):
+class EncodedCloud(tuple[tuple[int, ...], ...]):
     """Lists of whole numbers with their text, which was made with those of other targets."""
 
     text: str
 
 
-def written(lists: Any) -> list[Written]:
-    """Of each of the lists (T, N, 4), whole numbers.
+def encode_clouds(lists: Any) -> list[EncodedCloud]:
+    """Each of the lists (T, N, 4), whole numbers, with its text.
 
     >>> import numpy as np
-    >>> written(np.array([[[1, 2, 3, 4]], [[5, 6, 7, 8]]]))[1].text
+    >>> encode_clouds(np.array([[[1, 2, 3, 4]], [[5, 6, 7, 8]]]))[1].text
     '[[5, 6, 7, 8]]'
     """
     from bayesnet_track.numerics.kernels.text_kernels import texts_of
 
     numbers, size = iter(lists.ravel().tolist()), lists.shape[1]
     rows = [*zip(numbers, numbers, numbers, numbers, strict=True)]
-    found = [Written(rows[first : first + size]) for first in range(0, len(rows), size)]
+    found = [EncodedCloud(rows[first : first + size]) for first in range(0, len(rows), size)]
     for one, text in zip(found, texts_of(lists), strict=True):
         one.text = text
     return found
@@ -96,17 +96,17 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
     values_of = operator.attrgetter(*(name for name, *_ in parts), "__class__")
 
     def members(value: Any) -> list[str]:
-        written = []
+        encode_clouds = []
         for one, (name, hint, key, encode, left_out) in zip(values_of(value), parts, strict=False):
             if left_out is not _NOTHING and one == left_out:
                 continue
             try:
-                written.append(key + encode(one))
+                encode_clouds.append(key + encode(one))
             except JournalError:
                 raise
             except (TypeError, ValueError, KeyError) as error:
                 raise JournalError(f"{where}.{name}: {short(repr(one))} is not {hint}: {error}") from error
-        return written
+        return encode_clouds
 
     return members
 
@@ -208,7 +208,7 @@ def _ints(value: Any) -> str:
 
 def _int_lists(value: Any) -> str:
     """A cloud has hundreds of numbers, four a row: they are written at once where all are Python's own."""
-    if type(value) is Written:
+    if type(value) is EncodedCloud:
         return value.text
     numbers = (*chain.from_iterable(value),)
     if {*map(len, value)} == {4} and {*map(type, numbers)} == {int}:

@@ -19,7 +19,7 @@ GONE = (
 """What to use in place of the attribute that was there."""
 
 
-class Boxed:
+class HasBox:
     """A holder of a box, as float64 arrays (4,) in px. Centres of pixels lie at integers.
 
     The class has `centre_box`, the numbers centre x, y, width, height: `box` in the files of a run.
@@ -68,7 +68,7 @@ NOT_SHOWN = ("lost", "hidden")
 
 
 @dataclass(frozen=True, repr=False)
-class PartMetrics(Boxed):
+class PartMetrics(HasBox):
     """Measurements of one part of a target in one frame.
 
     Attributes:
@@ -111,7 +111,7 @@ class JoinMetrics:
 
 
 @dataclass(frozen=True, repr=False)
-class FrameMetrics(Boxed):
+class FrameMetrics(HasBox):
     """Measurements of one target in one frame.
 
     Attributes:

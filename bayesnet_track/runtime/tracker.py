@@ -23,7 +23,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.metrics import NOT_SHOWN, Boxed, FrameMetrics
+from bayesnet_track.journal.metrics import NOT_SHOWN, FrameMetrics, HasBox
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
@@ -44,7 +44,7 @@ NO_BOX = (-0.5, -0.5, 0.0, 0.0)
 """The centre box of zeros as a corner box: what stands for an estimate where there is no target."""
 
 
-class Tracker(Boxed, Storable):
+class Tracker(HasBox, Storable):
     """Track by a graph, frame by frame: one target from a box, and those that detectors find.
 
     The estimate of the first target is `xywh`, `xyxy` or `cxcywh`: float64 arrays (4,) in parts of a pixel.

@@ -73,9 +73,9 @@ def test_a_run_that_is_over_has_the_lowest_level_that_its_share_allows():
         assert level_afterwards(levels.tolist(), some) == min(fits)
 
 
-@pytest.mark.parametrize(("score", "rise"), [(0.0, 3.0), (0.05, 3.0), (0.5, 1.0), (1.0, 1.0)])
-def test_evidence_rises_and_falls_by_at_most_one_a_frame(score, rise):
-    assert next_cusum(2.0, score) == pytest.approx(rise)
+@pytest.mark.parametrize(("score", "cusum"), [(0.0, 3.0), (0.05, 3.0), (0.5, 1.0), (1.0, 1.0)])
+def test_evidence_rises_and_falls_by_at_most_one_a_frame(score, cusum):
+    assert next_cusum(2.0, score) == pytest.approx(cusum)
     assert next_cusum(0.2, 1.0) == 0.0
     assert next_cusum(1.0, 1.0 / (1.0 + math.exp(1.5))) == pytest.approx(1.5)
 

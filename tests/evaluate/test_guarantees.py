@@ -193,8 +193,8 @@ def test_false_alarms_are_seldom_although_frames_depend_on_each_other():
 
 def _largest(rng):
     walk = np.cumsum(rng.normal(0.0, 0.4, 30)) + rng.normal(3.0, 2.0)
-    rise = most = 0.0
+    cusum = most = 0.0
     for odds in walk:
-        rise = next_cusum(rise, 1.0 / (1.0 + math.exp(-odds)))
-        most = max(most, rise)
+        cusum = next_cusum(cusum, 1.0 / (1.0 + math.exp(-odds)))
+        most = max(most, cusum)
     return math.exp(most)

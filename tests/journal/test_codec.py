@@ -20,7 +20,7 @@ from bayesnet_track.journal.codec import (
     to_json,
     type_hints,
 )
-from bayesnet_track.journal.encoder import FLOAT_DIGITS, members_encoder, written
+from bayesnet_track.journal.encoder import FLOAT_DIGITS, encode_clouds, members_encoder
 from bayesnet_track.journal.events.lives import TargetDied
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted, SourceDamaged
 from bayesnet_track.journal.events.statuses import StatusChanged
@@ -244,7 +244,7 @@ class Drawn:
 def test_clouds_that_are_made_together_have_the_text_of_each():
     drawn = np.random.default_rng(0).integers(-5, 2000, (3, 6, 4))
     write = members_encoder(Drawn, "drawn")
-    for one, numbers in zip(written(drawn), drawn.tolist(), strict=True):
+    for one, numbers in zip(encode_clouds(drawn), drawn.tolist(), strict=True):
         own = tuple(map(tuple, numbers))
         assert one == own
         assert write(Drawn(one)) == write(Drawn(own)) == [f'"cloud": {numbers}']

@@ -25,7 +25,7 @@ from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.journal.encoder import Written, written
+from bayesnet_track.journal.encoder import EncodedCloud, encode_clouds
 from bayesnet_track.journal.frame_columns import ABSENT, texts
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import AREA, FIT, HYPOTHESES, NATS, UD, Bools, Floats, Ints
@@ -183,7 +183,7 @@ class FilteredGaussians:
             np.stack([centre - reach * sds, centre + reach * sds], axis=2).reshape(-1, 4).tolist()
             for reach in SHARES
         ]
-        clouds = self._clouds(work) if hypotheses else [Written()] * len(self.ids)
+        clouds = self._clouds(work) if hypotheses else [EncodedCloud()] * len(self.ids)
         log_evidence, nats, ess, size, _, _, _, _ = self.numbers.T.tolist()
         columns = zip(variances, ess, nats, zip(*regions, strict=True), clouds, strict=True)
         more = zip(log_evidence, size, self._p_values(), strict=True)
@@ -205,14 +205,14 @@ class FilteredGaussians:
             )
         }
 
-    def _clouds(self, work: FrameWork) -> list[Written]:
+    def _clouds(self, work: FrameWork) -> list[EncodedCloud]:
         """Hypotheses drawn from the belief of each."""
         now, streams = self.columns, work.engine.streams
         draws = streams.of_each(work.births_of(self.ids), self.before.rule.root, work.moment, "cloud")
         clouds = np.empty((len(self.ids), CLOUD_SIZE, 4))
         for row, (lower, rng) in enumerate(zip(roots(now.covariance[:, :4, :4]), draws, strict=True)):
             clouds[row] = draw_boxes(now.mean[row], lower, CLOUD_SIZE, rng)
-        return written(np.rint(clouds).astype(np.int64))
+        return encode_clouds(np.rint(clouds).astype(np.int64))
 
     def _p_values(self) -> list[float | None]:
         """P-value of each one's detection under its prediction; None of one that several targets share."""

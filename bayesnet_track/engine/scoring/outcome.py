@@ -93,38 +93,38 @@ def level_afterwards(levels: Sequence[float], means: Floats) -> float:
     return min(max(level, lowest) for level, lowest in zip(levels, kept, strict=True))
 
 
-def next_cusum(rise: float, score: float) -> float:
+def next_cusum(cusum: float, score: float) -> float:
     """The alarm's evidence C after a frame: max(0, C + clip(log((1 - score) / score) - 1, -1, 1)).
 
     >>> next_cusum(0.5, 0.0), next_cusum(1.5, 0.9), next_cusum(0.5, 0.9)
     (1.5, 0.5, 0.0)
     """
     odds = math.inf if score <= 0.0 else math.log1p(-score) - math.log(score) if score < 1.0 else -math.inf
-    return max(0.0, rise + min(max(odds - SHIFT_NATS, -MOST_NATS), MOST_NATS))
+    return max(0.0, cusum + min(max(odds - SHIFT_NATS, -MOST_NATS), MOST_NATS))
 
 
-def e_value(rise: float, rule: Alarm) -> float:
+def e_value(cusum: float, rule: Alarm) -> float:
     """(videos + 1) X / (total + X), X = exp(rise): at most 1 in expectation while the target is held.
 
     Over a video exchangeable with the calibration videos the largest value has the expectation 1, so that it
     reaches 1 / share with a probability of at most `share`, whatever the dependence of its frames.
     """
-    return (rule.videos + 1) / (1.0 + rule.total * math.exp(-rise))
+    return (rule.videos + 1) / (1.0 + rule.total * math.exp(-cusum))
 
 
 def with_evidence(scored: ScoreState, score: float, frame: int) -> ScoreState:
     """With the alarm's evidence after a frame."""
-    rise = next_cusum(scored.rise, score)
-    if rise == 0.0:
-        return replace(scored, rise=0.0, since=None, alarmed=False)
-    return replace(scored, rise=rise, since=frame if scored.since is None else scored.since)
+    cusum = next_cusum(scored.cusum, score)
+    if cusum == 0.0:
+        return replace(scored, cusum=0.0, since=None, alarmed=False)
+    return replace(scored, cusum=cusum, since=frame if scored.since is None else scored.since)
 
 
 def judge_alarm(
     before: ScoreState, scored: ScoreState, rule: Alarm, frame: int, target: str
 ) -> tuple[ScoreState, AlarmRaised | AlarmEnded | None]:
     """The alarm that is raised, or that ends as its evidence has gone."""
-    found = e_value(scored.rise, rule)
+    found = e_value(scored.cusum, rule)
     if not scored.alarmed and found >= 1.0 / rule.share and scored.since is not None:
         raised = AlarmRaised(frame, target, found, rule.share, scored.since, rule.videos)
         return replace(scored, alarmed=True), raised

@@ -160,7 +160,7 @@ class ScoreState:
         meeting: how the target and the distractor of the last such frames moved; None before any.
         encounter: the same of the distractor that put the target in doubt.
         recent: the last scores, as many as the guarantee asks for; none without one.
-        rise: what the alarm's evidence has risen to, nats; 0 without an alarm.
+        cusum: what the alarm's evidence has risen to, nats; 0 without an alarm.
         since: first frame of this rise; None while there is none.
         alarmed: whether the alarm was raised since then.
         fits: log fits of its last frames while it was held.
@@ -181,7 +181,7 @@ class ScoreState:
     meeting: Encounter | None = None
     encounter: Encounter | None = None
     recent: tuple[float, ...] = ()
-    rise: float = 0.0
+    cusum: float = 0.0
     since: int | None = None
     alarmed: bool = False
     fits: tuple[float, ...] = ()

@@ -35,7 +35,7 @@ from bayesnet_track.runtime.checkpoints.state_codec import (
     state_format,
 )
 from bayesnet_track.runtime.recording.background import Background
-from bayesnet_track.runtime.recording.record import Recorder, Written
+from bayesnet_track.runtime.recording.record import FilePositions, Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import RunPosition
 
@@ -73,7 +73,7 @@ class Checkpoint:
     frames: int
     reconfigurations: int
     lost_frames: int
-    written: Written
+    written: FilePositions
     machine: Mapping[str, str]
     state: bytes
 
@@ -208,7 +208,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         are_right = False
     if not are_right:
         raise CheckpointError(f"{path}: it is damaged or was edited")
-    return Checkpoint(**numbers, written=Written(positions, ids), machine=machine, state=state)
+    return Checkpoint(**numbers, written=FilePositions(positions, ids), machine=machine, state=state)
 
 
 def _are_counts(values: Iterable[object]) -> bool:
@@ -245,7 +245,7 @@ EVERY_S = 1.0
 """Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""
 
 
-def checkpoint_of(now: RunPosition, written: Written, recipe: str) -> Checkpoint:
+def checkpoint_of(now: RunPosition, written: FilePositions, recipe: str) -> Checkpoint:
     """The checkpoint of a run that is so far.
 
     Raises:

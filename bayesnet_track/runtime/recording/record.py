@@ -46,7 +46,7 @@ MOST_WAITING = 4
 
 
 @dataclass(frozen=True)
-class Written:
+class FilePositions:
     """How far a run is written down.
 
     Attributes:
@@ -87,7 +87,7 @@ class Recorder:
         graph: CheckedGraph,
         frame_interval_s: float,
         optional: Collection[str] = (),
-        after: Written | None = None,
+        after: FilePositions | None = None,
         before_first: Callable[[], None] | None = None,
     ) -> None:
         self._directory, self._interval, self._optional = directory, frame_interval_s, optional
@@ -104,7 +104,7 @@ class Recorder:
         if before_first is None:
             self._open(after)
 
-    def _open(self, after: Written | None = None) -> None:
+    def _open(self, after: FilePositions | None = None) -> None:
         directory = self._directory
         at = {} if after is None else {name: place.size for name, place in after.positions.items()}
         ids = NO_IDS if after is None else after.ids
@@ -131,7 +131,7 @@ class Recorder:
             self._files = files.pop_all()
         self._before_first = None
 
-    def look_ahead(self, forecaster: Forecaster, after: Written | None = None) -> None:
+    def look_ahead(self, forecaster: Forecaster, after: FilePositions | None = None) -> None:
         """Also write where targets are expected, from the first frame on or `after` what is written."""
         self._forecaster = forecaster
         if self._before_first is None:
@@ -142,9 +142,11 @@ class Recorder:
             self._forecasts = self._files.enter_context(writer)
 
     @property
-    def written(self) -> Written:
+    def written(self) -> FilePositions:
         """How far the files are written, but for the video."""
-        return Written({name: file.position for name, file in self._lines().items()}, dict(self._mot.ids))
+        return FilePositions(
+            {name: file.position for name, file in self._lines().items()}, dict(self._mot.ids)
+        )
 
     def sync(self) -> None:
         """Let the disk have all that is written, but for the video, and every file's name."""
