@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.belief.particles.kernel_shrinkage import formulas_in, static_fields
 from bayesnet_track.engine.external_inputs import route_inputs
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
@@ -162,6 +164,20 @@ def say_blank(frame: Frame, starts: Sequence[Start]) -> None:
         )
 
 
+def _say_constants_die_out(engine: Engine) -> None:
+    """Say so where particles hold an unknown constant that resampling alone decides about."""
+    for plate, compiled in engine.plates.items():
+        names = static_fields(compiled.motion)
+        if not names or not isinstance(compiled.belief, ParticleFilter):
+            continue
+        if all(one.static_discount is None for one in formulas_in(compiled.motion)):
+            notice(
+                f"{plate}: {', '.join(names)} neither drifts nor has noise, so that resampling leaves a few "
+                "of its first values, surer than the evidence is; write static_discount: 0.98 beside its "
+                "fields, or give it a small sd"
+            )
+
+
 def start_targets(
     graph: CheckedGraph,
     engine: Engine,
@@ -170,6 +186,7 @@ def start_targets(
     external_inputs: Iterable[Input] = (),
 ) -> Outcome:
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
+    _say_constants_die_out(engine)
     given = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, None))
     work = FrameWork(engine, State().net, cache, {}, given.availability, given.by_hand)

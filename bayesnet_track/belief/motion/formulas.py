@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import Term, names_in
+from bayesnet_track.graph.expressions.terms import Number, Term, Variable, names_in
 from bayesnet_track.graph.settings.motion import ByExpressions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
@@ -256,6 +257,7 @@ class FormulaMotion:
         start_mean: (D - 4,) of the further fields when the target starts.
         start_sd: (D - 4,) their sds.
         frame: columns and rows of the frame; None before one is known.
+        static_discount: of kernels that keep hypotheses about unknown constants; None without kernels.
         undefined: ``drift x`` or ``sd x`` -> what was found; of this object alone, which is made for a frame.
     """
 
@@ -266,6 +268,7 @@ class FormulaMotion:
     start_mean: tuple[float, ...] = ()
     start_sd: tuple[float, ...] = ()
     frame: tuple[int, int] | None = None
+    static_discount: float | None = None
     undefined: dict[str, Undefined] = field(default_factory=dict, init=False)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
@@ -344,6 +347,13 @@ class FormulaMotion:
             states_at,
         )
 
+    @cached_property
+    def static(self) -> tuple[str, ...]:
+        """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise."""
+        still = {name for name in self.fields[4:] if self.drifts.get(name, Variable(name)) == Variable(name)}
+        uncertain = (name for name, sd in zip(self.fields[4:], self.start_sd, strict=True) if sd > 0)
+        return tuple(name for name in uncertain if name in still and self.sds.get(name, ZERO) == ZERO)
+
     @property
     def _noisy(self) -> list[int]:
         return [column for column, name in enumerate(self.fields) if name in self.sds]
@@ -363,6 +373,7 @@ class FormulaMotion:
             self.undefined.setdefault(what, Undefined(int((~known).sum()), len(known)))
 
 
+ZERO = Number(0.0)
 LEAST_SD = 1e-6
 """Of a density, where an expression says 0: narrow, but with a logarithm."""
 
@@ -380,6 +391,7 @@ def make_formula_motion(settings: ByExpressions, constants: Mapping[str, float])
         {name: value for name, value in constants.items() if name in used},
         tuple(one.start for one in further.values()),
         tuple(one.sd for one in further.values()),
+        static_discount=settings.static_discount,
     )
 
 

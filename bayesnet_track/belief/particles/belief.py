@@ -15,6 +15,7 @@ from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.importance import proposal_of
+from bayesnet_track.belief.particles.kernel_shrinkage import shrink_constants
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import SizeMemory, WeightedSample, prior_of
 from bayesnet_track.graph import spec
@@ -113,7 +114,7 @@ class ParticleFilter:
         The prior weights beta are 1/N after resampling, and those of the last posterior otherwise. Evidence
         that leaves no positive, finite weight is not used: the posterior is the predicted prior.
         """
-        inputs = Inputs(prior, motion, dt, evaluate, stream)
+        inputs = Inputs(shrink_constants(prior, motion, stream), motion, dt, evaluate, stream)
         frame = self._draw(inputs)
         if self._refine is not None:
             frame = self._refine(inputs, frame)

@@ -264,6 +264,40 @@ def beliefs_hold_the_formulas(plate: Plate) -> Iterator[GraphMessage]:
             yield from _fits_grid(plate, (node, path), motion)
 
 
+def constants_have_particles(plate: Plate) -> Iterator[GraphMessage]:
+    """`static_discount` is for particles, and for fields that neither drift nor have noise."""
+    for node, path, motion in _formulas(plate):
+        if motion.static_discount is None:
+            continue
+        belief, key = plate.inference[node].belief, (*path, "static_discount")
+        if belief is not None and belief.particles is None:
+            found = f"static_discount beside {belief.kind}, which keeps a constant's uncertainty by itself"
+            yield plate.message(node, found, "no static_discount, or particles", key=key, on_key=True)
+        elif not static_fields(motion):
+            found = "static_discount, and every field that is uncertain drifts or has noise"
+            allowed = "a field with an sd at the start, no drift and no sd; or no static_discount"
+            yield plate.message(node, found, allowed, key=key, on_key=True)
+
+
+def static_fields(motion: ByExpressions) -> list[str]:
+    """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise."""
+    return [
+        name
+        for name, own in motion.fields.items()
+        if own.sd > 0
+        and str(motion.drift.get(name, name)).strip() == name
+        and float_of(motion.sd.get(name, 0.0)) == 0.0
+    ]
+
+
+def float_of(value: float | str) -> float:
+    """A number that may be written as text; not a number of another expression."""
+    try:
+        return float(value)
+    except ValueError:
+        return float("nan")
+
+
 def _fits_grid(plate: Plate, at: tuple[str, KeyPath], motion: ByExpressions) -> Iterator[GraphMessage]:
     node, path = at
     if tuple(motion.fields) not in ((), ("vx", "vy")):
@@ -373,6 +407,7 @@ FORMULA_CHECKS: tuple[Check, ...] = (
     fields_have_their_own_names,
     formulas_can_be_read,
     beliefs_hold_the_formulas,
+    constants_have_particles,
 )
 FORMULA_JOIN_CHECKS: tuple[GraphCheck, ...] = (
     attached_motions_are_kinematic,

@@ -284,6 +284,11 @@ class ByExpressions(Model):
     borders: Literal["reflect"] | None = Field(
         default=None, description="as of the other motions; turns `vx, vy, ax, ay`"
     )
+    static_discount: Annotated[Number, Field(ge=0.9, lt=1)] | None = Field(
+        default=None,
+        description="of fields that neither drift nor have noise, beside particles: their hypotheses are "
+        "spread anew before each frame, by kernels of this discount (Liu and West 2001); .98 is usual",
+    )
 
     @property
     def is_plain(self) -> bool:
