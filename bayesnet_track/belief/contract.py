@@ -196,6 +196,7 @@ class Step(Generic[P_co]):
         reports: what the belief did of its own accord.
         predicted: the belief before the evidence where that is Gaussians, those of visible modes; empty where
             the support stands for it.
+        ancestors: (N,) hypotheses of the belief before that those after it come from; None where unknown.
     """
 
     posterior: P_co
@@ -207,6 +208,7 @@ class Step(Generic[P_co]):
     degenerate: str | None = None
     reports: tuple[Report, ...] = ()
     predicted: tuple[Predicted, ...] = ()
+    ancestors: Ancestors | None = None
 
     @cached_property
     def map_state(self) -> Floats:

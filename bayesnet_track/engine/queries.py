@@ -12,7 +12,16 @@ import numpy as np
 from bayesnet_track.belief.asked import BeliefGroup, GaussianGroup, WeightedGroup, groups_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.outcome import Outcome, State
+from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.targets import Targets
+from bayesnet_track.inference.crossings import (
+    Sample,
+    Trail,
+    advance,
+    convolved,
+    sample_gaussian,
+    sample_weighted,
+)
 from bayesnet_track.inference.queries import (
     CompiledQuery,
     QueryMemory,
@@ -20,12 +29,17 @@ from bayesnet_track.inference.queries import (
     numbers,
     pair_up,
     probabilities,
+    sum_of_events,
 )
 from bayesnet_track.journal.events.beliefs import QueryPassed
+from bayesnet_track.journal.events.lives import DuplicateEnded
 from bayesnet_track.journal.metrics import Answers, Subject
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.planes import Frame
+
+Trails = Mapping[tuple[str, str], Trail]
+"""(query, target) -> its hypotheses with the automaton of a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +66,24 @@ def _by_number(target: str) -> tuple[int, str]:
     return len(target), target
 
 
-def answer_queries(work: FrameWork, outcome: Outcome) -> Outcome:
-    """The outcome with the answers of its frame, and the events of those that passed their level."""
+def answer_queries(work: FrameWork, outcome: Outcome, filtered: Together | None = None) -> Outcome:
+    """The outcome with the answers of its frame, and the events of those that passed their level.
+
+    `filtered` is the first half of the frame, from which hypotheses have their ancestors.
+    """
     started, state = work.engine.clock(), outcome.state
     kinds = {kind for compiled in work.engine.queries for kind in compiled.query.kinds}
     targets = asked_targets(state, kinds)
     frame = frame_names(work.frame, work.cache.frames.previous)
-    answers = tuple(answer(compiled, targets, frame) for compiled in work.engine.queries)
+    trails, ended = follow_crossings(work, outcome, targets, filtered)
+    answers = tuple(
+        answer(compiled, targets, frame)
+        if compiled.query.crosses is None
+        else answer_crossings(compiled, targets, trails, ended)
+        for compiled in work.engine.queries
+    )
     events, high = _passed(work, answers, state.queries.high)
-    state = changed(state, queries=QueryMemory(high))
+    state = changed(state, queries=QueryMemory(high, trails, ended))
     work.charge("queries", started)
     return changed(
         outcome,
@@ -132,8 +155,78 @@ def answer(compiled: CompiledQuery, targets: AskedTargets, frame: Mapping[str, f
     if query.kind == "count":
         exists = np.array([targets.existence.get(target, 1.0) for (target,) in subjects])
         table = table * exists
-        total = count_of(compiled, table[0])
+        total = count_of(compiled, sum_of_events(table[0]))
     return Answers(compiled.name, query.kind, tuple(subjects), table, total, query.unit or "")
+
+
+def answer_crossings(
+    compiled: CompiledQuery, targets: AskedTargets, trails: Trails, ended: Mapping[str, Floats]
+) -> Answers:
+    """Of each live target the probability that it has crossed; the number of crossings of all so far."""
+    (kind,) = compiled.query.kinds
+    ids = sorted((target for group in targets.groups[kind] for target in group.ids), key=_by_number)
+    shares = [1.0 - float(trails[compiled.name, target].distribution[0]) for target in ids]
+    total = ended.get(compiled.name, np.ones(1))
+    for name, target in sorted(trails, key=lambda key: _by_number(key[1])):
+        if name == compiled.name:
+            total = convolved(total, trails[name, target].distribution)
+    subjects = tuple((target,) for target in ids)
+    table = np.array(shares).reshape(1, -1)
+    return Answers(compiled.name, "crosses", subjects, table, count_of(compiled, total))
+
+
+def follow_crossings(
+    work: FrameWork, outcome: Outcome, targets: AskedTargets, filtered: Together | None
+) -> tuple[Trails, Mapping[str, Floats]]:
+    """Trails of all lines with one frame more, and what is left of targets that are gone.
+
+    The crossings of a target that may return stay its own, so that it is counted once. Those of a duplicate
+    are those of another target.
+    """
+    state, memory = outcome.state, outcome.state.queries
+    returning = {remembered.target for remembered in state.history.dead}
+    doubles = {event.target for event in outcome.events if isinstance(event, DuplicateEnded)}
+    trails: dict[tuple[str, str], Trail] = {}
+    ended = dict(memory.ended)
+    for compiled in work.engine.queries:
+        line = compiled.query.crosses
+        if line is None:
+            continue
+        (kind,) = compiled.query.kinds
+        for target, group in targets.singles(kind):
+            key = compiled.name, target
+            trail = memory.trails.get(key)
+            sample = _sample(work, outcome, compiled, (group, trail), filtered)
+            trails[key] = advance(line, trail, sample, targets.existence.get(target, 1.0))
+        for (name, target), trail in memory.trails.items():
+            if name != compiled.name or (name, target) in trails or target in doubles:
+                continue
+            if target in returning:
+                trails[name, target] = trail
+            else:
+                ended[name] = convolved(ended.get(name, np.ones(1)), trail.distribution)
+    return trails, ended
+
+
+def _sample(
+    work: FrameWork,
+    outcome: Outcome,
+    compiled: CompiledQuery,
+    single: tuple[BeliefGroup, Trail | None],
+    filtered: Together | None,
+) -> Sample:
+    line, (group, trail) = compiled.query.crosses, single
+    assert line is not None
+    (target,) = group.ids
+    if not isinstance(group, GaussianGroup):
+        ancestors = None if filtered is None else filtered.ancestors(target)
+        return sample_weighted(group, line, ancestors)
+    previous = work.cache.frames.previous
+    passed = 1.0 if previous is None else work.frame.time - previous.time
+    motion = work.engine.plates[compiled.query.kinds[0]].motion
+    birth = outcome.state.history.births.get(target, target)
+    stream = work.stream_of(birth, f"query {compiled.name}")
+    return sample_gaussian(group, line, trail, (motion, passed), stream)
 
 
 def _rows(values: Floats) -> Floats:

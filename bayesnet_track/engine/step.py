@@ -248,7 +248,7 @@ def change_joins(batch: Batch) -> Batch:
 
 def ask(batch: Batch) -> Batch:
     """The queries of the graph are answered from the beliefs after the frame."""
-    return changed(batch, outcome=answer_queries(batch.work, batch.outcome))
+    return changed(batch, outcome=answer_queries(batch.work, batch.outcome, batch.joint.filtered))
 
 
 def shed_load(batch: Batch) -> Batch:

@@ -90,7 +90,7 @@ from bayesnet_track.graph.settings.net import (
     SizeBox,
     Window,
 )
-from bayesnet_track.graph.settings.queries import MOST_QUERIES, Counted, Query
+from bayesnet_track.graph.settings.queries import MOST_QUERIES, Counted, Crossing, Query
 from bayesnet_track.graph.settings.scores import (
     Alarm,
     Distractors,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -19,6 +19,7 @@ from bayesnet_track.graph.expressions.evaluate import Between, Linear, between_o
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import Term, names_in
 from bayesnet_track.graph.settings.queries import Query
+from bayesnet_track.inference.crossings import Trail
 from bayesnet_track.journal.metrics import Answer
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 
@@ -34,9 +35,14 @@ class QueryMemory:
 
     Attributes:
         high: answers that are at or above their level: name of the query, then its targets.
+        trails: (query, target) -> hypotheses with the automaton of a line, of live targets and of those that
+            may return.
+        ended: query -> distribution of the crossings of all targets that are gone.
     """
 
     high: frozenset[tuple[str, ...]] = frozenset()
+    trails: Mapping[tuple[str, str], Trail] = field(default_factory=dict)
+    ended: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +177,12 @@ def inside_polygon(corners: Floats, x: Floats, y: Floats) -> Bools:
     return is_inside
 
 
-def count_of(compiled: CompiledQuery, events: Floats) -> Answer:
-    """Number of independent events (n,), each a target that exists and is counted."""
-    distribution = sum_of_events(events)
+def count_of(compiled: CompiledQuery, distribution: Floats) -> Answer:
+    """The number that a distribution (n,) over 0, 1, 2, ... is of."""
     low, high = (count_quantile(distribution, share) for share in compiled.shares)
-    sd = math.sqrt(float(np.sum(events * (1.0 - events))))
-    return Answer(float(np.sum(events)), sd, low, high)
+    numbers = np.arange(len(distribution))
+    mean = float(distribution @ numbers)
+    return Answer(mean, math.sqrt(float(distribution @ (numbers - mean) ** 2)), low, high)
 
 
 def normal_between(low: Floats, high: Floats) -> Floats:

@@ -272,7 +272,7 @@ class Answers(Mapping[str | Subject, Answer]):
 
     Attributes:
         query: name of the query.
-        kind: probability, value or count.
+        kind: probability, value, count or crosses.
         subjects: the n targets or pairs that were asked.
         columns: (R, n) probabilities, R = 1; or means, sds, lower and upper bounds, R = 4.
         total: number of all targets together; None of a query that does not count.

@@ -474,6 +474,7 @@ def everything() -> dict[str, Any]:
             "q": {"of": "t", "probability": "x > 3", "event_above": 0.5},
             "v": {"of": ["t", "t"], "value": "a.x - b.x", "unit": "px", "interval": 0.5},
             "c": {"of": "t", "count": {"polygon": [[0, 0], [4, 0], [4, 3]], "point": "foot"}},
+            "k": {"of": "t", "crosses": {"line": [[0, 0], [4, 0]], "from": "left", "hysteresis_px": 3}},
         },
         "joins": [
             {

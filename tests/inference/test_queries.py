@@ -229,7 +229,7 @@ def test_a_count_is_the_sum_over_all_subsets():
     for subset in itertools.product((0, 1), repeat=4):
         expected[sum(subset)] += math.prod(p if on else 1 - p for p, on in zip(events, subset, strict=True))
     assert sum_of_events(events) == pytest.approx(expected, abs=1e-15)
-    found = count_of(asked(count={"condition": "x > 3"}), events)
+    found = count_of(asked(count={"condition": "x > 3"}), sum_of_events(events))
     assert found.mean == pytest.approx(expected @ np.arange(5))
     assert found.sd == pytest.approx(math.sqrt(expected @ (np.arange(5) - found.mean) ** 2))
     assert (found.low, found.high) == (1.0, 3.0)

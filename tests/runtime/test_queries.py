@@ -25,6 +25,7 @@ FILES = ("journal.jsonl", "frames.npy.gz", "tracks.csv", "queries.csv", "graph.y
 QUERIES = {
     "right": {"of": "square", "probability": "x > 100", "event_above": 0.9},
     "speed": {"of": "square", "value": "hypot(vx, vy) / frame_s", "unit": "px/s"},
+    "crossed": {"of": "square", "crosses": {"line": [[100, 0], [100, 240]]}},
     "inside": {"of": "square", "count": {"polygon": [[0, 0], [100, 0], [100, 240], [0, 240]]}},
 }
 
@@ -78,10 +79,12 @@ def test_the_files_of_a_run_have_the_answers(whole: Path) -> None:
     assert [(row["query"], row["of"]) for row in of_last] == [
         ("right", "1"),
         ("speed", "1"),
+        ("crossed", "1"),
+        ("crossed", "all"),
         ("inside", "1"),
         ("inside", "all"),
     ]
-    right, speed, _, total = of_last
+    right, speed, _, _, _, total = of_last
     assert (right["mean"], speed["probability"], speed["unit"]) == ("", "", "px/s")
     with (whole / "tracks.csv").open(encoding="utf-8") as file:
         line = list(csv.DictReader(file))[-1]
@@ -198,3 +201,81 @@ def test_a_tracker_answers_from_its_first_frame_on() -> None:
     assert tracker.metrics.queries["right"] == tracker.queries["right"]["1"].probability
     with pytest.raises(ValueError, match="no probability"):
         _ = tracker.queries["speed"]["1"].probability
+
+
+def walked(paths: list[list[tuple[float, float] | None]], crosses: dict[str, object], name: str) -> float:
+    """The mean number of crossings of targets that walk along paths; None where nothing is detected."""
+    graph = graph_with({"crossed": {"of": "target", "crosses": crosses}}, name)
+    graph["queries"]["crossed"]["of"] = next(iter(graph["targets"]))
+    tracker = DetectionsTracker(check_graph(graph), size=(640, 480), fps=25)
+    rng = np.random.default_rng(0)
+    for places in zip(*paths, strict=True):
+        centres = np.array([place for place in places if place is not None]).reshape(-1, 2)
+        centres = centres + rng.normal(0, 0.5, centres.shape)
+        boxes = np.hstack([centres - 15, centres + 15])
+        tracker.update(SimpleNamespace(xyxy=boxes, confidence=np.ones(len(boxes))))
+    return tracker.queries["crossed"].total.mean
+
+
+LINE = {"line": [[50, 200], [590, 200]], "from": "left"}
+
+
+def down(x: float, first: float, last: float, frames: int = 40) -> list[tuple[float, float] | None]:
+    return [(x, first + (last - first) * k / (frames - 1)) for k in range(frames)]
+
+
+@pytest.mark.parametrize("name", ["kalman_detections", "jpda"])
+def test_a_crowd_is_counted_across_a_line(name: str) -> None:
+    paths = [down(100, 120, 300), down(300, 110, 320), down(500, 150, 190), down(400, 330, 100)]
+    assert walked(paths, LINE, name) == pytest.approx(2.0, abs=0.1)
+    assert walked(paths, {**LINE, "from": "right"}, name) == pytest.approx(1.0, abs=0.1)
+    assert walked(paths, {"line": LINE["line"]}, name) == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_target_that_is_lost_at_the_line_and_found_again_is_counted_once() -> None:
+    path = down(300, 100, 300)
+    hidden = [None if 15 <= k < 24 else place for k, place in enumerate(path)]
+    assert walked([hidden, down(100, 60, 60)], LINE, "kalman_detections") == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_target_that_hesitates_at_the_line_is_counted_once() -> None:
+    path = [
+        *down(300, 150, 198, 20),
+        *[(300.0, 200.0 + (-1) ** k) for k in range(20)],
+        *down(300, 202, 240, 20),
+    ]
+    crosses = {**LINE, "hysteresis_px": 6}
+    assert walked([path], crosses, "kalman_detections") == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_the_count_of_drawn_crowds_is_calibrated() -> None:
+    """Crowds drawn from what the filter assumes: the randomised PIT of the number in a polygon is uniform."""
+    from scipy.stats import kstest
+
+    from bayesnet_track.belief.asked import GaussianGroup
+    from bayesnet_track.graph.spec import Query
+    from bayesnet_track.inference.queries import compile_query, probabilities, sum_of_events
+
+    asked = compile_query("q", Query(of="t", count={"polygon": [[0, 0], [60, 0], [60, 60], [0, 60]]}), {})
+    transforms = []
+    for seed in range(200):
+        rng = np.random.default_rng(10_000 + seed)
+        truth = rng.uniform(-20, 100, (12, 2))
+        mean, variance = truth + rng.normal(0, 15, (12, 2)), np.full((12, 2), 15.0**2)
+        truth = mean + rng.normal(0, 15, (12, 2))
+        for _ in range(15):  # a random walk, seen with noise
+            truth = truth + rng.normal(0, 4, truth.shape)
+            predicted = variance + 16.0
+            gain = predicted / (predicted + 36.0)
+            mean = mean + gain * (truth + rng.normal(0, 6, truth.shape) - mean)
+            variance = (1 - gain) * predicted
+        covariances = np.zeros((12, 4, 4))
+        covariances[:, [0, 1], [0, 1]] = variance
+        means = np.hstack([mean, np.full((12, 2), 8.0)])
+        group = GaussianGroup([str(k) for k in range(12)], ("x", "y", "w", "h"), means, covariances)
+        distribution = sum_of_events(probabilities(asked, group, {}))
+        count = int(((truth > 0) & (truth < 60)).all(axis=1).sum())
+        below = distribution[:count].sum()
+        transforms.append(below + rng.random() * distribution[count])
+    assert kstest(transforms, "uniform").pvalue > 0.01

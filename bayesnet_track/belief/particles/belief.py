@@ -149,6 +149,7 @@ def finish_step(
         find_map=FindMap(log_likelihood, whole.states, inputs),
         degenerate=degenerate,
         reports=reports,
+        ancestors=whole.ancestors,
     )
 
 

@@ -47,6 +47,7 @@ class FilteredRows(Mapping[str, Filtered]):
         log_evidence: (T,).
         motion: how all of them moved.
         joins: target -> what a joint belief says of it.
+        parents: (T, N) hypotheses of the belief before that these come from.
     """
 
     work: FrameWork
@@ -58,6 +59,7 @@ class FilteredRows(Mapping[str, Filtered]):
     log_evidence: Floats
     motion: MotionModel
     joins: Mapping[str, JoinMetrics] = field(default_factory=dict)
+    parents: Ints | None = None
     keeps_status = False
     holds_frame = True
     _made: dict[str, Filtered] = field(default_factory=dict)
@@ -254,6 +256,7 @@ class FilteredRows(Mapping[str, Filtered]):
             own=self.own[chosen],
             said=self.said[chosen],
             log_evidence=self.log_evidence[chosen],
+            parents=None if self.parents is None else self.parents[chosen],
             _made=dict(self._made),
         )
         if "places" in self.__dict__:
@@ -357,6 +360,16 @@ class Together(Mapping[str, Filtered]):
 
     def __len__(self) -> int:
         return len(self.others) + len(self._group)
+
+    def ancestors(self, target: str) -> Ints | None:
+        """(N,) hypotheses of the belief before that a target's come from; None where unknown."""
+        if target in self.others:
+            return self.others[target].step.ancestors
+        group = self._group.get(target)
+        if group is None or group.parents is None:
+            return None
+        parents: Ints = group.parents[group.before.index[target]]
+        return parents
 
     def missing(self) -> list[str]:
         """Targets in neither."""

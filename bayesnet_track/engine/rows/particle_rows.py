@@ -114,7 +114,7 @@ def _asks_here(work: FrameWork, compiled: CompiledPlate, plan: Plan) -> bool:
 def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows:
     """The targets of a table, without those whose weights say nothing, or where an agent fails."""
     started, compiled, plan = work.engine.clock(), table.compiled, table.plan
-    moved = _move(work, table)
+    moved, parents = _move(work, table)
     count, size, fields = moved.shape
     hypotheses = hypotheses_of(moved.reshape(-1, fields), compiled.motion.fields)
     answers, failed = ask_together(work, table, hypotheses, np.arange(0, count * size + 1, size))
@@ -123,7 +123,7 @@ def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows:
     log, log_evidence = weigh(LogWeights.uniform(size).log, total)
     clouds = Clouds(moved, compiled.motion.fields, log, np.exp(log))
     motion = confined(compiled.motion, work.frame.width, work.frame.height)
-    found = FilteredRows(work, table, clouds, messages, total, total, log_evidence, motion)
+    found = FilteredRows(work, table, clouds, messages, total, total, log_evidence, motion, parents=parents)
     work.charge("belief", started)
     is_usable = np.isfinite(log_evidence)
     is_usable[list(failed)] = False
@@ -133,8 +133,8 @@ def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows:
     return found if is_usable.all() else found.take(np.flatnonzero(is_usable).tolist())
 
 
-def _move(work: FrameWork, table: ParticleTable) -> Floats:
-    """(T, N, D) hypotheses of the frame."""
+def _move(work: FrameWork, table: ParticleTable) -> tuple[Floats, Ints]:
+    """(T, N, D) hypotheses of the frame, and (T, N) those of the frame before that they come from."""
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
     compiled, frame, root = table.compiled, work.frame, table.compiled.plate.root
@@ -149,7 +149,7 @@ def _move(work: FrameWork, table: ParticleTable) -> Floats:
         own = [streams.of(birth, root, moment, "propagate") for birth in births]
     moved = propagate_rows(motion, table.clouds.states, frame.time - table.time, own, parents)
     confined(motion, frame.width, frame.height).confine(moved.reshape(-1, moved.shape[2]))
-    return moved
+    return moved, parents
 
 
 def ask_together(

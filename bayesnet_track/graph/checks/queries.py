@@ -42,19 +42,19 @@ def queries_ask_kinds(spec: GraphSpec, positions: Positions) -> Iterator[GraphMe
         if not 1 <= len(query.kinds) <= 2:
             problem = f"{len(query.kinds)} kinds of targets"
             yield positions.message((*path, "of"), problem, "one kind, or two for pairs: [hand, face]")
-        if query.is_pair and query.kind == "count":
+        if query.is_pair and query.kind in ("count", "crosses"):
             problem = f"{query.kind} of a pair of targets"
             yield positions.message((*path, "of"), problem, f"one kind, such as of: {query.kinds[0]}")
         if query.unit is not None and query.kind != "value":
             problem = f"unit beside {query.kind}, which has none"
             yield positions.message((*path, "unit"), problem, "value beside it, or no unit", on_key=True)
-        if query.event_above is not None and query.kind != "probability":
+        if query.event_above is not None and query.kind not in ("probability", "crosses"):
             problem = f"event_above beside {query.kind}, which is no probability"
-            advice = "probability beside it, or no event_above"
+            advice = "probability or crosses beside it, or no event_above"
             yield positions.message((*path, "event_above"), problem, advice, on_key=True)
         if "interval" in query.model_fields_set and query.kind == "probability":
             problem = "interval beside probability, which has none"
-            yield positions.message((*path, "interval"), problem, "value or count", on_key=True)
+            yield positions.message((*path, "interval"), problem, "value, count or crosses", on_key=True)
 
 
 def queries_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
@@ -116,7 +116,7 @@ def queries_have_their_own_names(spec: GraphSpec, positions: Positions) -> Itera
     """No query has the name of a column of the run's tables, or of another query's numbers."""
     fields = {name for target in spec.targets.values() for name in fields_of(target)}
     reserved = {*COLUMNS, *fields, *(f"sd_{name}" for name in fields)}
-    numbers = {column: name for name, query in spec.queries.items() for column in query.columns(name)[1:]}
+    numbers = {end: name for name, query in spec.queries.items() for end in query.further_names(name)}
     for name in spec.queries:
         path = ("queries", name)
         if name in reserved:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
-from bayesnet_track.graph.settings.base import Model, Name, Number
+from bayesnet_track.graph.settings.base import Model, Name, NotNegative, Number
 
 Text = Annotated[str, Field(min_length=1, max_length=MAX_CHARACTERS)]
 Level = Annotated[Number, Field(gt=0, lt=1)]
@@ -53,8 +53,55 @@ class Counted(Model):
         return self
 
 
+class CrossingLine(Model):
+    """Crossings of a line, each counted once when the target is surely on the other side.
+
+    Example::
+
+        queries:
+          crossed: {of: person, crosses: {line: [[100, 240], [540, 240]], from: left}}
+    """
+
+    line: tuple[Point, Point] = Field(description="its two ends [x, y], px")
+    hysteresis_px: NotNegative = Field(
+        default=2.0, description="distance from the line from which on a side is sure"
+    )
+    point: Literal["center", "foot"] = Field(
+        default="center", description="point of the box: its centre, or the middle of its lower edge"
+    )
+
+    @model_validator(mode="after")
+    def _has_length(self) -> Self:
+        if self.line[0] == self.line[1]:
+            raise ValueError("a line of some length")
+        return self
+
+    @property
+    def side(self) -> str:
+        """The key `from`, which is no name of Python: left, right or either."""
+        return str(getattr(self, "from"))
+
+
+if TYPE_CHECKING:
+
+    class Crossing(CrossingLine):
+        """Crossings of a line."""
+else:
+    _FROM = Field(
+        default="either",
+        description="side from which a crossing counts, seen from the line's first end towards its second",
+    )
+    Crossing = create_model(
+        "Crossing",
+        __base__=CrossingLine,
+        __doc__=CrossingLine.__doc__,
+        __module__=__name__,
+        **{"from": (Literal["left", "right", "either"], _FROM)},
+    )
+
+
 class Query(Model):
-    """A question that is answered in every frame from the beliefs: one of probability, value, count.
+    """A question that is answered in every frame from the beliefs: one of probability, value, count, crosses.
 
     Example::
 
@@ -75,6 +122,7 @@ class Query(Model):
         default=None, description="number, an [expression](expressions.md) of the state: mean, sd, interval"
     )
     count: Counted | None = Field(default=None, description="number of targets in a polygon")
+    crosses: Crossing | None = Field(default=None, description="number of crossings of a line")
     unit: Annotated[str, Field(min_length=1, max_length=32)] | None = Field(
         default=None, description="of a `value`; for readers only"
     )
@@ -83,7 +131,7 @@ class Query(Model):
     )
     event_above: Level | None = Field(
         default=None,
-        description="of a `probability`: level at which an event is written; default none",
+        description="of a `probability` or `crosses`: level at which an event is written; default none",
     )
 
     @model_validator(mode="after")
@@ -95,7 +143,7 @@ class Query(Model):
 
     @property
     def kind(self) -> str:
-        """probability, value or count."""
+        """probability, value, count or crosses."""
         return next(name for name in KINDS if getattr(self, name) is not None)
 
     @property
@@ -114,9 +162,14 @@ class Query(Model):
             return ()
         return tuple(name + end for end in ENDS[: 4 if self.kind == "value" else 1])
 
+    def further_names(self, name: str) -> tuple[str, ...]:
+        """Names of its numbers besides that of the query, of one target and of all together."""
+        counts = self.kind in ("count", "crosses")
+        return (*self.columns(name)[1:], *(f"{name}_count{end}" for end in ENDS if counts))
+
     @property
     def texts(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """Keys of its expression, and the expression; none of a polygon."""
+        """Keys of its expression, and the expression; none of a polygon or a line."""
         for key in ("probability", "value"):
             text = getattr(self, key)
             if text is not None:
@@ -125,7 +178,7 @@ class Query(Model):
             yield ("count", "condition"), self.count.condition
 
 
-KINDS = ("probability", "value", "count")
+KINDS = ("probability", "value", "count", "crosses")
 
 
 def query_columns(queries: Mapping[str, Query]) -> tuple[str, ...]:

@@ -337,8 +337,8 @@ class QueryPassed:
         query: name of the query.
         probability: what the beliefs say.
         level: the level.
-        above: True when the probability reached it, False when it fell below.
-        other: the second target of a pair; empty without.
+        reached: True when the probability reached it, False when it fell below.
+        second: the second target of a pair; empty without.
     """
 
     frame: int
@@ -346,15 +346,15 @@ class QueryPassed:
     query: str
     probability: float
     level: float
-    above: bool
-    other: str = ""
+    reached: bool
+    second: str = ""
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        of = f"targets {self.target} and {self.other}" if self.other else f"target {self.target}"
+        subject = f"targets {self.target} and {self.second}" if self.second else f"target {self.target}"
         probability, level = distinct_texts(self.probability, self.level)
-        if not self.above:
-            return f"{self.query} of {of} no longer probable: {probability} < {level}"
+        if not self.reached:
+            return f"{self.query} of {subject} no longer probable: {probability} < {level}"
         turning = round_away(self.probability, decimals(self.probability, self.level), up=True)
         unless = "at any event_above" if float(turning) >= 1.0 else f"no event if event_above > {turning}"
-        return f"{self.query} of {of} probable: {probability} ≥ {level} ({unless})"
+        return f"{self.query} of {subject} probable: {probability} ≥ {level} ({unless})"

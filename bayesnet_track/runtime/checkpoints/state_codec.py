@@ -33,6 +33,7 @@ from bayesnet_track.engine.moving.predicting import MotionContext
 from bayesnet_track.engine.scoring.score import Encounter, Place, ScoreState
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.crossings import Trail
 from bayesnet_track.inference.guard import SlowReferences
 from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.joins import Joined
@@ -83,6 +84,7 @@ CLASSES: tuple[type, ...] = (
     CarriedHypotheses,
     Scene,
     QueryMemory,
+    Trail,
 )
 """Every class of which the state between frames is made."""
 
