@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.association import marginalise
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 NEGLIGIBLE = 1e-3
 """Detections that are a target's with less probability are left out of its update."""
@@ -152,7 +152,7 @@ class DetectionModel:
         known = self.size_mean, self.size_covariance, float(self.sizes)
         mean, covariance = follow_sizes(np.ascontiguousarray(boxes), *known, SIZE_SD**2)
         sizes = min(self.sizes + len(boxes), MEMORY_SIZES)
-        return changed(self, size_mean=mean, size_covariance=covariance, sizes=sizes)
+        return evolve(self, size_mean=mean, size_covariance=covariance, sizes=sizes)
 
     def log_density(self, boxes: Floats, area_px2: float) -> Floats:
         """(N,) log density of a box (N, 4) that may be anywhere, of the sizes that detections have."""
@@ -166,13 +166,13 @@ class DetectionModel:
         """After a frame with so many false detections."""
         frames = min(self.frames + 1.0, MEMORY_FRAMES)
         clutter = max(self.clutter + (false - self.clutter) / frames, 1e-3)
-        return changed(self, clutter=clutter, frames=frames)
+        return evolve(self, clutter=clutter, frames=frames)
 
     def after_chances(self, cover: Floats, seen: Floats, existence: Floats) -> DetectionModel:
         """After T targets could be detected; `cover` (T,) is how probably another one covers each."""
         hits, chances = _faded(self.hits, self.chances, 1.0 - cover, seen, existence)
         covered = _faded(self.covered_hits, self.covered_chances, cover, seen, existence)
-        return changed(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
+        return evolve(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
 
 
 def _faded(
@@ -247,4 +247,4 @@ def share(expected: Expected, likelihoods: Pairs, log_nobody: Floats) -> Shared:
     kept = weights >= NEGLIGIBLE
     pairs = Pairs(rows[kept], columns[kept], weights[kept])
     missed = np.clip(1.0 - np.bincount(pairs.rows, pairs.values, minlength=len(r)), 0.0, 1.0)
-    return Shared(after, pairs, missed, seen, found.free, changed(likelihoods, values=gains))
+    return Shared(after, pairs, missed, seen, found.free, evolve(likelihoods, values=gains))

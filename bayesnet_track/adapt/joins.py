@@ -23,7 +23,7 @@ from bayesnet_track.graph.settings.joins import Join, join_of
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 HIDDEN = 0.05
 """Probability that a hidden target is detected."""
@@ -220,7 +220,7 @@ def decide_joins(
             together = frame - join.frame
             decisions.append(Parted(frame, *pair, overlap, when.overlap, len(apart), max(apart), together))
         else:
-            pairs[pair] = changed(before, overlap=overlap, apart=apart)
+            pairs[pair] = evolve(before, overlap=overlap, apart=apart)
     return tuple(decisions), _prune(replace(memory, pairs=pairs), frozenset(names))
 
 

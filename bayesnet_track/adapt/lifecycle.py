@@ -12,7 +12,7 @@ from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState
 
@@ -269,7 +269,7 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
             after = _add_look(one, float(free.scores[row]), confirm)
             track = (*one.track, (free.time, box))[-confirm.of :]
             is_far = one.is_far or far[row] != UNASSIGNED
-            after = changed(after, box=box, step=box[:2] - one.box[:2], track=track, is_far=is_far)
+            after = evolve(after, box=box, step=box[:2] - one.box[:2], track=track, is_far=is_far)
         if not _is_hopeless(after, confirm):
             kept.append(after)
     for new in np.flatnonzero(near == UNASSIGNED).tolist():  # one far from a candidate may be another's first
@@ -299,7 +299,7 @@ def look_again(
     """A tentative track after a look: seen in the centre box (4,) or not; None when it is given up."""
     after = _add_look(candidate, score, confirm)
     if box is not None:
-        after = changed(after, box=box.copy(), step=box[:2] - candidate.box[:2])
+        after = evolve(after, box=box.copy(), step=box[:2] - candidate.box[:2])
     return None if _is_hopeless(after, confirm) else after
 
 
@@ -319,13 +319,13 @@ def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
 
 
 def _add_look(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
-    return changed(candidate, looks=(*candidate.looks, score)[-confirm.of :])
+    return evolve(candidate, looks=(*candidate.looks, score)[-confirm.of :])
 
 
 def _move_on(candidate: Candidate) -> Candidate:
     box = candidate.box.copy()
     box[:2] += candidate.step
-    return changed(candidate, box=box)
+    return evolve(candidate, box=box)
 
 
 def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:

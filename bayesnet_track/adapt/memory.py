@@ -19,7 +19,7 @@ import numpy as np
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Adapt, Information, Lost
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 
 @dataclass(frozen=True)
@@ -316,10 +316,10 @@ class RuleMemory:
         counts[row, [self.layout.streaks[streak] for streak in ended]] = 0
         if missed is not None:
             frames[row] = [missed.get(agent, 0) for agent in self.layout.agents]
-        return changed(self, counts=counts, missed=frames)
+        return evolve(self, counts=counts, missed=frames)
 
     def without(self, kinds: Collection[str]) -> RuleMemory:
         """With the streaks of these kinds at 0."""
         counts = self.counts.copy()
         counts[:, [column for (kind, _), column in self.layout.streaks.items() if kind in kinds]] = 0
-        return changed(self, counts=counts)
+        return evolve(self, counts=counts)

@@ -26,7 +26,7 @@ from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Condition, Level, Lost
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 STATUSES = ("tracking", "uncertain", "lost")
 """By their number in `RuleColumns.statuses`."""
@@ -99,7 +99,7 @@ def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools
         is_due |= memory.missed.any(axis=1)
     if not inputs.active:
         is_due = np.ones(count, np.bool_)
-    return changed(memory, counts=counts, values=values), is_due
+    return evolve(memory, counts=counts, values=values), is_due
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def _with_contributions(
                 {**rate, node: rate.get(node, InformationRate()).after(contribution, frames_kept)}
                 for rate, contribution in zip(rates, contributions, strict=True)
             )
-    return changed(memory, nats=nats, frames=frames, worth=rates, baselines=baselines)
+    return evolve(memory, nats=nats, frames=frames, worth=rates, baselines=baselines)
 
 
 def _with_uds(inputs: RuleColumns, memory: RuleMemory) -> Mapping[tuple[str, frozenset[str]], Baseline]:

@@ -40,7 +40,7 @@ from bayesnet_track.graph.spec import Adapt, Condition, Level
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 
 def decide(now: RuleColumns, memory: RuleMemory) -> tuple[dict[int, tuple[Decision, ...]], RuleMemory]:
@@ -277,7 +277,7 @@ def _wake(now: RuleInputs, decisions: list[Decision]) -> None:
         return
     governors = {d.governor for d in decisions if isinstance(d, Activated)}
     if len(governors) == 1:  # at no level would its agents have stayed off: they would have been woken
-        decisions[:] = [changed(d, cause=None) if isinstance(d, Activated) else d for d in decisions]
+        decisions[:] = [evolve(d, cause=None) if isinstance(d, Activated) else d for d in decisions]
     if governors:
         return
     for agent in _eligible(now):

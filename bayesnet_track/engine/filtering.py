@@ -39,7 +39,7 @@ from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue
 
 
@@ -214,7 +214,7 @@ def _step_from(
     own = partial(_renamed, stream, "elsewhere")
     start = belief.start(box, motion, own)
     step = belief.step(start, motion, dt, _evaluation(work, modes, observer, plan), own)
-    return changed(step, ancestors=None)  # they are of a belief that starts here
+    return evolve(step, ancestors=None)  # they are of a belief that starts here
 
 
 def _renamed(stream: Stream, name: str, purpose: str) -> np.random.Generator:

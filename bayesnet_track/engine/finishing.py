@@ -47,7 +47,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, apply_decisions
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.records import Found, changed
+from bayesnet_track.numerics.records import Found, evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, read_only
 
@@ -249,7 +249,7 @@ def finish_targets(
     started = work.charge("measure", started)
     learnt = [learn_group(work, group) for group in judged]
     work.charge("learn", started)
-    bare = changed(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
+    bare = evolve(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
     tables = [
         FinishedGroup(bare, own, of, found, {}, partial(own.summaries, bare))
         for own, of, found in zip(gaussians, judged, learnt, strict=False)
@@ -264,7 +264,7 @@ def finish_targets(
         )
         for of, found in zip(judged[count:], learnt[count:], strict=True)
     ]
-    return changed(results, groups=done)
+    return evolve(results, groups=done)
 
 
 def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> dict[str, Floats]:
@@ -274,13 +274,13 @@ def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> 
 
 
 def _without_image(frame: Frame) -> Frame:
-    return changed(frame, image=NO_IMAGE, depth=None)
+    return evolve(frame, image=NO_IMAGE, depth=None)
 
 
 def _with_level(seen: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
     """With the largest level that would not have raised this doubt: all of its frames count."""
     encounter = outcome.scored.encounter
-    return seen if encounter is None else changed(seen, turning_nats=encounter.behind_nats)
+    return seen if encounter is None else evolve(seen, turning_nats=encounter.behind_nats)
 
 
 def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
@@ -349,7 +349,7 @@ def _live_net(work: FrameWork, filtered: Filtered) -> TargetNet:
     else:
         net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
     out = filtered.missed.keys() | filtered.resting
-    return changed(net, active=net.active - out) if out else net
+    return evolve(net, active=net.active - out) if out else net
 
 
 def _key(filtered: Filtered, net: TargetNet) -> Hashable:

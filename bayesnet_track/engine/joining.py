@@ -39,7 +39,7 @@ from bayesnet_track.journal.events.joins import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 Steps = dict[str, Step[Posterior]]
 
@@ -114,7 +114,7 @@ def reaches_of(names: Sequence[str], boxes: Floats, variances: Floats) -> Reache
 
 def _joined(one: Filtered, step: Step[Posterior], metrics: JoinMetrics) -> Filtered:
     modes = None if one.modes is None else one.modes.joined(step.posterior)
-    return changed(one, step=step, join=metrics, modes=modes)
+    return evolve(one, step=step, join=metrics, modes=modes)
 
 
 def _tree(work: FrameWork, memory: JoinMemory, of: Together) -> _Tree:
@@ -123,7 +123,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Together) -> _Tree:
     pairs: dict[Pair, PairMemory] = {}
     for pair in work.net.joins:
         known = memory.pairs.get(pair, PairMemory())
-        pairs[pair] = changed(known, first_in_front=_predict_order(known, rules[pair]))
+        pairs[pair] = evolve(known, first_in_front=_predict_order(known, rules[pair]))
     sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].reweights}
     tree, left_out = spanning_tree(sharing)
     flaws = {pair: PairFlaw() for pair in pairs if rules[pair].factor is not None}
@@ -193,7 +193,7 @@ def _update_pairs(
         if one.flawed != bool(flaw):
             events.append(PairFactorChanged(frame, *pair, flaw.undefined, flaw.pairs, flaw.ignored))
         in_front = orders.get(pair, one.first_in_front)
-        pairs[pair] = changed(one, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
+        pairs[pair] = evolve(one, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
     return pairs, events
 
 

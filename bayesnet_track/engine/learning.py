@@ -39,7 +39,7 @@ from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.switches import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import ANGLE, FAULTS, AnyCue, Reference, context_of
 from bayesnet_track.observation.likelihoods import ReferenceRows
 from bayesnet_track.observation.planes import Planes
@@ -344,4 +344,4 @@ def _learn_beside(
     first, still_out = start_late(lesson, now, references, chosen)
     slow = {**watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
     out = (quarantine(now.net, now.frame, now.target, agent, reason) for agent, reason in faults.items())
-    return Beside({**references, **first}, changed(watched, slow=slow), judged, (*kept, *out, *still_out))
+    return Beside({**references, **first}, evolve(watched, slow=slow), judged, (*kept, *out, *still_out))

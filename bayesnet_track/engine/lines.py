@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayesnet_track.journal.frame_columns import per_node
 from bayesnet_track.journal.metrics import Answers, FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 
 class LineGroup(Protocol):
@@ -209,4 +209,4 @@ class Lines(Sequence[FrameMetrics]):
 def _answered(lines: Sequence[FrameMetrics], answers: Sequence[Answers]) -> Sequence[FrameMetrics]:
     if not answers:
         return lines
-    return [changed(line, queries=numbers_of(answers, line.target)) for line in lines]
+    return [evolve(line, queries=numbers_of(answers, line.target)) for line in lines]

@@ -25,7 +25,7 @@ from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import Answers
 from bayesnet_track.journal.net.net import Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision.planes import Scene
 
@@ -101,9 +101,9 @@ def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelie
     history = state.history
     if gaussians:
         apart = {one: history.records[one] for one in results.others if one in history.records}
-        history = changed(history, records=Records(gaussians, apart))
+        history = evolve(history, records=Records(gaussians, apart))
     return Outcome(
-        changed(state, net=net, targets=targets, previous=work.frame, joins=joint.memory, history=history),
+        evolve(state, net=net, targets=targets, previous=work.frame, joins=joint.memory, history=history),
         results.lines,
         tuple(events),
         results.covariances,
@@ -121,8 +121,8 @@ def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
     reaches = reaches_of(*moments_of(state.targets, outcome.covariances))
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
     work.charge("joins", started)
-    after = changed(state, net=apply_decisions(state.net, decisions), joins=memory)
-    return changed(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
+    after = evolve(state, net=apply_decisions(state.net, decisions), joins=memory)
+    return evolve(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
 
 
 def moments_of(
@@ -153,12 +153,12 @@ def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | Sp
         if not state.load.counts:
             return outcome
         _, load = balance(work.frame.index, (), {}, state.load)
-        return changed(outcome, state=changed(state, load=load))
+        return evolve(outcome, state=evolve(state, load=load))
     decisions, load = balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
     net = apply_decisions(state.net, decisions)
     targets = {target: recompile(engine, net, target, one) for target, one in state.targets.items()}
-    after = changed(state, net=net, targets=targets, load=load)
-    return changed(outcome, state=after, events=(*outcome.events, *decisions))
+    after = evolve(state, net=net, targets=targets, load=load)
+    return evolve(outcome, state=after, events=(*outcome.events, *decisions))
 
 
 def with_external_inputs(outcome: Outcome, given: ExternalInputs) -> Outcome:
@@ -166,4 +166,4 @@ def with_external_inputs(outcome: Outcome, given: ExternalInputs) -> Outcome:
     notices: tuple[Event, ...] = (*given.availability.events, *given.refused)
     if not notices and not given.to_repeat:
         return outcome
-    return changed(outcome, events=(*notices, *outcome.events), external_inputs=given.to_repeat)
+    return evolve(outcome, events=(*notices, *outcome.events), external_inputs=given.to_repeat)

@@ -35,7 +35,7 @@ from bayesnet_track.journal.events.beliefs import QueryPassed
 from bayesnet_track.journal.events.lives import DuplicateEnded
 from bayesnet_track.journal.metrics import Answers, Subject
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame
 
 Trails = Mapping[tuple[str, str], Trail]
@@ -83,9 +83,9 @@ def answer_queries(work: FrameWork, outcome: Outcome, filtered: Together | None 
         for compiled in work.engine.queries
     )
     events, high = _passed(work, answers, state.queries.high)
-    state = changed(state, queries=QueryMemory(high, trails, ended))
+    state = evolve(state, queries=QueryMemory(high, trails, ended))
     work.charge("queries", started)
-    return changed(
+    return evolve(
         outcome,
         state=state,
         metrics=outcome.metrics.with_answers(answers),

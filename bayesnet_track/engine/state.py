@@ -17,7 +17,7 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import SlowReferences
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
 
@@ -62,7 +62,7 @@ def recompile(engine: Engine, net: Net, target: str, state: TargetState) -> Targ
 def with_agents(compiled: CompiledPlate, state: TargetState, agents: frozenset[str]) -> TargetState:
     """The state with a plan for exactly these agents."""
     plan = state.plan if agents == state.plan.active else plan_for(compiled, agents)
-    return state if plan is state.plan else changed(state, plan=plan)
+    return state if plan is state.plan else evolve(state, plan=plan)
 
 
 @lru_cache(maxsize=256)

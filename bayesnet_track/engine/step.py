@@ -45,7 +45,7 @@ from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.numerics.streams import birth_key
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.detector import Detector
@@ -172,8 +172,8 @@ def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Ite
 def cut_scenes(batch: Batch) -> Batch:
     """Targets that a scene cut may have moved are lost from the frame on."""
     state, cuts = find_cuts(batch.work.engine, batch.state, batch.work.frame)
-    work = changed(batch.work, net=state.net)
-    return changed(batch, work=work, state=state, targets=Targets.of(state.targets), cuts=cuts)
+    work = evolve(batch.work, net=state.net)
+    return evolve(batch, work=work, state=state, targets=Targets.of(state.targets), cuts=cuts)
 
 
 def arrange_targets(batch: Batch) -> Batch:
@@ -181,14 +181,14 @@ def arrange_targets(batch: Batch) -> Batch:
     targets, records = arrange(batch.work, batch.state)
     if targets is batch.targets:
         return batch
-    state = changed(batch.state, history=changed(batch.state.history, records=records))
-    return changed(batch, targets=targets, state=state)
+    state = evolve(batch.state, history=evolve(batch.state.history, records=records))
+    return evolve(batch, targets=targets, state=state)
 
 
 def associate_targets(batch: Batch) -> Batch:
     """Detections are divided among targets whose agents measure by them."""
     associated = associate_first(batch.work, batch.targets, batch.state.history)
-    return changed(batch, associated=associated, targets=associated.targets)
+    return evolve(batch, associated=associated, targets=associated.targets)
 
 
 def filter_tables(batch: Batch) -> Batch:
@@ -196,7 +196,7 @@ def filter_tables(batch: Batch) -> Batch:
     assert batch.associated is not None
     given, tables = batch.associated.given, batch.targets.gaussians
     done = tuple(filter_gaussians(batch.work, rows, given[rows.rule.plate]) for rows in tables)
-    return changed(batch, gaussians=done)
+    return evolve(batch, gaussians=done)
 
 
 def filter_targets(batch: Batch) -> Batch:
@@ -207,7 +207,7 @@ def filter_targets(batch: Batch) -> Batch:
     filtered = Together(filter_rows(batch.work, batch.targets), alone, batch.targets.order)
     for target in filtered.missing():
         alone[target] = filter_target(batch.work, target, batch.targets[target])
-    return changed(batch, joint=JointBelief(filtered, batch.state.joins))
+    return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
 
 
 def filter_carried(batch: Batch) -> Batch:
@@ -221,12 +221,12 @@ def filter_carried(batch: Batch) -> Batch:
         if target not in filtered:
             ride = rides.ride(target, before[target], filtered)
             alone[target] = filter_target(work, target, before[target], ride)
-    return changed(batch, joint=JointBelief(filtered, batch.state.joins))
+    return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
 
 
 def join(batch: Batch) -> Batch:
     """Joined targets are weighed together, so that the evidence of a pixel counts once."""
-    return changed(batch, joint=join_targets(batch.work, batch.state.joins, batch.joint.filtered))
+    return evolve(batch, joint=join_targets(batch.work, batch.state.joins, batch.joint.filtered))
 
 
 def finish(batch: Batch) -> Batch:
@@ -238,28 +238,28 @@ def finish(batch: Batch) -> Batch:
 
 def start_and_end(batch: Batch) -> Batch:
     """Detections become targets, lost targets are found, and nets end."""
-    return changed(batch, outcome=manage_tracks(batch.work, batch.outcome, batch.associated))
+    return evolve(batch, outcome=manage_tracks(batch.work, batch.outcome, batch.associated))
 
 
 def change_joins(batch: Batch) -> Batch:
     """Targets join and part for the next frame."""
-    return changed(batch, outcome=with_joins(batch.work, batch.outcome))
+    return evolve(batch, outcome=with_joins(batch.work, batch.outcome))
 
 
 def ask(batch: Batch) -> Batch:
     """The queries of the graph are answered from the beliefs after the frame."""
-    return changed(batch, outcome=answer_queries(batch.work, batch.outcome, batch.joint.filtered))
+    return evolve(batch, outcome=answer_queries(batch.work, batch.outcome, batch.joint.filtered))
 
 
 def shed_load(batch: Batch) -> Batch:
     """Work is shed or taken back, where a run has a time budget."""
-    return changed(batch, outcome=with_load(batch.work, batch.outcome, batch.inputs.timing))
+    return evolve(batch, outcome=with_load(batch.work, batch.outcome, batch.inputs.timing))
 
 
 def _with_outcome(batch: Batch, outcome: Outcome) -> Batch:
     if batch.cuts:
-        outcome = changed(outcome, events=(*batch.cuts, *outcome.events))
-    return changed(batch, outcome=outcome)
+        outcome = evolve(outcome, events=(*batch.cuts, *outcome.events))
+    return evolve(batch, outcome=outcome)
 
 
 def start_target(
@@ -283,8 +283,8 @@ def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Flo
         net, targets[target] = apply_decisions(net, born.decisions), born.state
         metrics.append(born.metrics)
         events += born.decisions
-    history = changed(state.history, births=births)
-    after = changed(state, net=net, targets=targets, previous=work.frame, history=history)
+    history = evolve(state.history, births=births)
+    after = evolve(state, net=net, targets=targets, previous=work.frame, history=history)
     return Outcome(after, Lines(born=metrics), tuple(events))
 
 

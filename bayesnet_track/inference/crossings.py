@@ -20,7 +20,7 @@ from bayesnet_track.belief.asked import BeliefGroup, Fields, GaussianGroup, Weig
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.graph.settings.queries import Crossing
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 TRACES = 256
 """Trajectories that stand for a belief that has no particles."""
@@ -54,7 +54,7 @@ class Trail:
 
     def take(self, rows: Ancestors) -> Trail:
         """Some of the hypotheses, in that order."""
-        return changed(
+        return evolve(
             self,
             places=self.places[rows],
             weights=self.weights[rows],

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 Pair = tuple[str, str]
 
@@ -74,7 +74,7 @@ class Edge:
         """The same edge, seen from its second target."""
         factor = self.factor
         other = None if factor is None else lambda first, second: factor(second, first)
-        return changed(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
+        return evolve(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import pytest
 
-from bayesnet_track.numerics.records import Found, changed
+from bayesnet_track.numerics.records import Found, evolve
 
 
 @dataclass(frozen=True)
@@ -22,20 +22,20 @@ class Box:
 
 def test_a_record_is_changed_as_replace_does():
     before = Box(3, marks=(1,))
-    assert changed(before, height=5) == replace(before, height=5) == Box(3, 5, (1,))
-    assert changed(before) == before and before == Box(3, 2, (1,))
+    assert evolve(before, height=5) == replace(before, height=5) == Box(3, 5, (1,))
+    assert evolve(before) == before and before == Box(3, 2, (1,))
 
 
 def test_what_was_cached_in_a_record_is_not_kept():
     before = Box(3)
     assert before.area == 6
-    assert changed(before, height=5).area == 15
-    assert changed(before, width=4).area == 8
+    assert evolve(before, height=5).area == 15
+    assert evolve(before, width=4).area == 8
 
 
 def test_a_field_that_the_class_has_not_is_refused():
     with pytest.raises(TypeError, match="Box has no field depth"):
-        changed(Box(3), depth=1)
+        evolve(Box(3), depth=1)
 
 
 def test_all_are_found_once_when_the_first_is_asked_for():

@@ -42,7 +42,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import for_reading
 
@@ -242,7 +242,7 @@ class GaussianFilter:
             mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
-            return changed(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
+            return evolve(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
         by_points = self.settings.filter == "unscented"
         after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
         stepped = _step(
@@ -253,7 +253,7 @@ class GaussianFilter:
             evidence,
             tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
         )
-        return changed(stepped, predicted=predicted)
+        return evolve(stepped, predicted=predicted)
 
 
 def draws_of(settings: spec.Gaussian, width: int) -> int:

@@ -22,7 +22,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.density import mixture_argmax
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 Prior = tuple[Floats, LogWeights]
 """The belief before the motion: (K, D) states and their weights, normalised or not."""
@@ -183,14 +183,14 @@ def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[Parti
     """
     weights, total = step.prior.times(log_likelihood)
     _, own = step.prior.times(step.evidence.log_likelihood)
-    posterior = changed(step.posterior, weights=weights)
+    posterior = evolve(step.posterior, weights=weights)
     find = step.find_map
-    return changed(
+    return evolve(
         step,
         posterior=posterior,
         support=posterior,
         log_evidence=step.log_evidence + total - own,
-        find_map=changed(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
+        find_map=evolve(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
     )
 
 

@@ -43,7 +43,7 @@ from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
 from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +173,7 @@ class Several:
         after, refiltered = follow(rule, before, expected, owner, own, expecting)
         if waiting:
             left = advance_tentative(compiled, waiting, after, own, found is not None)
-            history = changed(history, candidates={**history.candidates, compiled.plate.name: left})
+            history = evolve(history, candidates={**history.candidates, compiled.plate.name: left})
         is_given, count, rows = owner != UNASSIGNED, self.count, None
         if self.rows is not None:
             live = slice(count)
@@ -219,7 +219,7 @@ class Several:
             mixtures,
         )
         done = associate_marginal(rule, work.cache.frames, crowd, history.detection_models.get(plate), found)
-        history = changed(history, detection_models={**history.detection_models, plate: done.detection_model})
+        history = evolve(history, detection_models={**history.detection_models, plate: done.detection_model})
         rows, live = None, slice(count)
         if self.rows is not None:
             rows = Given(
@@ -239,7 +239,7 @@ class Several:
             if rule.is_marginal:
                 own = np.column_stack([own, done.weights[which]])
             state = give_detection(state, compiled.association_rules, None if found is None else own)
-            others[target] = changed(state, existence=float(done.existence[row]))
+            others[target] = evolve(state, existence=float(done.existence[row]))
         return Shared(rows, others, name_owners(done.owner, self.names, len(seen.boxes)), history)
 
     @property

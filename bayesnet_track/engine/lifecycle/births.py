@@ -26,7 +26,7 @@ from bayesnet_track.engine.starting import restart
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.lives import Reacquired
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.numerics.streams import birth_key
 
 
@@ -59,7 +59,7 @@ def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None)
     )
     done = start_confirmed(now, [waiting[k] for k in ready], found)
     left = tuple(one for one in waiting if not any(one is other for other in done))
-    tracks.history = changed(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
+    tracks.history = evolve(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
 
 
 def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
@@ -81,8 +81,8 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
         done = start_confirmed(now, list(ready.values()), found)
         left = np.ones(len(detection_model.unconfirmed), dtype=bool)
         left[[row for row, one in ready.items() if any(one is other for other in done)]] = False
-        detection_model = changed(detection_model, unconfirmed=detection_model.unconfirmed.take(left))
-    tracks.history = changed(
+        detection_model = evolve(detection_model, unconfirmed=detection_model.unconfirmed.take(left))
+    tracks.history = evolve(
         tracks.history, detection_models={**tracks.history.detection_models, plate: detection_model}
     )
 

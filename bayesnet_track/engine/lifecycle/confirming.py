@@ -26,7 +26,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Continued, Returned
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import OBSERVED
 from bayesnet_track.observation.planes import Frame
 
@@ -148,7 +148,7 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:
         )
         born = start(now.work, target, now.plate, box, candidate.birth)
         tracks.decide(*born.decisions)
-    tracks.history = changed(tracks.history, births={**tracks.history.births, target: candidate.birth})
+    tracks.history = evolve(tracks.history, births={**tracks.history.births, target: candidate.birth})
     state = with_belief(born.state, candidate, now.work.engine.plates[now.plate].association_rules)
     tracks.add(target, state, start_record(state, frame.index, frame), born.metrics)
 

@@ -16,7 +16,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import FAULTS, said
 from bayesnet_track.observation.detector import (
     Detections,
@@ -92,13 +92,13 @@ def look(
             word = _word(engine, plates[0])
             events.append(DetectorFailed(frame.index, word, said(error), until, times))
             fault = Fault(times, frame.index, until, True)
-            history = changed(history, failed={**history.failed, name: fault})
+            history = evolve(history, failed={**history.failed, name: fault})
             continue
         if found[name].cut:
             history, event = _count_cut(history, name, _word(engine, plates[0]), frame.index, found[name])
             events += event
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
-    return given, changed(history, detectors=states), tuple(events)
+    return given, evolve(history, detectors=states), tuple(events)
 
 
 def _count_cut(
@@ -106,7 +106,7 @@ def _count_cut(
 ) -> tuple[TrackHistory, list[DetectionsCut]]:
     """Frames in which a detector found more than it may give are counted, and told of by powers of ten."""
     before = history.cut.get(name, 0)
-    now = changed(history, cut={**history.cut, name: before + 1})
+    now = evolve(history, cut={**history.cut, name: before + 1})
     if not is_refusal_notable(before, before + 1):
         return now, []
     return now, [DetectionsCut(frame, word, len(found), found.cut, before + 1)]

@@ -6,7 +6,7 @@ from bayesnet_track.adapt.lifecycle import AppearanceMemory, overlapping
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.graph.settings.lifecycle import LifeRules
 from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame
 
 REMEMBERED = 4
@@ -40,7 +40,7 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
             )
             ended.add(younger)
     left = {pair: streak for pair, streak in streaks.items() if not ended.intersection(pair)}
-    tracks.history = changed(tracks.history, overlaps={**others, **left})
+    tracks.history = evolve(tracks.history, overlaps={**others, **left})
 
 
 def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
@@ -74,7 +74,7 @@ def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:
     """A net ends, and is remembered where the graph says so."""
     if died.remembered:
         remembered = remember(tracks, died.target, plate)
-        tracks.history = changed(tracks.history, dead=(*tracks.history.dead, remembered))
+        tracks.history = evolve(tracks.history, dead=(*tracks.history.dead, remembered))
     tracks.end(died)
 
 
@@ -88,16 +88,16 @@ def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> Non
         }
         if gone:
             left = tuple(one for one in tracks.history.dead if one.target not in gone)
-            tracks.history = changed(tracks.history, dead=left)
+            tracks.history = evolve(tracks.history, dead=left)
     # A target that returns starts its overlaps anew.
     before, live = tracks.history.overlaps, tracks.net.targets.keys()
     overlaps = {pair: streak for pair, streak in before.items() if live >= {*pair}}
     if len(overlaps) < len(before):
-        tracks.history = changed(tracks.history, overlaps=overlaps)
+        tracks.history = evolve(tracks.history, overlaps=overlaps)
     births = tracks.history.births
     if len(births) > len(live):
         kept_births = {target: birth for target, birth in births.items() if target in live}
-        tracks.history = changed(tracks.history, births=kept_births)
+        tracks.history = evolve(tracks.history, births=kept_births)
 
 
 def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:

@@ -28,7 +28,7 @@ from bayesnet_track.engine.lifecycle.unconfirmed import (
 )
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
 
@@ -102,7 +102,7 @@ def associate_marginal(
     survival = rule.existence.survival**dt
     count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, unconfirmed.existence])
     if found is None:
-        unconfirmed = changed(unconfirmed, existence=existence[count:])
+        unconfirmed = evolve(unconfirmed, existence=existence[count:])
         nothing = np.empty(0, np.int64)
         return MarginalAssociation(
             existence[:count],
@@ -111,10 +111,10 @@ def associate_marginal(
             np.empty(0),
             np.ones(count),
             np.full(count, UNASSIGNED, dtype=np.int64),
-            changed(detection_model, unconfirmed=unconfirmed),
+            evolve(detection_model, unconfirmed=unconfirmed),
         )
     detection_model = detection_model.with_sizes(found.boxes)
-    all_of = changed(
+    all_of = evolve(
         crowd,
         mean=np.concatenate([crowd.mean, unconfirmed.mean[:, :4]]),
         covariance=np.concatenate([crowd.covariance, unconfirmed.covariance[:, :4, :4]]),
@@ -133,7 +133,7 @@ def associate_marginal(
     unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, detection_model, found, shared.free, frame))
     detection_model = _learn(rule, detection_model, shared, crowd, (cover, hidden))
     return _of_targets(
-        pairs, shared, count, changed(detection_model, unconfirmed=prune(rule, detection_model, unconfirmed))
+        pairs, shared, count, evolve(detection_model, unconfirmed=prune(rule, detection_model, unconfirmed))
     )
 
 
@@ -162,7 +162,7 @@ def _share(
         pairs = _in_modes(rule.association, pairs, crowd.modes, boxes)
     if crowd.log_looks is not None and rule.association.appearance > 0:
         pairs = with_looks(rule.association, pairs, crowd.log_looks, boxes)
-    likelihoods = changed(pairs, values=pairs.values - 2.0 * LOG_TURN)
+    likelihoods = evolve(pairs, values=pairs.values - 2.0 * LOG_TURN)
     return share(Expected(crowd.existence, detection), likelihoods, log_nobody)
 
 
@@ -199,7 +199,7 @@ def _in_modes(
             with np.errstate(divide="ignore"):
                 log = np.log(expected.shares) - 0.5 * (d2 + np.linalg.slogdet(spread)[1])
             values[number] = np.logaddexp.reduce(log)
-    return changed(pairs, values=values)
+    return evolve(pairs, values=values)
 
 
 def with_looks(
@@ -210,7 +210,7 @@ def with_looks(
     for row in np.unique(pairs.rows).tolist():
         own = pairs.rows == row
         values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
-    return changed(pairs, values=values)
+    return evolve(pairs, values=values)
 
 
 def _assigned(shared: Shared, found: int) -> Pairs:
@@ -256,7 +256,7 @@ def _learn(
         chances[row] -= (existence[row] - seen[row]) * (
             1.0 - missed / (missed + 1.0 - expected.visible + 1e-300)
         )
-    return changed(detection_model.after_look(false).after_chances(cover, seen, chances), hidden=now)
+    return evolve(detection_model.after_look(false).after_chances(cover, seen, chances), hidden=now)
 
 
 def _of_targets(

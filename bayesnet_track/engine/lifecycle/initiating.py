@@ -13,7 +13,7 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule
 
 VELOCITY = ("vx", "vy")
@@ -42,7 +42,7 @@ def initiate(compiled: CompiledPlate, candidate: Candidate) -> Candidate:
         return candidate
     fast = fast_covariance(compiled.motion, covariance, mean)
     mean, covariance, d2 = follow(compiled.motion, rule, candidate, (mean, fast))
-    return candidate if d2 > limit else changed(candidate, mean=mean, covariance=covariance)
+    return candidate if d2 > limit else evolve(candidate, mean=mean, covariance=covariance)
 
 
 def has_way(compiled: CompiledPlate) -> bool:

@@ -16,7 +16,7 @@ from bayesnet_track.engine.lifecycle.detecting import look
 from bayesnet_track.engine.lifecycle.ends import end_duplicates, end_lost
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.outcome import Outcome
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 
 def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | None = None) -> Outcome:
@@ -38,7 +38,7 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
     else:
         found, events = associated.found, associated.events
         looked = associated.history
-        tracks.history = changed(
+        tracks.history = evolve(
             tracks.history,
             detectors=looked.detectors,
             failed=looked.failed,
@@ -55,4 +55,4 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
         end_duplicates(tracks, plate, rule, frame)
         end_lost(tracks, plate, rule, frame)
     work.charge("life", started)
-    return changed(tracks.outcome(outcome, frame), seconds=work.seconds)
+    return evolve(tracks.outcome(outcome, frame), seconds=work.seconds)

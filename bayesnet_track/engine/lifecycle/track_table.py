@@ -24,7 +24,7 @@ from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame
 
 Ending = tuple[str, tuple[str, int, int]]
@@ -108,7 +108,7 @@ class LiveTable:
             )
         self.records = records
         if numbers:
-            self.history = changed(self.history, last_id=max([self.history.last_id, *numbers]))
+            self.history = evolve(self.history, last_id=max([self.history.last_id, *numbers]))
 
     def state(self, target: str) -> TargetState:
         """What is known of a target."""
@@ -264,7 +264,7 @@ class LiveTable:
         records: Mapping[str, TrackRecord] = self.records
         if gaussians:
             targets, records = Targets(gaussians, (), self.states), Records(gaussians, self.records)
-        history = changed(self.history, records=records)
-        state = changed(before.state, net=self.net, targets=targets, previous=frame, history=history)
+        history = evolve(self.history, records=records)
+        state = evolve(before.state, net=self.net, targets=targets, previous=frame, history=history)
         metrics = self.metrics.with_born(self.lines)
-        return changed(before, state=state, metrics=metrics, events=(*before.events, *self.events))
+        return evolve(before, state=state, metrics=metrics, events=(*before.events, *self.events))

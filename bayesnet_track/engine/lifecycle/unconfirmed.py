@@ -20,7 +20,7 @@ from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.numerics.streams import birth_key
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import Frame
@@ -75,7 +75,7 @@ def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionMo
     detection_model = detection_model.after_look(
         float(free.sum()) * (1.0 - detection_model.new_share(rule.existence))
     )
-    return changed(detection_model, unconfirmed=begin_unconfirmed(rule, detection_model, found, free, frame))
+    return evolve(detection_model, unconfirmed=begin_unconfirmed(rule, detection_model, found, free, frame))
 
 
 def confirmed(
@@ -127,7 +127,7 @@ def predict_unconfirmed(
             for mean, covariance in zip(unconfirmed.mean, unconfirmed.covariance, strict=True)
         ]
         mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
-    return changed(unconfirmed, mean=mean, covariance=covariance)
+    return evolve(unconfirmed, mean=mean, covariance=covariance)
 
 
 @lru_cache(maxsize=64)
@@ -160,7 +160,7 @@ def with_fast(
     is_near = (away**2 / spread).sum(axis=2) <= chi_square_quantile(rule.association.gate, 4)
     fast = before.take(once[is_reached.any(axis=1) & ~is_near.any(axis=1)])
     covariance = [fast_covariance(motion, *one) for one in zip(fast.covariance, fast.mean, strict=True)]
-    return changed(
+    return evolve(
         fast,
         covariance=np.array(covariance).reshape(fast.covariance.shape),
         existence=FAST_SHARE * fast.existence,

@@ -25,7 +25,7 @@ from bayesnet_track.inference.observe import Observer, Question, ask_agents
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.observation.planes import region_of_boxes
 
@@ -105,8 +105,8 @@ def look_elsewhere(
         above_px2=0.0,
         within_px=_searched(within.half_px, box, found.box),
     )
-    context = changed(context, influences=changed(context.influences, jump_share=rule.share))
-    return replace(moves, motion_context=context), changed(
+    context = evolve(context, influences=evolve(context.influences, jump_share=rule.share))
+    return replace(moves, motion_context=context), evolve(
         jumped, reports=(*jumped.reports, lambda frame, target: event)
     )
 

@@ -20,7 +20,7 @@ from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.lives import DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import FAULTS, said
 from bayesnet_track.observation.detector import (
     NOTHING,
@@ -86,8 +86,8 @@ class PredictedMotion:
         """The motion context after the frame, of which these were measured; `held` (4,) as in `Measured`."""
         if self.motion_context is None:
             return None
-        after = changed(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
-        return after if held is None else changed(after, held=held, away=0.0)
+        after = evolve(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
+        return after if held is None else evolve(after, held=held, away=0.0)
 
 
 def start_motion_context(compiled: CompiledPlate, box: Floats, frames: FramePair) -> MotionContext | None:
@@ -134,7 +134,7 @@ def predict_motion(
     camera = _follow_camera(cache, dt) if settings.camera is not None else None
     influences = Influences(dt, known.size, inflation, camera)
     motion = compose_motion(compiled.motion, settings, influences)
-    found = PredictedMotion(motion, changed(known, influences=influences, away=known.away + dt))
+    found = PredictedMotion(motion, evolve(known, influences=influences, away=known.away + dt))
     if settings.relocalize is not None and not compiled.searching:
         found = _relocalize(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
@@ -194,5 +194,5 @@ def _relocalize(
         within = Within.around(known.held, half_px, frame.width, frame.height)
     jumping = Jumping(usual.motion, share, frame.width, frame.height, search, within)
     assert known.influences is not None
-    influences = changed(known.influences, jump_share=share)
-    return PredictedMotion(jumping, changed(known, finder=state, fault=fault, influences=influences), events)
+    influences = evolve(known.influences, jump_share=share)
+    return PredictedMotion(jumping, evolve(known, finder=state, fault=fault, influences=influences), events)

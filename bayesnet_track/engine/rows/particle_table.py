@@ -17,7 +17,7 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Ints
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.likelihoods import ReferenceRows
 
@@ -76,7 +76,7 @@ class ParticleTable:
         if self.memories is None or row >= len(self.nets):
             return self.base[row]
         if row not in self._made:
-            self._made[row] = changed(
+            self._made[row] = evolve(
                 self.base[row],
                 belief=self.clouds.belief(row),
                 references={agent: of[row] for agent, of in self.references.items()},
@@ -110,7 +110,7 @@ class ParticleTable:
         """The same targets after a frame, all as columns."""
         live = tuple(nets[target] for target in self.ids)
         base = tuple(
-            one if one.belief is _NOBODY else changed(one, belief=_NOBODY, references={}) for one in self.base
+            one if one.belief is _NOBODY else evolve(one, belief=_NOBODY, references={}) for one in self.base
         )  # else a row of an old frame keeps the arrays of all
         after = ParticleTable(self.compiled, self.ids, base, time, clouds, references, memories, live)
         after.__dict__["index"] = self.index

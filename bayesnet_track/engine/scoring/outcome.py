@@ -43,7 +43,7 @@ from bayesnet_track.journal.events.statuses import (
 )
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import kl
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 SHIFT_NATS = 1.0
 """Log odds of being off target above which the alarm's evidence rises: at scores below 0.27."""
@@ -193,7 +193,7 @@ def score_target(work: FrameWork, filtered: Filtered, box: Floats, measures: Mea
     notices = (*notices, *(one for one in (found, ended) if one is not None))
     if score >= HELD and not unfit:
         verified = verification.follow(verified)
-    scored, notices = changed(scored, references=verified.references), (*notices, *verified.failed)
+    scored, notices = evolve(scored, references=verified.references), (*notices, *verified.failed)
     return ScoreOutcome(scored, score, bound, distractor, notices)
 
 

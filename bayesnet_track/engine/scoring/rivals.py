@@ -29,7 +29,7 @@ from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import (
     FAULTS,
     Cue,
@@ -86,8 +86,8 @@ def follow_distractor(
         away = distances_since(scored.encounter, place, side_px)
         if away is not None and away[0] < min(NEARER * away[1], NEAR_BOX):
             ended = DoubtEnded(place.frame, target, *away, min(NEARER, NEAR_BOX / away[1]), scored.doubt)
-            scored = changed(scored, doubt=0)
-    return changed(scored, places=(*scored.places, place)[-BEFORE - SPAN :]), ended
+            scored = evolve(scored, doubt=0)
+    return evolve(scored, places=(*scored.places, place)[-BEFORE - SPAN :]), ended
 
 
 def _is_past(meeting: Encounter | None, frame: int) -> bool:
@@ -98,23 +98,23 @@ def _is_past(meeting: Encounter | None, frame: int) -> bool:
 def with_distractor(scored: ScoreState, distractor: DistractorSeen | None, frames: int) -> ScoreState:
     """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
     if distractor is None:
-        return changed(scored, distractors=0)
+        return evolve(scored, distractors=0)
     count, seen = scored.distractors + 1, Place(distractor.frame, distractor.x, distractor.y)
     meeting = Encounter(motion_before(scored.places), seen, seen, distractor.behind_nats)
     if scored.distractors and scored.meeting is not None:
         most = max(scored.meeting.behind_nats, distractor.behind_nats)
-        meeting = changed(scored.meeting, last=seen, behind_nats=most)
-    scored = changed(scored, distractors=count, meeting=meeting)
+        meeting = evolve(scored.meeting, last=seen, behind_nats=most)
+    scored = evolve(scored, distractors=count, meeting=meeting)
     if count < frames:
         return scored
     # In doubt already: how the target moved is known from before.
     own = scored.encounter.own if scored.doubt and scored.encounter is not None else meeting.own
-    return changed(scored, doubt=distractor.hold, encounter=changed(meeting, own=own))
+    return evolve(scored, doubt=distractor.hold, encounter=evolve(meeting, own=own))
 
 
 def without_motion(scored: ScoreState) -> ScoreState:
     """The same of a target that may be anywhere now: how it and a look-alike moved before says nothing."""
-    return changed(scored, distractors=0, places=(), meeting=None, encounter=None)
+    return evolve(scored, distractors=0, places=(), meeting=None, encounter=None)
 
 
 HELD = 0.1

@@ -18,7 +18,7 @@ from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
 
@@ -235,7 +235,7 @@ class ScoreState:
         known = {**self.smooth, **smooth}
         smooth = {name: known[name] for name in rule.coefficients if name in known}
         doubt = max(self.doubt - 1, 0)
-        return changed(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
+        return evolve(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
 
     def features(self, rule: Logistic) -> dict[str, float]:
         """Feature -> its filtered value; 0 of one that has had none."""
@@ -392,30 +392,30 @@ def follow_fit(scored: ScoreState, rule: Lost, look: Sighting) -> tuple[ScoreSta
     log_fit = max(math.log(look.fit), LEAST_LOG) if look.fit > 0.0 else LEAST_LOG
     if scored.missing is None:
         if look.surprise < SAYS_NOTHING:
-            return changed(scored, low=0), 1.0, None
+            return evolve(scored, low=0), 1.0, None
         if look.score >= rule.score_below:
             if look.score < (rule.uncertain_below or rule.score_below):
-                return changed(scored, low=0), 1.0, None
+                return evolve(scored, low=0), 1.0, None
             held = (*scored.fits, log_fit)[-FIT_FRAMES:]
-            return changed(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
+            return evolve(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
         low = scored.low + 1
         is_lost = low >= rule.frames and len(scored.fits) >= LEAST_FRAMES
-        return changed(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
+        return evolve(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
     share = math.exp(log_fit - median(scored.fits))
     moved_px = math.hypot(look.x - scored.place[0], look.y - scored.place[1])
     away = moved_px / look.side_px
     strict = 1.0 / (1.0 + min(away, FAR_BOX))
     level = rule.found_fit**strict
     if share < level:
-        return changed(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
+        return evolve(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
     again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
     if len(again) < rule.frames:
-        return changed(scored, again=again), 1.0, None
+        return evolve(scored, again=again), 1.0, None
     # Where the target was badly held its usual fit is poor, and a look-alike reaches it, but no high score.
     beyond = min(max(away - 1.0, 0.0), FAR_BOX)
     score_level = (rule.uncertain_below or rule.score_below) ** (1.0 / (1.0 + beyond))
     if look.score < score_level:
-        return changed(scored, again=again[1:]), 0.5, None
+        return evolve(scored, again=again[1:]), 0.5, None
     found = FoundAgain(
         look.frame,
         look.target,
@@ -429,4 +429,4 @@ def follow_fit(scored: ScoreState, rule: Lost, look: Sighting) -> tuple[ScoreSta
         look.score,
         score_level,
     )
-    return changed(scored, missing=None, again=(), low=0), 1.0, found
+    return evolve(scored, missing=None, again=(), low=0), 1.0, found

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from bayesnet_track.journal.net.target_net import Cause, FitCause, HiddenCause, ScoreCause, TargetNet
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
-from bayesnet_track.numerics.records import changed
+from bayesnet_track.numerics.records import evolve
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class StatusChanged:
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
-        return changed(net, status=self.status)
+        return evolve(net, status=self.status)
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class SceneCut:
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
-        return changed(net, status="lost")
+        return evolve(net, status="lost")
 
 
 def _by_fit(cause: FitCause, result: str) -> str:
