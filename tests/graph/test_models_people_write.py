@@ -1,0 +1,194 @@
+"""State-space models as people write them: each runs, or is refused with a sentence that says what to do."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from bayesnet_track import Start, load_graph, track
+from bayesnet_track.graph.text.messages import GraphError
+
+RADIO = "{readings: {file: FILE, sd: {x: 2, y: 2}}}"
+HEAD = "bayesnet: 1\nname: m\n"
+ONE = HEAD + "targets:\n  a:\n    nodes:\n"
+
+
+def model(root, *nodes, head=ONE):
+    """A target `a`, its root and further nodes, a line each."""
+    return head + "".join(f"      {line}\n" for line in (f"a: {root}", *nodes))
+
+
+SEEN = f"s: {{parent: a, agent: {RADIO}}}"
+COLOUR = "c: {parent: a, agent: color_histogram}"
+CV = "motion: {constant_velocity: {}}"
+MOVES = f"{{{CV}}}"
+RUNS = {
+    "unknown noise": model(
+        "{belief: {particles: {size: 300}}, motion: {expressions: {fields: {logq: {start: 1, sd: 1}}, "
+        "sd: {x: exp(logq), y: exp(logq)}, static_discount: 0.98}}}",
+        SEEN,
+    ),
+    "a turn as a mode": model(
+        "{belief: {gaussian: {filter: extended, gate: 1}}, "
+        "motion: {constant_velocity: {sd_velocity_px: 0.3}}, "
+        "modes: {straight: {mean_frames: 40}, turn: {mean_frames: 10, motion: {expressions: "
+        "{fields: {vx: {sd: 5}, vy: {sd: 5}, rate: {sd: 0.3}}, drift: {x: x + vx * dt, y: y + vy * dt, "
+        "vx: vx * cos(rate * dt) - vy * sin(rate * dt), vy: vx * sin(rate * dt) + vy * cos(rate * dt)}, "
+        "sd: {vx: 0.3, vy: 0.3, rate: 0.02}}}}}}",
+        SEEN,
+    ),
+    "a second camera by its homography": model(
+        f"{{belief: {{gaussian: {{filter: unscented}}}}, {CV}, fuse: product}}",
+        SEEN,
+        "t: {parent: a, agent: {readings: {file: FILE, sd: {u: 2}}}, "
+        'measures: {u: "(0.9 * x + 0.1 * y + 4) / (1 + 0.001 * x)"}}',
+    ),
+    "an unknown gain": model(
+        "{belief: {gaussian: {filter: extended}}, motion: {expressions: {fields: {vx: {sd: 3}, vy: {sd: 3}, "
+        "g: {start: 0.1, sd: 0.1}}, drift: {x: x + vx * dt, y: y + vy * dt, vy: vy + g * dt}, "
+        "sd: {x: 0.3, y: 0.3, vx: 0.1, vy: 0.1}}}, estimate: mean}",
+        SEEN,
+    ),
+    "a factor that reads the mode": model(
+        f"{{belief: {{particles: {{size: 300}}}}, {CV}, modes: {{walk: {{mean_frames: 50}}, run: "
+        "{mean_frames: 50, motion: {constant_velocity: {sd_velocity_px: 5}}}}}",
+        COLOUR,
+        'f: {parent: a, factor: "where(mode == run, 1, 0.5)"}',
+    ),
+    "a constant delay by augmentation": model(
+        "{belief: {gaussian: {filter: extended}}, motion: {expressions: {fields: {vx: {sd: 5}, vy: {sd: 5}, "
+        "x1: {start: 60}, y1: {start: 60}}, drift: {x: x + vx * dt, y: y + vy * dt, x1: x, y1: y}, "
+        "sd: {vx: 1, vy: 1}}}}",
+        "l: {parent: a, agent: {readings: {file: FILE, sd: {u: 2}}}, measures: {u: x1}}",
+    ),
+    "heavy tails of the motion": model(
+        "{belief: {particles: {size: 300}}, motion: {random_walk: {sd_px: {x: 3, y: 3}, "
+        "heavy_tail: {weight: 0.1, factor: 8}}}}",
+        SEEN,
+    ),
+    "depth as a field": model(
+        "{belief: {particles: {size: 300}}, motion: {expressions: {fields: {z: {start: 5, sd: 1}}, "
+        'drift: {z: "max(z, 0.1)"}, sd: {x: 2, y: 2, z: 0.1}}}, fuse: product}',
+        COLOUR,
+        'f: {parent: a, factor: "lognormal(h * z, 5, 0.3)"}',
+    ),
+    "a formation": HEAD
+    + "joins: [{between: [a, a], factor: 'normal(hypot(a.x - b.x, a.y - b.y), 50, 5)', when: {overlap: 0}}]\n"
+    + model(f"{{belief: {{particles: {{size: 300}}}}, {CV}}}", COLOUR, head=ONE.removeprefix(HEAD)),
+    "a spring": HEAD
+    + "joins: [{between: [a, b], factor: 'normal(a.x - b.x, 40, 5)', when: {overlap: 0}}]\n"
+    + model(f"{{belief: {{particles: {{size: 300}}}}, {CV}}}", COLOUR, head=ONE.removeprefix(HEAD))
+    + f"  b:\n    nodes:\n      b: {{belief: {{particles: {{size: 300}}}}, {CV}}}\n"
+    + "      k: {parent: b, agent: color_histogram}\n",
+}
+REFUSED = {
+    "noise of a measurement that is a field": (
+        model(
+            "{belief: {particles: {size: 300}}, motion: {expressions: {fields: {r: {sd: 1}}, sd: {x: 3}}}}",
+            "s: {parent: a, agent: {readings: {file: FILE, sd: {x: exp(r)}}}}",
+        ),
+        "x is 'exp(r)'; allowed: a number above 0",
+    ),
+    "heavy tails of a measurement": (
+        model(MOVES, 's: {parent: a, agent: {readings: {file: FILE, sd: {x: "student_t(2, 3)"}}}}'),
+        "x is 'student_t(2, 3)'; allowed: a number above 0",
+    ),
+    "a source of an agent's own": (
+        model(MOVES, "t: {parent: a, agent: {color_histogram: {source: two.mp4}}}"),
+        "unknown key 'source'; allowed: floor,",
+    ),
+    "a delay of a sensor": (
+        model(MOVES, "t: {parent: a, agent: {readings: {file: FILE, sd: {x: 2}, delay: 3}}}"),
+        "unknown key 'delay'; allowed: floor, file, sd",
+    ),
+    "an arm with an angle of its own": (
+        model(
+            "{belief: {particles: {}}, motion: {expressions: {fields: {shoulder: {sd: 1}}, sd: {x: 2}}}, "
+            "fuse: product}",
+            COLOUR,
+            'h: {parent: a, fuse: {latent: {given: {x: "normal(parent.x + 30 * cos(parent.shoulder), 3)"}}}}',
+            "t: {parent: h, agent: intensity}",
+        ),
+        "unknown name 'parent.shoulder'; allowed: parent.x,",
+    ),
+    "a point without a size": (
+        HEAD + "targets:\n  a:\n    state: point\n    nodes:\n      a: {motion: {random_walk: {}}}\n",
+        "state is 'point'; allowed: box",
+    ),
+    "a team as two modes": (
+        model(
+            f"{{belief: {{particles: {{}}}}, {CV}, "
+            "modes: {red: {mean_frames: 9e4}, blue: {mean_frames: 9e4}}}",
+            COLOUR,
+        ),
+        "mode 'blue' cannot be distinguished from 'red': they have the same motion",
+    ),
+    "a prior of a constant": (
+        HEAD + 'constants: {q: "lognormal(0, 1)"}\n' + model(MOVES, COLOUR, head=ONE.removeprefix(HEAD)),
+        "q is 'lognormal(0, 1)'; allowed: a number",
+    ),
+    "a confusion matrix of a detector": (
+        HEAD
+        + "targets:\n  a:\n    birth: {detector: {detections: {confusion: {red: {red: 0.9}}}}}\n    nodes:\n"
+        + f"      a: {{belief: {{gaussian: {{}}}}, {CV}}}\n      s: {{parent: a, agent: detection}}\n",
+        "unknown key 'confusion'; allowed: min_score,",
+    ),
+    "an input": (
+        model("{motion: {expressions: {drift: {x: x + pan * dt}, sd: {x: 2, y: 2}}}}", COLOUR),
+        "unknown name 'pan'; allowed: x, y, w, h,",
+    ),
+    "the time": (
+        model("{motion: {expressions: {drift: {x: x + frame * dt}, sd: {x: 2, y: 2}}}}", COLOUR),
+        "unknown name 'frame'; allowed: x, y, w, h,",
+    ),
+    "a start prior of the place": (
+        model("{motion: {expressions: {fields: {x: {sd: 5}}, sd: {x: 2, y: 2}}}}", COLOUR),
+        "field 'x', which is a word of the language; allowed: another name",
+    ),
+    "a start prior of a walk": (
+        model("{motion: {random_walk: {sd_px: {x: 2}, start_sd_px: {x: 20}}}}", COLOUR),
+        "unknown key 'start_sd_px'; allowed: sd_px,",
+    ),
+    "a factor of three": (
+        HEAD
+        + "joins: [{between: [a, a, a], factor: 'normal(a.x - b.x, 4, 5)'}]\n"
+        + model(MOVES, COLOUR, head=ONE.removeprefix(HEAD)),
+        'between is ["a", "a", "a"]; allowed: a list',
+    ),
+}
+
+
+def with_readings(text, folder):
+    """The model with its file of readings."""
+    file = folder / "radio.csv"
+    file.write_text("frame,x,y,u\n1,61,60,61\n2,62,60,62\n3,63,61,63\n", encoding="utf-8")
+    path = folder / "model.yaml"
+    path.write_text(text.replace("FILE", str(file)), encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    folder, rng = tmp_path_factory.mktemp("images"), np.random.default_rng(0)
+    for number in range(4):
+        assert cv2.imwrite(str(folder / f"{number}.png"), rng.integers(0, 255, (120, 160, 3), np.uint8))
+    return str(folder)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_model_runs(name, tmp_path, images):
+    graph = load_graph(with_readings(RUNS[name], tmp_path))
+    kinds = [*graph.targets] * (2 if name == "a formation" else 1)
+    starts = [Start((50 + 20 * k, 50, 20, 20), kind) for k, kind in enumerate(kinds)]
+    results = list(track(graph, images, starts, seed=2))
+    assert len(results) == 4 and len(results[-1].targets) == len(starts)
+    assert all(np.isfinite(line.centre_box).all() for line in results[-1].targets)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_model_is_refused_with_what_to_do(name, tmp_path):
+    text, said = REFUSED[name]
+    with pytest.raises(GraphError) as error:
+        load_graph(with_readings(text, tmp_path))
+    assert said in str(error.value)
