@@ -178,7 +178,7 @@ def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 @pytest.mark.parametrize("name", ["engine", "inference", "adapt", "belief"])
 def test_functions_of_the_step_are_short_and_take_at_most_six_parameters(name):
-    """What travels together through these rooms is one object, such as `FrameWork`."""
+    """What travels together through these rooms is one object, such as `FrameContext`."""
     wrong = [
         f"{module}.{node.name}: {parameters(node)} parameters, {lines(node)} lines"
         for module, path in sorted(FILES.items())

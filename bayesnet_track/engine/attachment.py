@@ -13,7 +13,7 @@ from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.motion.attached import Attached, with_carried, without_carried
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.filtering import Filtered, Ride
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.joins import Attachment
 from bayesnet_track.journal.events.event import Event
@@ -28,7 +28,7 @@ Carriers = Mapping[str, tuple[str, Attachment]]
 """Target that may be carried -> by whom, and how."""
 
 
-def carriers_of(work: FrameWork, memory: JoinMemory) -> Carriers:
+def carriers_of(work: FrameContext, memory: JoinMemory) -> Carriers:
     """By whom each target may be carried: the one that carries it, else the one that overlaps it most."""
     found: dict[str, tuple[tuple[bool, float], str, Attachment]] = {}
     for (carrier, target), join in work.net.joins.items():
@@ -52,12 +52,12 @@ class Rides:
         carriers: by whom each target may be carried.
     """
 
-    work: FrameWork
+    work: FrameContext
     memory: JoinMemory
     carriers: Carriers
 
     @staticmethod
-    def of(work: FrameWork, memory: JoinMemory) -> Rides:
+    def of(work: FrameContext, memory: JoinMemory) -> Rides:
         """Those of the frame."""
         return Rides(work, memory, carriers_of(work, memory))
 

@@ -24,7 +24,7 @@ from bayesnet_track.belief.contract import (
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.modes import ModeState
 from bayesnet_track.engine.moving.elsewhere import look_elsewhere
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
@@ -100,7 +100,7 @@ class Filtered:
         return by_mode if self.join is None else max(self.join.hidden, by_mode)
 
 
-def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
+def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
     """Predict the target's belief and weigh it by what its active agents see.
 
     It is weighed anew, without them, when agents fail that have answered before in the same frame. Those that
@@ -157,7 +157,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
 
 
 def _step_again(
-    work: FrameWork,
+    work: FrameContext,
     belief: Belief[Any],
     given: tuple[Posterior, float, Evaluate, Stream],
     motion: MotionModel,
@@ -168,7 +168,7 @@ def _step_again(
     return belief.step(prior, inside, dt, see, lambda purpose: stream(f"{purpose} again"))
 
 
-def evaluate_at(work: FrameWork, target: str, before: TargetState, boxes: Floats) -> Evidence:
+def evaluate_at(work: FrameContext, target: str, before: TargetState, boxes: Floats) -> Evidence:
     """What the net of a target says of centre boxes (N, 4) that are as probable as each other.
 
     Every agent with a reference is asked, switched off or not. What a state holds beside the box is that of
@@ -189,7 +189,7 @@ def evaluate_at(work: FrameWork, target: str, before: TargetState, boxes: Floats
 
 
 def _step_by(
-    work: FrameWork,
+    work: FrameContext,
     belief: Belief[Any],
     given: tuple[Posterior, float, Stream, MotionModel],
     see: Callable[[Plan], Evaluate],
@@ -202,7 +202,7 @@ def _step_by(
 
 
 def _step_from(
-    work: FrameWork,
+    work: FrameContext,
     belief: Belief[Any],
     plan: Plan,
     given: tuple[MotionModel, float, Stream, Modes | None],
@@ -221,7 +221,7 @@ def _renamed(stream: Stream, name: str, purpose: str) -> np.random.Generator:
     return stream(f"{purpose} {name}")
 
 
-def _evaluation(work: FrameWork, modes: Modes | None, observer: Observer, plan: Plan) -> Evaluate:
+def _evaluation(work: FrameContext, modes: Modes | None, observer: Observer, plan: Plan) -> Evaluate:
     """What the net says of hypotheses, those that are hidden included."""
     visible = partial(evaluate, plan, observer)
     if modes is None:

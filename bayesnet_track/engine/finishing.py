@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.rule_columns import STATUSES
 from bayesnet_track.belief.particles.belief import find_maps
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages, FilteredEach, FilteredGroup, LiveGroup
 from bayesnet_track.engine.judging import JudgedGroup, judge_group
 from bayesnet_track.engine.learning import LearntGroup, learn_group
@@ -69,7 +69,7 @@ class FinishedGroup(Generic[Table]):
         summaries: (whether with hypotheses) -> target -> its belief in a few numbers.
     """
 
-    work: FrameWork
+    work: FrameContext
     filtered: FilteredGroup[Table]
     judged: JudgedGroup
     learnt: LearntGroup
@@ -234,7 +234,7 @@ class Results:
 
 
 def finish_targets(
-    work: FrameWork, filtered: Together, gaussians: Sequence[FilteredGaussians] = ()
+    work: FrameContext, filtered: Together, gaussians: Sequence[FilteredGaussians] = ()
 ) -> Results:
     """Measure the beliefs, decide what changes, let the agents learn, and describe them.
 
@@ -305,7 +305,7 @@ def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
 # ------------------------------------------------------------------------------------ groups
 
 
-def _groups_of(work: FrameWork, filtered: Together) -> list[LiveGroup]:
+def _groups_of(work: FrameContext, filtered: Together) -> list[LiveGroup]:
     """All targets of a frame; those that were filtered as arrays first, with their MAP states found."""
     groups: list[LiveGroup] = []
     others = [*filtered.others.values()]
@@ -329,7 +329,7 @@ def _groups_of(work: FrameWork, filtered: Together) -> list[LiveGroup]:
     return groups
 
 
-def _fits(work: FrameWork, group: FilteredRows, row: int) -> bool:
+def _fits(work: FrameContext, group: FilteredRows, row: int) -> bool:
     """True where columns hold all that is known of a target of an array."""
     table, target = group.before, group.ids[row]
     if target in work.by_hand:
@@ -341,7 +341,7 @@ def _fits(work: FrameWork, group: FilteredRows, row: int) -> bool:
     return is_usual and table.references.keys() == table.compiled.cues.keys() == state.references.keys()
 
 
-def _live_net(work: FrameWork, filtered: Filtered) -> TargetNet:
+def _live_net(work: FrameContext, filtered: Filtered) -> TargetNet:
     """The live net as a person switched it, without agents that failed or gave no answer."""
     by_hand = work.by_hand.get(filtered.target, ())
     if not filtered.faults and not by_hand:

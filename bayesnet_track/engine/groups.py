@@ -21,7 +21,7 @@ from bayesnet_track.belief.contract import Step, estimate
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
@@ -151,7 +151,7 @@ class FilteredGroup(Protocol[Table]):
         """The table of the other targets after the frame; None without any."""
 
     def line_columns(
-        self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats
+        self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats
     ) -> Mapping[str, NDArray[Any]] | None:
         """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made.
 
@@ -278,7 +278,7 @@ class FilteredEach:
     ) -> None:
         """No target is in a table after the frame."""
 
-    def line_columns(self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
+    def line_columns(self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
         """Lines have to be made."""
 
 

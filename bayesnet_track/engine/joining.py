@@ -24,7 +24,7 @@ from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.occlusion import is_degenerate, levels_after, levels_of, report_hidden
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.on_others import logs_on
@@ -78,7 +78,7 @@ class _Tree:
     flaws: Mapping[Pair, PairFlaw] = field(default_factory=dict)
 
 
-def join_targets(work: FrameWork, memory: JoinMemory, filtered: Together) -> JointBelief:
+def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> JointBelief:
     """The joint belief of all joined targets, and what follows from it for each."""
     if not work.engine.joins:
         return JointBelief(filtered, memory)
@@ -117,7 +117,7 @@ def _joined(one: Filtered, step: Step[Posterior], metrics: JoinMetrics) -> Filte
     return evolve(one, step=step, join=metrics, modes=modes)
 
 
-def _tree(work: FrameWork, memory: JoinMemory, of: Together) -> _Tree:
+def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
     """The pairs of this frame, and along which of them evidence is shared."""
     rules = {pair: work.engine.joins[join.rule] for pair, join in work.net.joins.items()}
     pairs: dict[Pair, PairMemory] = {}
@@ -146,7 +146,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Together) -> _Tree:
 
 
 def _marginals(
-    work: FrameWork, tree: _Tree, levels: Mapping[str, Level], of: Together
+    work: FrameContext, tree: _Tree, levels: Mapping[str, Level], of: Together
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The joint belief's marginals, and of each edge the probability that its first target is in front."""
     relates = any(edge.factor is not None for edge in (*tree.edges, *tree.closing))

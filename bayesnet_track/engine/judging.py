@@ -13,7 +13,7 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, RuleInputs
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import FilteredGroup, LiveGroup
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome, score_target
 from bayesnet_track.engine.state import inside_frame, inside_frame_all
@@ -68,7 +68,7 @@ class JudgedGroup:
         return self.boxes[row] if is_held else None
 
 
-def judge_group(work: FrameWork, group: LiveGroup) -> JudgedGroup:
+def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
     """Measure and score the targets of a group, and apply the rules."""
     filtered, nets = group.filtered, group.nets
     plate = filtered.compiled.plate
@@ -90,7 +90,7 @@ def judge_group(work: FrameWork, group: LiveGroup) -> JudgedGroup:
     )
 
 
-def _inside_frame(states: Floats, work: FrameWork) -> Floats:
+def _inside_frame(states: Floats, work: FrameContext) -> Floats:
     """(T, 4) centre boxes of states (T, D), inside the frame."""
     if len(states) == 1:  # plain numbers: a tenth of the time of arrays
         return inside_frame(states[0, :4], work.frame)[None]

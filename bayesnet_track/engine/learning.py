@@ -16,7 +16,7 @@ from bayesnet_track.adapt.rule_inputs import baseline_level
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.judging import JudgedGroup
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.starting import start_late
@@ -86,7 +86,7 @@ class LearntGroup:
         return 0.0 if self.angles is None else float(self.angles[row])
 
 
-def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
+def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
     """References move toward the estimates; agents that gave none at the start learn theirs."""
     filtered, compiled = group.filtered, group.filtered.compiled
     shares, rates = learning_rates(work, group)
@@ -115,7 +115,7 @@ def learn_group(work: FrameWork, group: JudgedGroup) -> LearntGroup:
     return LearntGroup(references, shares, beside, angles)
 
 
-def _lesson(work: FrameWork, group: JudgedGroup, row: int) -> LearningInputs:
+def _lesson(work: FrameContext, group: JudgedGroup, row: int) -> LearningInputs:
     """Inputs from which the agents of one target learn."""
     filtered, compiled = group.filtered, group.filtered.compiled
     state = np.concatenate([group.boxes[row], group.states[row, 4:]])[None]
@@ -128,7 +128,7 @@ def _lesson(work: FrameWork, group: JudgedGroup, row: int) -> LearningInputs:
 # ------------------------------------------------------------------------------------ rates
 
 
-def learning_rates(work: FrameWork, group: JudgedGroup) -> tuple[list[float], dict[str, list[float]]]:
+def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float], dict[str, list[float]]]:
     """Of each target the share of the largest rate that its belief allows, and agent -> the rate of each.
 
     The less of the target is visible the less is learnt, and nothing when half of it is hidden, since the box
@@ -183,7 +183,7 @@ def _is_held(group: JudgedGroup, row: int, rule: Learn) -> bool:
 
 
 def _rhythm(
-    work: FrameWork, group: JudgedGroup, row: int, rule: Learn, beside: Filtered | None
+    work: FrameContext, group: JudgedGroup, row: int, rule: Learn, beside: Filtered | None
 ) -> tuple[int, bool]:
     """In one of how many frames a target's agents learn, and whether they rest in this one."""
     live = work.net.targets[group.filtered.ids[row]]
@@ -197,7 +197,7 @@ def _rhythm(
 
 
 def move_references(
-    work: FrameWork,
+    work: FrameContext,
     group: JudgedGroup,
     lesson: Callable[[int], LearningInputs],
     rates: Mapping[str, Sequence[float]],
@@ -239,7 +239,7 @@ def move_references(
     return references, faults
 
 
-def _rows(work: FrameWork, group: JudgedGroup, agent: str, rates: Sequence[float]) -> Ints:
+def _rows(work: FrameContext, group: JudgedGroup, agent: str, rates: Sequence[float]) -> Ints:
     """The targets of which an agent learns."""
     ids, availability = group.filtered.ids, work.availability
     rows = [row for row, rate in enumerate(rates) if rate > 0.0]
@@ -249,7 +249,7 @@ def _rows(work: FrameWork, group: JudgedGroup, agent: str, rates: Sequence[float
 
 
 def _follow(
-    work: FrameWork,
+    work: FrameContext,
     group: JudgedGroup,
     agent: str,
     rows: Ints,
@@ -281,7 +281,7 @@ def _follow(
     return moved, {int(rows[t]): fault for t, fault in failed.items()}
 
 
-def _planes(work: FrameWork, cue: AnyCue, boxes: Floats) -> list[Planes]:
+def _planes(work: FrameContext, cue: AnyCue, boxes: Floats) -> list[Planes]:
     starts, share = np.arange(len(boxes) + 1), hasattr(cue, "follow_each")
     return planes_of_each(work, cue.needs, boxes, starts, context_of(cue), share)
 

@@ -17,7 +17,7 @@ from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.scoring.outcome import e_value, reported_status
 from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
@@ -58,7 +58,7 @@ def index(measures: Measures, root: str) -> float:
 
 
 def frame_metrics(
-    work: FrameWork,
+    work: FrameContext,
     target: str,
     measured: Measured,
     baseline_px2: float | None,
@@ -185,14 +185,14 @@ class Summary:
 
 
 def find_summaries(
-    work: FrameWork, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
+    work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
 ) -> Found[Summary]:
     """Target -> its belief in a few numbers, of which `spreads` are the covariances."""
     return Found(filtered, partial(_summarise, work, filtered, spreads))
 
 
 def _summarise(
-    work: FrameWork, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
+    work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
 ) -> dict[str, Summary]:
     alike, alone = _alike(filtered)
     found = {target: summarise_one(work, filtered[target], spreads[target]) for target in alone}
@@ -231,7 +231,7 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
     return list(alike.values()), alone
 
 
-def summarise_one(work: FrameWork, one: Filtered, covariance: Floats) -> Summary:
+def summarise_one(work: FrameContext, one: Filtered, covariance: Floats) -> Summary:
     """The belief of a target after its step in a few numbers, of which the covariance (D, D) is known."""
     step, root = one.step, work.plate_of(one.target).plate.root
     posterior, weights = step.posterior, step.support.weights
@@ -244,7 +244,7 @@ def summarise_one(work: FrameWork, one: Filtered, covariance: Floats) -> Summary
 Numbers = tuple[Floats, float, float, Rows, tuple[tuple[int, ...], ...]]
 
 
-def _summary(work: FrameWork, one: Filtered, numbers: Numbers) -> Summary:
+def _summary(work: FrameContext, one: Filtered, numbers: Numbers) -> Summary:
     """A summary, of which `numbers` come first."""
     step, compiled = one.step, work.plate_of(one.target)
     return Summary(
@@ -258,7 +258,7 @@ def _summary(work: FrameWork, one: Filtered, numbers: Numbers) -> Summary:
     )
 
 
-def _summarise_rows(work: FrameWork, several: Sequence[Filtered], spreads: Floats) -> dict[str, Summary]:
+def _summarise_rows(work: FrameContext, several: Sequence[Filtered], spreads: Floats) -> dict[str, Summary]:
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
     steps, targets = [one.step for one in several], [one.target for one in several]

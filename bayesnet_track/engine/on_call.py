@@ -13,7 +13,7 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import OnCallOutcome, Reading, baseline_level, read_level
 from bayesnet_track.adapt.status import is_due, on_call_rule
 from bayesnet_track.belief.contract import Posterior, Step, estimate, hypotheses_of
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
@@ -28,7 +28,7 @@ By = Callable[[Plan], Step[Posterior]]
 """Another step of the frame, by the agents of a plan."""
 
 
-def plan_without_calls(work: FrameWork, target: str, before: TargetState) -> Plan:
+def plan_without_calls(work: FrameContext, target: str, before: TargetState) -> Plan:
     """The plan of the agents that look at a frame first.
 
     `before.plan` itself when none is left out: nothing is to be weighed again then.
@@ -42,7 +42,7 @@ def plan_without_calls(work: FrameWork, target: str, before: TargetState) -> Pla
 
 
 def call_agents(
-    work: FrameWork,
+    work: FrameContext,
     target: str,
     before: TargetState,
     observer: Observer,

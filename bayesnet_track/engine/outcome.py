@@ -12,7 +12,7 @@ from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load, balance
 from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.finishing import Results
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.joining import JointBelief, reaches_of
 from bayesnet_track.engine.lines import Lines
@@ -80,7 +80,7 @@ class Outcome:
     answers: tuple[Answers, ...] = ()
 
 
-def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelief) -> Outcome:
+def carry_out(work: FrameContext, state: State, results: Results, joint: JointBelief) -> Outcome:
     """The outcome of the targets' frames: decisions are carried out, of tables first."""
     net, others = work.net, dict[str, TargetState]()
     events: list[Event] = [*joint.events]
@@ -112,7 +112,7 @@ def carry_out(work: FrameWork, state: State, results: Results, joint: JointBelie
     )
 
 
-def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
+def with_joins(work: FrameContext, outcome: Outcome) -> Outcome:
     """The outcome after the frame's joins and partings; as it is where the graph has no joins."""
     joins = work.engine.joins
     if not joins:
@@ -146,7 +146,7 @@ def moments_of(
     return names, boxes, variances
 
 
-def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | SpareTime]) -> Outcome:
+def with_load(work: FrameContext, outcome: Outcome, timing: Iterable[LateFrame | SpareTime]) -> Outcome:
     """The outcome after what is shed or taken back, where a frame was late or early."""
     timing, state, engine = tuple(timing), outcome.state, work.engine
     if not timing:

@@ -10,7 +10,7 @@ from itertools import combinations, product
 import numpy as np
 
 from bayesnet_track.belief.asked import BeliefGroup, GaussianGroup, WeightedGroup, groups_of
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.targets import Targets
@@ -66,7 +66,7 @@ def _by_number(target: str) -> tuple[int, str]:
     return len(target), target
 
 
-def answer_queries(work: FrameWork, outcome: Outcome, filtered: Together | None = None) -> Outcome:
+def answer_queries(work: FrameContext, outcome: Outcome, filtered: Together | None = None) -> Outcome:
     """The outcome with the answers of its frame, and the events of those that passed their level.
 
     `filtered` is the first half of the frame, from which hypotheses have their ancestors.
@@ -176,7 +176,7 @@ def answer_crossings(
 
 
 def follow_crossings(
-    work: FrameWork, outcome: Outcome, targets: AskedTargets, filtered: Together | None
+    work: FrameContext, outcome: Outcome, targets: AskedTargets, filtered: Together | None
 ) -> tuple[Trails, Mapping[str, Floats]]:
     """Trails of all lines with one frame more, and what is left of targets that are gone.
 
@@ -209,7 +209,7 @@ def follow_crossings(
 
 
 def _sample(
-    work: FrameWork,
+    work: FrameContext,
     outcome: Outcome,
     compiled: CompiledQuery,
     single: tuple[BeliefGroup, Trail | None],
@@ -245,7 +245,7 @@ def _pairs(
 
 
 def _passed(
-    work: FrameWork, answers: Sequence[Answers], earlier: frozenset[Subject]
+    work: FrameContext, answers: Sequence[Answers], earlier: frozenset[Subject]
 ) -> tuple[list[QueryPassed], frozenset[Subject]]:
     """Events of answers that passed their level, and those that are above it now: query, then targets."""
     events: list[QueryPassed] = []

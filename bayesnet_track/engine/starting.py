@@ -12,7 +12,7 @@ from bayesnet_track.adapt.status import next_try, quarantine
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
@@ -42,7 +42,7 @@ class Born:
 
 
 def start(
-    work: FrameWork,
+    work: FrameContext,
     target: str,
     template: str,
     box: Floats,
@@ -131,7 +131,7 @@ def _later(frame: int, target: str, agent: str, why: str, net: TargetNet | None 
     return Quarantined(frame, target, agent, f"gave no first reference: {why}", until, times)
 
 
-def restart(work: FrameWork, target: str, template: str, box: Floats, before: TargetState) -> TargetState:
+def restart(work: FrameContext, target: str, template: str, box: Floats, before: TargetState) -> TargetState:
     """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
     compiled = work.engine.plates[template]
     lesson = _first_lesson(work, compiled, target, box, _parts(compiled, box, work.frame))
@@ -152,7 +152,7 @@ def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floa
 
 
 def _first_lesson(
-    work: FrameWork, compiled: CompiledPlate, target: str, box: Floats, parts: Mapping[str, Floats]
+    work: FrameContext, compiled: CompiledPlate, target: str, box: Floats, parts: Mapping[str, Floats]
 ) -> LearningInputs:
     """What agents learn their first references from: planes of its own, on this target's region."""
     own = {agent: parts[part] for agent, part in compiled.part_of.items()}
@@ -160,7 +160,7 @@ def _first_lesson(
     return LearningInputs(compiled.cues, cache, Hypotheses(box[None]), own, work.availability, target)
 
 
-def _start_belief(work: FrameWork, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
+def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
     motion = confined(compiled.motion, work.frame.width, work.frame.height)
     belief: Posterior = compiled.belief.start(box, motion, work.stream_of(birth, compiled.plate.root))

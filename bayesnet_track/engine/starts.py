@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.kernel_shrinkage import formulas_in, static_fields
 from bayesnet_track.engine.external_inputs import route_inputs
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
@@ -189,7 +189,7 @@ def start_targets(
     _say_constants_die_out(engine)
     given = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, None))
-    work = FrameWork(engine, State().net, cache, {}, given.availability, given.by_hand)
+    work = FrameContext(engine, State().net, cache, {}, given.availability, given.by_hand)
     boxes = {
         str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))
         for number, start in enumerate(starts, 1)

@@ -16,7 +16,7 @@ from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import Results, finish_targets
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.joining import JointBelief, join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
@@ -84,7 +84,7 @@ class Batch:
         outcome: what the frame gave so far.
     """
 
-    work: FrameWork
+    work: FrameContext
     state: State
     inputs: ExternalInputs
     targets: Targets
@@ -164,7 +164,7 @@ def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Ite
     inputs = route_inputs(engine, state.net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, state.previous))
     births = state.history.births
-    work = FrameWork(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
+    work = FrameContext(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
     nothing = JointBelief(Together([], {}, []), state.joins)
     return Batch(work, state, inputs, Targets.of(state.targets), nothing, Outcome(state, Lines(), ()))
 
@@ -268,11 +268,11 @@ def start_target(
     """Start a net for the target inside the centre box (4,) of `frame`; see `engine.starting.start`."""
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame, previous)), state.history.births)
+    work = FrameContext(engine, state.net, PlaneCache(FramePair(frame, previous)), state.history.births)
     return start_all(work, state, {target: (template, box)})
 
 
-def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Floats]]) -> Outcome:
+def start_all(work: FrameContext, state: State, starts: Mapping[str, tuple[str, Floats]]) -> Outcome:
     """Start nets: target -> its plate and the centre box (4,) that it fills in the frame."""
     net, targets, births = state.net, dict(state.targets), dict(state.history.births)
     metrics: list[FrameMetrics] = []
@@ -291,11 +291,11 @@ def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Flo
 def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
     """The first frame's outcome: what the detectors find in it besides the targets that started there."""
     state = started.state
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame, None)), state.history.births)
+    work = FrameContext(engine, state.net, PlaneCache(FramePair(frame, None)), state.history.births)
     return finish_first(work, started)
 
 
-def finish_first(work: FrameWork, started: Outcome) -> Outcome:
+def finish_first(work: FrameContext, started: Outcome) -> Outcome:
     """As `first_look`, with who gives no answer in the frame."""
     outcome = with_joins(work, manage_tracks(work, started))
     return answer_queries(work, outcome) if work.engine.queries else outcome

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.filtering import filter_target
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.scoring.score import marginal_points
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, State, make_engine, step
@@ -172,7 +172,7 @@ class _Curves:
     def add(self, engine: Engine, state: State, frame: Frame, true: Floats, side: float) -> None:
         """One frame more, weighed once again."""
         cache = PlaneCache(FramePair(frame, state.previous))
-        work = FrameWork(engine, state.net, cache, state.history.births)
+        work = FrameContext(engine, state.net, cache, state.history.births)
         filtered = filter_target(work, "1", state.targets["1"])
         evidence, prior = filtered.step.evidence, filtered.step.prior.log
         deviations = (filtered.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.filtering import evaluate_at
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.starts import Start, start_targets
 from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -270,7 +270,7 @@ def pool_errors(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats, see
         if overlap(np.array(line.centre_box)[None], true[None])[0] <= 0.5:
             continue
         cache = PlaneCache(FramePair(frame, previous.previous))
-        work = FrameWork(engine, previous.net, cache, previous.history.births)
+        work = FrameContext(engine, previous.net, cache, previous.history.births)
         offsets = lattice()
         boxes = np.tile(true, (len(offsets), 1))
         boxes[:, :2] += offsets * true[2:]

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.filtering import filter_target
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.inference.availability import Availability
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
@@ -15,7 +15,7 @@ NODES = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a"
 
 def work_of(engine, state, frame, **settings):
     cache = PlaneCache(FramePair(frame, state.previous))
-    return FrameWork(engine, state.net, cache, state.history.births, **settings)
+    return FrameContext(engine, state.net, cache, state.history.births, **settings)
 
 
 def test_who_gives_no_answer_is_of_one_frame_only(fakes):

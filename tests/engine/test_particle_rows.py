@@ -9,7 +9,7 @@ import pytest
 from bayesnet_track import load_graph
 from bayesnet_track.cues.color_histogram import ColorHistogram
 from bayesnet_track.engine import step as steps
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
 from bayesnet_track.engine.rows.particle_table import ParticleTable
@@ -112,7 +112,7 @@ def test_what_learns_early_in_every_second_frame_learns_the_same_together(monkey
 
 def test_only_targets_that_fit_go_together():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
+    work = FrameContext(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
     (group,) = filter_rows(work, state.targets)
     assert list(group) == ["0", "1", "2", "3"]
     work.availability.known["0", "color", "observing"] = "late"
@@ -125,7 +125,7 @@ def test_only_targets_that_fit_go_together():
 @pytest.mark.parametrize("side", [8.0, 200.0])
 def test_planes_hold_the_boxes_of_each_target(side):
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)), state.history.births)
+    work = FrameContext(engine, state.net, PlaneCache(FramePair(frame(1), None)), state.history.births)
     boxes = np.array([[[*at, side, side], [at[0] + 3, at[1], side, side]] for at in PLACES])
     needs = engine.plates["thing"].cues["color"].needs
     starts = np.arange(0, 2 * len(boxes) + 1, 2)
@@ -190,7 +190,7 @@ def test_a_target_of_which_something_may_be_decided_does_not_change_the_others(c
 
 def test_a_group_and_some_of_it_hold_the_same_of_each():
     engine, state = started()
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
+    work = FrameContext(engine, state.net, PlaneCache(FramePair(frame(1), frame(0))), state.history.births)
     (group,) = filter_rows(work, state.targets)
     group.find_maps()
     some = group.take([1, 3])

@@ -9,7 +9,7 @@ import pytest
 from bayesnet_track import load_graph
 from bayesnet_track.belief.particles.belief import find_maps, map_index
 from bayesnet_track.engine.filtering import filter_target
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.metrics import find_covariances, find_summaries, summarise_one
 from bayesnet_track.engine.step import State, make_engine, start_target
@@ -48,7 +48,7 @@ def filtered(motion, agents, fuse="product"):
     state = State()
     for number, at in enumerate([(20.0, 20.0), (60.0, 40.0), (118.0, 90.0)]):
         state = start_target(engine, state, first, str(number), "thing", np.array([*at, 16.0, 16.0])).state
-    work = FrameWork(engine, state.net, PlaneCache(FramePair(second, first)), state.history.births)
+    work = FrameContext(engine, state.net, PlaneCache(FramePair(second, first)), state.history.births)
     return work, {target: filter_target(work, target, state.targets[target]) for target in state.targets}
 
 

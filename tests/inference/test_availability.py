@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.step import step
 from bayesnet_track.inference.executor import AgentUnavailable
@@ -130,7 +130,7 @@ def test_one_that_gives_no_first_reference_is_out(fakes):
     engine = fakes.engine(
         nodes_of("particles"), {"a": fakes.flat(), "b": fakes.Oracle(fakes.flat(), reference=learn)}
     )[0]
-    work = FrameWork(engine, Net(), PlaneCache(FramePair(fakes.frame(0), None)))
+    work = FrameContext(engine, Net(), PlaneCache(FramePair(fakes.frame(0), None)))
     born = start(work, "1", "plate", np.array(fakes.START), "birth")
     assert born.decisions[1] == Quarantined(0, "1", "b", "gave no first reference: its process died", 10)
     assert work.availability.events == (AgentMissed(0, "1", "b", "its process died", "starting"),)

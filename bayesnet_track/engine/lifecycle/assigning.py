@@ -19,7 +19,7 @@ from bayesnet_track.adapt.existence import Pairs
 from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.existing import gate, with_looks
 from bayesnet_track.engine.lifecycle.sharing import Tracks, update_tentative
@@ -133,7 +133,7 @@ def remember_detections(
     return replace(state, references={**state.references, agent: reference})
 
 
-def score_looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> Floats:
+def score_looks(work: FrameContext, target: str, state: TargetState, boxes: Floats) -> Floats:
     """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
     compiled = work.plate_of(target)
     agents = [a for a in compiled.plate.agents if a in compiled.looks and a in state.references]

@@ -22,7 +22,7 @@ from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
 from bayesnet_track.belief.motion.borders import Confined, confined
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.assigning import (
     advance_tentative,
     assign_detections,
@@ -93,7 +93,7 @@ class Associated:
     given: Mapping[str, Given]
 
 
-def associate_first(work: FrameWork, targets: Targets, history: TrackHistory) -> Associated:
+def associate_first(work: FrameContext, targets: Targets, history: TrackHistory) -> Associated:
     """Association of detections and targets, for plates with agents that measure by them."""
     net, started = work.net, work.engine.clock()
     tables = {rows.rule.plate: rows for rows in targets.gaussians}
@@ -153,7 +153,7 @@ class Several:
         others: its other targets.
     """
 
-    work: FrameWork
+    work: FrameContext
     compiled: CompiledPlate
     rows: Rows | None
     others: Mapping[str, TargetState]
@@ -300,7 +300,7 @@ class Several:
         return score_looks(self.work, target, self.others[target], boxes)
 
 
-def predictor(work: FrameWork, compiled: CompiledPlate) -> Predict:
+def predictor(work: FrameContext, compiled: CompiledPlate) -> Predict:
     """The prediction of the targets of a plate from the last frame to this one.
 
     Exact of Gaussian beliefs under linear motion, else by moments and the motion's derivative.
@@ -348,7 +348,7 @@ def _predict_each(
     )
 
 
-def _expected_boxes(work: FrameWork, targets: Targets, names: Sequence[str]) -> Floats:
+def _expected_boxes(work: FrameContext, targets: Targets, names: Sequence[str]) -> Floats:
     """(K, 4) the boxes that targets are expected to have in this frame."""
     boxes = []
     for target in names:

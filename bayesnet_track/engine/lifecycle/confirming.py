@@ -15,7 +15,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.motion.modes import moments_of
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.initiating import initiate, velocity
 from bayesnet_track.engine.lifecycle.recognise import Match, match
@@ -48,7 +48,7 @@ MAX_GAP = 1.5
 class Births:
     """What one plate's births need of the frame."""
 
-    work: FrameWork
+    work: FrameContext
     tracks: LiveTable
     plate: str
     rule: LifeRules

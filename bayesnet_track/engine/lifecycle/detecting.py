@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.lifecycle import TrackHistory, is_refusal_notable
 from bayesnet_track.adapt.status import next_try
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats, Ints
@@ -53,7 +53,7 @@ class Found:
 
 
 def look(
-    work: FrameWork,
+    work: FrameContext,
     history: TrackHistory,
     boxes: Callable[[Sequence[str]], Floats],
     held: Callable[[str], Sequence[str]],

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.recognise import Compared, draw_elsewhere, weigh_appearance, weigh_place
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.inference.compile import compile_plan
@@ -21,7 +21,7 @@ LEAST_LOG = -700.0
 
 
 def compare(
-    work: FrameWork, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: AppearanceMemory
+    work: FrameContext, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: AppearanceMemory
 ) -> Compared:
     """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
     compiled, frame = work.engine.plates[plate], work.frame

@@ -8,7 +8,7 @@ of it is a function of the engine, what is remembered and the frame.
 
 from __future__ import annotations
 
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_existence
 from bayesnet_track.engine.lifecycle.confirming import Births
@@ -19,7 +19,7 @@ from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.numerics.records import evolve
 
 
-def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | None = None) -> Outcome:
+def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated | None = None) -> Outcome:
     """The outcome after the frame's births, returns and deaths; as it is where no plate has any.
 
     `associated` holds what the detectors found, and whose it is, where they looked before targets were

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step, hypotheses_of
 from bayesnet_track.belief.motion.jumps import TELL_ABOVE, Within
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.moving.predicting import MotionContext, PredictedMotion
 from bayesnet_track.engine.scoring.score import log_odds
 from bayesnet_track.engine.state import TargetState, inside_frame
@@ -54,7 +54,7 @@ class Find:
 
 
 def look_elsewhere(
-    work: FrameWork,
+    work: FrameContext,
     target: str,
     before: TargetState,
     moves: PredictedMotion,
@@ -117,14 +117,14 @@ def _that_look(searching: frozenset[str], plan: Plan, step: Step[Posterior]) -> 
     return frozenset(able & step.evidence.measured.keys())
 
 
-def _is_missing(work: FrameWork, target: str, context: MotionContext) -> bool:
+def _is_missing(work: FrameContext, target: str, context: MotionContext) -> bool:
     """Whether the target is lost, or uncertain for as long as it takes to be called lost."""
     status, plate = work.net.targets[target].status, work.plate_of(target).plate
     lost = plate.inference(plate.root).lost
     return status == "lost" or (status == "uncertain" and lost is not None and context.away > lost.frames)
 
 
-def _reached(rule: Relocalize, context: MotionContext, box: Floats, work: FrameWork) -> Within:
+def _reached(rule: Relocalize, context: MotionContext, box: Floats, work: FrameContext) -> Within:
     """Where the target may be by now that was last held in the centre box (4,)."""
     half_px = math.inf
     if rule.grow_box is not None and context.held is not None:
@@ -158,7 +158,7 @@ def pick_place(frame: int, count: int) -> int:
 
 
 def _look_at(
-    work: FrameWork, before: TargetState, asked: tuple[Plan, Observer, frozenset[str]], box: Floats
+    work: FrameContext, before: TargetState, asked: tuple[Plan, Observer, frozenset[str]], box: Floats
 ) -> Find:
     """What agents see around a centre box (4,): they are asked with a hypothesis in each corner.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel, Posterior, Step
 from bayesnet_track.belief.motion.jumps import Jumping, Search, Within
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.scoring.score import usual_fit
 from bayesnet_track.engine.state import TargetState
@@ -31,7 +31,7 @@ Again = Callable[[MotionModel], Step[Posterior]]
 
 
 def search_around(
-    work: FrameWork,
+    work: FrameContext,
     target: str,
     before: TargetState,
     moves: PredictedMotion,
@@ -73,7 +73,7 @@ def _fit(plan: Plan, step: Step[Posterior]) -> float:
     return fit_of([evidence.messages[agent] for agent in seeing if agent in evidence.messages])
 
 
-def _pans(rule: Sudden, box: Floats, work: FrameWork) -> bool:
+def _pans(rule: Sudden, box: Floats, work: FrameContext) -> bool:
     """Whether the whole picture moved far enough for a target in the centre box (4,) to be searched for."""
     if rule.pan_box == 0.0:
         return True
@@ -84,7 +84,7 @@ def _pans(rule: Sudden, box: Floats, work: FrameWork) -> bool:
     return bool(np.hypot(*shift) >= rule.pan_box * np.sqrt(box[2] * box[3]))
 
 
-def _widened(rule: Sudden, share: float, box: Floats, motion: MotionModel, work: FrameWork) -> Jumping:
+def _widened(rule: Sudden, share: float, box: Floats, motion: MotionModel, work: FrameContext) -> Jumping:
     """`motion`, or with probability `rule.share` anywhere in the square around the centre box (4,)."""
     width, height = work.frame.width, work.frame.height
     half_px = rule.reach_box * float(np.sqrt(box[2] * box[3]))

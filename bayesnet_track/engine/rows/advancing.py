@@ -17,7 +17,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.lifecycle.association import Given, image_of
 from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
@@ -174,7 +174,7 @@ class FilteredGaussians:
 
     # -------------------------------------------------------------------------------- lines
 
-    def summaries(self, work: FrameWork, hypotheses: bool) -> dict[str, Summary]:
+    def summaries(self, work: FrameContext, hypotheses: bool) -> dict[str, Summary]:
         """Target -> its belief in a few numbers; without `hypotheses` none are drawn."""
         now, rule, centre = self.columns, self.before.rule, self.columns.mean[:, :2]
         variances = np.diagonal(now.covariance, axis1=1, axis2=2)
@@ -205,7 +205,7 @@ class FilteredGaussians:
             )
         }
 
-    def _clouds(self, work: FrameWork) -> list[EncodedCloud]:
+    def _clouds(self, work: FrameContext) -> list[EncodedCloud]:
         """Hypotheses drawn from the belief of each."""
         now, streams = self.columns, work.engine.streams
         draws = streams.of_each(work.births_of(self.ids), self.before.rule.root, work.moment, "cloud")
@@ -227,7 +227,7 @@ class FilteredGaussians:
         return found
 
     def line_columns(
-        self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats
+        self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats
     ) -> dict[str, NDArray[Any]]:
         """The columns of `journal.frame_columns`, without hypotheses."""
         now, rule = self.columns, self.before.rule
@@ -265,7 +265,7 @@ class FilteredGaussians:
         return columns
 
 
-def filter_gaussians(work: FrameWork, rows: Rows, given: Given) -> FilteredGaussians:
+def filter_gaussians(work: FrameContext, rows: Rows, given: Given) -> FilteredGaussians:
     """The rows of a table, updated by what each is given: the arrays of `given` are changed in place."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import measure_and_mix_rows

@@ -16,7 +16,7 @@ from bayesnet_track.belief.particles.particle_set import Clouds, Inputs, some
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages, statuses_of
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.particle_table import ParticleTable
@@ -50,7 +50,7 @@ class FilteredRows(Mapping[str, Filtered]):
         parents: (T, N) hypotheses of the belief before that these come from.
     """
 
-    work: FrameWork
+    work: FrameContext
     before: ParticleTable
     clouds: Clouds
     messages: Mapping[str, Floats]
@@ -215,7 +215,7 @@ class FilteredRows(Mapping[str, Filtered]):
         table = self.before.then(time, self.clouds, references, memory, nets)
         return table.take(kept) if apart else table
 
-    def line_columns(self, work: FrameWork, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
+    def line_columns(self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
         """Lines have to be made."""
 
     @cached_property

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackRecord
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.rows.columns import Rows, make_rows
 from bayesnet_track.engine.rows.fitting import net_fits, row_rule, state_fits
@@ -17,7 +17,7 @@ from bayesnet_track.engine.targets import Records, Targets
 from bayesnet_track.journal.net.target_net import TargetNet
 
 
-def arrange(work: FrameWork, state: State) -> tuple[Targets, Mapping[str, TrackRecord]]:
+def arrange(work: FrameContext, state: State) -> tuple[Targets, Mapping[str, TrackRecord]]:
     """The live targets and their records, those that fit as rows of their plate's table.
 
     A target that a person switches, that an agent gives no answer for, or about which more than its status

@@ -13,7 +13,7 @@ import numpy as np
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
 from bayesnet_track.engine.rows.particle_rows import ask_together
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
@@ -28,7 +28,7 @@ LEAST = -1e3
 
 
 def logs_on(
-    work: FrameWork, neighbours: Mapping[str, Sequence[str]], of: Together
+    work: FrameContext, neighbours: Mapping[str, Sequence[str]], of: Together
 ) -> dict[str, dict[str, float]]:
     """Target -> other -> mean log-likelihood, by its own agents, of boxes of it wholly on the other's.
 
@@ -49,7 +49,7 @@ def logs_on(
 
 
 def _ask_together(
-    work: FrameWork, group: FilteredRows, neighbours: Mapping[str, Sequence[str]]
+    work: FrameContext, group: FilteredRows, neighbours: Mapping[str, Sequence[str]]
 ) -> dict[str, dict[str, float]]:
     """What `logs_on` gives of targets and neighbours of one group, without those where an agent fails."""
     from bayesnet_track.numerics.kernels.joint_kernels import put_on_others
@@ -83,13 +83,13 @@ def _means(log: Floats) -> list[float]:
     return means
 
 
-def _uniforms(work: FrameWork, neighbours: Mapping[str, Sequence[str]]) -> Floats:
+def _uniforms(work: FrameContext, neighbours: Mapping[str, Sequence[str]]) -> Floats:
     """The random numbers of all: of each target its own shift, a shift for each other, two for each box."""
     counts = [1 + len(others) * (1 + 2 * ON_SIZE) for others in neighbours.values()]
     return work.engine.streams.uniforms(work.births_of(neighbours), "on", work.moment, "places", counts)
 
 
-def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Floats:
+def _places(work: FrameContext, one: Filtered, others: Sequence[Filtered]) -> Floats:
     """(K, D) states of a target, `ON_SIZE` on each of the others."""
     from bayesnet_track.numerics.resampling import look_up_even
 
@@ -111,7 +111,7 @@ def _places(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> Float
 
 
 def _ask(
-    work: FrameWork, one: Filtered, names: Sequence[str], others: Sequence[Filtered]
+    work: FrameContext, one: Filtered, names: Sequence[str], others: Sequence[Filtered]
 ) -> dict[str, float]:
     """What `logs_on` gives of one target."""
     states = _places(work, one, others)

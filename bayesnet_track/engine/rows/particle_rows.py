@@ -21,7 +21,7 @@ from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.particle_set import Clouds
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
@@ -38,7 +38,7 @@ from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import FAULTS, Hypotheses
 
 
-def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> list[FilteredRows]:
+def filter_rows(work: FrameContext, before: Mapping[str, TargetState]) -> list[FilteredRows]:
     """Those of the targets that fit, predicted and weighed by what their active agents see, by groups."""
     groups = []
     for table in _tables(work, before):
@@ -48,7 +48,7 @@ def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> list[Filt
     return groups
 
 
-def _tables(work: FrameWork, before: Mapping[str, TargetState]) -> list[ParticleTable]:
+def _tables(work: FrameContext, before: Mapping[str, TargetState]) -> list[ParticleTable]:
     """The targets that fit, those together that are alike: those that are columns already come first."""
     known = Targets.of(before).unchanged(work.net.targets)
     tables: dict[Hashable, ParticleTable] = {}
@@ -102,7 +102,7 @@ def plate_fits(compiled: CompiledPlate) -> bool:
     )
 
 
-def _asks_here(work: FrameWork, compiled: CompiledPlate, plan: Plan) -> bool:
+def _asks_here(work: FrameContext, compiled: CompiledPlate, plan: Plan) -> bool:
     """Whether all agents of a plan, one at least, are at work here and score hypotheses."""
     return (
         not work.availability.known
@@ -111,7 +111,7 @@ def _asks_here(work: FrameWork, compiled: CompiledPlate, plan: Plan) -> bool:
     )
 
 
-def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows:
+def _filter(work: FrameContext, table: ParticleTable) -> FilteredRows:
     """The targets of a table, without those whose weights say nothing, or where an agent fails."""
     started, compiled, plan = work.engine.clock(), table.compiled, table.plan
     moved, parents = _move(work, table)
@@ -133,7 +133,7 @@ def _filter(work: FrameWork, table: ParticleTable) -> FilteredRows:
     return found if is_usable.all() else found.take(np.flatnonzero(is_usable).tolist())
 
 
-def _move(work: FrameWork, table: ParticleTable) -> tuple[Floats, Ints]:
+def _move(work: FrameContext, table: ParticleTable) -> tuple[Floats, Ints]:
     """(T, N, D) hypotheses of the frame, and (T, N) those of the frame before that they come from."""
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
@@ -153,7 +153,7 @@ def _move(work: FrameWork, table: ParticleTable) -> tuple[Floats, Ints]:
 
 
 def ask_together(
-    work: FrameWork, table: ParticleTable, hypotheses: Hypotheses, starts: Ints, rows: Ints | None = None
+    work: FrameContext, table: ParticleTable, hypotheses: Hypotheses, starts: Ints, rows: Ints | None = None
 ) -> tuple[dict[str, Floats], dict[int, dict[str, Fault]]]:
     """Agent -> (N,) its log-likelihoods; target t -> agent -> its fault, where one fails.
 

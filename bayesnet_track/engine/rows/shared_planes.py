@@ -6,13 +6,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.planes import MANY, Plane, Planes, Region
 
 
 def planes_of_each(
-    work: FrameWork,
+    work: FrameContext,
     needs: Iterable[Plane],
     boxes: Floats,
     starts: Ints,

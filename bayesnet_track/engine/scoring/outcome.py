@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesnet_track.adapt.rule_inputs import Measures
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.scoring.rivals import (
     HELD,
     Verification,
@@ -162,7 +162,7 @@ class ScoreOutcome:
     notices: tuple[Event, ...] = ()
 
 
-def score_target(work: FrameWork, filtered: Filtered, box: Floats, measures: Measures) -> ScoreOutcome:
+def score_target(work: FrameContext, filtered: Filtered, box: Floats, measures: Measures) -> ScoreOutcome:
     """Score of a target whose estimate is `box` (4,), inside the frame."""
     compiled, scored = work.plate_of(filtered.target), filtered.before.scored
     root = compiled.plate.inference(compiled.plate.root)
@@ -197,7 +197,7 @@ def score_target(work: FrameWork, filtered: Filtered, box: Floats, measures: Mea
     return ScoreOutcome(scored, score, bound, distractor, notices)
 
 
-def _is_sought(work: FrameWork, filtered: Filtered) -> bool:
+def _is_sought(work: FrameContext, filtered: Filtered) -> bool:
     """True where the target is lost, or found by a search in this frame: its belief is as wide as that."""
     frame, target = work.frame.index, filtered.target
     events = (report(frame, target) for report in filtered.step.reports)
@@ -205,7 +205,7 @@ def _is_sought(work: FrameWork, filtered: Filtered) -> bool:
 
 
 def _follow_distractors(
-    work: FrameWork,
+    work: FrameContext,
     filtered: Filtered,
     rule: Distractors,
     box: Floats,
@@ -225,7 +225,7 @@ def _follow_distractors(
     return scored, seen, ended
 
 
-def _look(work: FrameWork, filtered: Filtered, box: Floats, score: float, fit: float) -> Sighting:
+def _look(work: FrameContext, filtered: Filtered, box: Floats, score: float, fit: float) -> Sighting:
     """Appearance of a target whose estimate is `box` (4,)."""
     target, (x, y, w, h) = filtered.target, box.tolist()
     surprise = kl(filtered.step.support.weights.log, filtered.step.prior.log)

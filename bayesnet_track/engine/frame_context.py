@@ -17,7 +17,7 @@ from bayesnet_track.observation.planes import Frame, PlaneCache
 
 
 @dataclass(frozen=True, eq=False)
-class FrameWork:
+class FrameContext:
     """What is shared by all that is done in one frame. What lasts longer is in `engine` or in a state.
 
     Attributes:
