@@ -9,7 +9,7 @@ so that its belief predicts.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -108,6 +108,42 @@ class DetectionParameters(CueParameters):
         "place alone).",
     )
 
+    sd: dict[str, Annotated[float, Field(gt=0)]] = Field(
+        default={},
+        max_length=8,
+        description="Sd of each quantity's error, in its unit, where detections are no boxes: range and "
+        "bearing, places; angles in radians.",
+    )
+    within: dict[str, tuple[float, float]] = Field(
+        default={},
+        description="Least and largest value of each quantity of `sd` that the sensor gives; false ones are "
+        "uniform between them.",
+    )
+
+    @model_validator(mode="after")
+    def _of_quantities(self) -> Self:
+        if not self.sd:
+            if self.within:
+                raise ValueError("within is of quantities; name them in sd: {range: 2, ...}")
+            return self
+        boxes = sorted(self.model_fields_set & OF_BOXES)
+        if boxes:
+            raise ValueError(
+                f"{boxes[0]} is of boxes, and sd says that detections are quantities; leave it out"
+            )
+        for name in self.within:
+            if name not in self.sd:
+                raise ValueError(f"within.{name}: no such quantity; sd has {', '.join(self.sd)}")
+        for name in self.sd:
+            if self.within and name not in self.within:
+                raise ValueError(
+                    f"within has no {name}; give the least and the largest value of each quantity"
+                )
+        for name, (low, high) in self.within.items():
+            if not low < high:
+                raise ValueError(f"within.{name}: {low:g} is not below {high:g}")
+        return self
+
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         for share, px in (("sd_place", "sd_place_px"), ("sd_size", "sd_size_px")):
@@ -119,6 +155,13 @@ class DetectionParameters(CueParameters):
             word = "direction" if self.direction > 0 else "recover"
             raise ValueError(f"{word} compares overlaps; take similarity: iou beside it")
         return self
+
+
+OF_BOXES = frozenset(
+    {"sd_place", "sd_size", "sd_place_px", "sd_size_px", "similarity", "min_overlap", "first_score"}
+    | {"direction", "direction_frames", "recover", "re_update", "appearance", "continue_box"}
+)
+"""Parameters that are of boxes."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +196,7 @@ class Detection:
             p.gate,
             self._min_overlap,
             p.appearance,
-            p.floor,
+            None if p.sd else p.floor,
             sd_place_px=p.sd_place_px,
             sd_size_px=p.sd_size_px,
             similarity=p.similarity,
@@ -177,26 +220,33 @@ class Detection:
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
-        """x, y, w, h of the detection given, errors independent; None without one.
+        """x, y, w, h, or the quantities, of the detection given, errors independent; None without one.
 
         Where several may be the target's, each is a choice with its probability.
         """
         detections = reference.get(OWN_DETECTION)
         if detections is None or len(detections) == 0:
             return None
-        if detections.shape[1] == 5:
-            return self._measured(detections[0, :4])
-        weights = detections[:, 5]
+        width = len(self.parameters.sd) or len(FIELDS)
+        if detections.shape[1] == width + 1:
+            return self._measured(detections[0, :width])
+        weights = detections[:, width + 1]
         choices = tuple(
-            (float(weight), self._measured(box))
-            for weight, box in zip(weights, detections[:, :4], strict=True)
+            (float(weight), self._measured(values))
+            for weight, values in zip(weights, detections[:, :width], strict=True)
         )
-        middle = self._measured(weights @ detections[:, :4] / weights.sum())
+        middle = self._measured(weights @ detections[:, :width] / weights.sum())
         return replace(middle, choices=choices)
 
-    def _measured(self, box: Floats) -> Measurement:
-        mean = np.array(box, dtype=np.float64)
-        return Measurement(FIELDS, mean, np.diag(self.rule.variances(mean)), self.parameters.floor)
+    def _measured(self, values: Floats) -> Measurement:
+        mean, sd, floor = np.array(values, dtype=np.float64), self.parameters.sd, self.parameters.floor
+        if sd:
+            return Measurement(tuple(sd), mean, np.diag(np.array([*sd.values()]) ** 2), floor)
+        return Measurement(FIELDS, mean, np.diag(self.rule.variances(mean)), floor)
+
+
+def _quantities(parameters: Any) -> tuple[str, ...]:
+    return tuple(parameters.sd)
 
 
 CUE = CueDeclaration(
@@ -207,6 +257,7 @@ CUE = CueDeclaration(
     make=Detection,
     cost_ms=0.05,
     is_appearance=False,
+    gives=_quantities,
     reads_detection=True,
     measures=True,
 )

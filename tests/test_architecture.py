@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "graphs": set(),
     "observation": {"numerics"},
     "vision": {"numerics", "observation"},
-    "graph": {"graphs", "observation"},
+    "graph": {"graphs", "numerics", "observation"},
     "adapt": BASE | {"graph", "observation"},
     "belief": BASE | {"graph", "observation"},
     "cues": {"numerics", "observation", "vision"},

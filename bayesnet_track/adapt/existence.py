@@ -111,6 +111,7 @@ class DetectionModel:
         covered_hits: detections of targets that another one covered.
         covered_chances: how many there could have been.
         hidden: target -> probability that it is hidden, of those that another one covered in the last look.
+        further: sensor after the first one -> what its own detections have told, without unconfirmed tracks.
     """
 
     unconfirmed: UnconfirmedTracks
@@ -124,6 +125,22 @@ class DetectionModel:
     covered_hits: float = START_COVERED * START_COVERED_CHANCES
     covered_chances: float = START_COVERED_CHANCES
     hidden: Mapping[str, float] = field(default_factory=dict)
+    further: Mapping[str, DetectionModel] = field(default_factory=dict)
+
+    def by(self, sensor: str | None) -> DetectionModel:
+        """The same tracks, with what the detections of a further sensor have told; None: the first one."""
+        if sensor is None:
+            return self
+        return evolve(
+            self.further.get(sensor) or DetectionModel(self.unconfirmed), unconfirmed=self.unconfirmed
+        )
+
+    def after(self, sensor: str | None, told: DetectionModel) -> DetectionModel:
+        """After a look of that sensor, which gave `told`."""
+        if sensor is None:
+            return told
+        own = evolve(told, unconfirmed=told.unconfirmed.take(np.empty(0, np.int64)))
+        return evolve(self, unconfirmed=told.unconfirmed, further={**self.further, sensor: own})
 
     def detection(self, rule: Existence) -> float:
         """Probability that a target which nothing covers is detected."""

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import Adapt, Information, Lost
+from bayesnet_track.graph.spec import Adapt, Information
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
 
@@ -90,9 +90,6 @@ def remembered_per_ms(
 BASELINE_WINDOW = 50
 BASELINE_MINIMUM = 10
 
-USUAL = Lost()
-"""When a target counts as lost where its graph says nothing of it."""
-
 Streak = tuple[str, str]
 """A condition whose consecutive frames count: its kind, and the node or agent that it is of."""
 
@@ -125,7 +122,7 @@ class Layout:
 @lru_cache(maxsize=64)
 def layout_of(plate: CheckedTarget) -> Layout:
     """The columns that the rules of a plate need."""
-    frames = dict.fromkeys(STATUS_STREAKS, (plate.inference(plate.root).lost or USUAL).frames)
+    frames = dict.fromkeys(STATUS_STREAKS, plate.lost.frames)
     nodes = tuple(node for node in plate.children if plate.inference(node).adapt is not None)
     for node in nodes:
         rules = plate.inference(node).adapt

@@ -15,7 +15,6 @@ from bayesnet_track.adapt.memory import (
     STATUS_STREAKS,
     UNFIT,
     UNSURE,
-    USUAL,
     Baseline,
     InformationRate,
     RuleMemory,
@@ -249,7 +248,7 @@ def _judge(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> bool:
     By a probability where there is one, else by UD and fit. That nothing fits is no reason while half of the
     target is known to be hidden, nor where its modes say whether it is; that UD is high is one.
     """
-    rule = inputs.plate.inference(inputs.plate.root).lost or USUAL
+    rule = inputs.plate.lost
     score, low, columns = inputs.existence, rule.existence_below, memory.layout.streaks
     if score is None or low is None:
         score, low = inputs.score, rule.score_below

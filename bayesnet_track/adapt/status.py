@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bayesnet_track.adapt.memory import FOUND, LOST, SEEN, UNFIT, UNSURE, USUAL, RuleMemory
+from bayesnet_track.adapt.memory import FOUND, LOST, SEEN, UNFIT, UNSURE, RuleMemory
 from bayesnet_track.adapt.rule_inputs import RuleInputs, read_ud
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.adapt import OnCall
@@ -132,7 +132,7 @@ def judge_status(now: RuleInputs, memory: RuleMemory, decisions: list[Decision])
 
     A target that probably cannot be seen, by its modes, is lost at once: their memory is in that probability.
     """
-    rule = now.plate.inference(now.plate.root).lost or USUAL
+    rule = now.plate.lost
     if now.hiding is not None and now.hiding.hidden > now.hiding.level:
         if now.net.status != "lost":
             decisions.append(StatusChanged(now.frame, now.target, "lost", hidden=now.hiding))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,10 +15,12 @@ from bayesnet_track.belief.motion.averaged import without_modes
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_of, turning
-from bayesnet_track.belief.motion.formulas import make_formula_motion
-from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.motion.formulas import FormulaMotion, make_formula_motion
+from bayesnet_track.belief.motion.models import KinematicMotion, make_motion
 from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
 from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.engine.lifecycle.measuring import make_sensor
+from bayesnet_track.engine.lifecycle.sensing import Sensor
 from bayesnet_track.engine.scoring.rivals import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -39,11 +41,13 @@ from bayesnet_track.observation.cue import (
     rule_of,
 )
 from bayesnet_track.observation.detector import (
+    GIVEN,
     Detector,
     DetectorError,
     detectors_of_graphs,
     installed_detectors,
 )
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.vision.detectors.selection import Selected
 
 
@@ -69,6 +73,7 @@ class CompiledPlate:
         searching: agents by which a missing target of a Gaussian belief is looked for elsewhere.
         finder: the detector that looks for a target which may reappear.
         association_rules: agent that measures by the detection that the target is given -> which one that is.
+        sensors: the same agent -> how detections measure targets.
         opaque: agents that keep something which cannot be stored.
         declared: agent -> the declaration of its cue.
         modes: the target's hidden discrete states; None when it has none.
@@ -92,6 +97,7 @@ class CompiledPlate:
     searching: frozenset[str] = frozenset()
     finder: Detector | None = None
     association_rules: Mapping[str, AssociationRule] = field(default_factory=dict)
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
     opaque: frozenset[str] = frozenset()
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
     modes: Modes | None = None
@@ -194,6 +200,9 @@ def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detecto
         asked.add(chosen.detector)
         if compiled.detector in made:
             continue
+        if compiled.plate.inverses:
+            made[compiled.detector] = _scanner_of(compiled, given)
+            continue
         declaration = detectors_of_graphs([chosen.detector])[chosen.detector]
         parameters = plugin_parameters(chosen, declaration.parameters)
         if chosen.detector in given:
@@ -204,6 +213,19 @@ def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detecto
     if idle:
         raise DetectorError(f"{idle[0]} are given, and no plate of the graph has births by them")
     return made
+
+
+def _scanner_of(compiled: CompiledPlate, given: Mapping[str, Any]) -> Any:
+    """What gives the sensors of a plate their detections."""
+    scanner = given.get(GIVEN)
+    if scanner is None or not hasattr(scanner, "scans"):
+        what = "none are given" if scanner is None else "boxes are given"
+        raise DetectorError(
+            f"the sensors of {compiled.plate.name} ({', '.join(compiled.plate.inverses)}) measure detections "
+            f"of quantities, and {what}; give a CSV file of them ({setting('--detections')}), or use "
+            "DetectionsTracker"
+        )
+    return scanner
 
 
 def _compile_plate(
@@ -219,12 +241,18 @@ def _compile_plate(
     settings = root.motion.settings
     moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
-    life = life_rules(kind.birth, kind.merge_duplicates, kind.death, kind.reidentify, kind.existence)
+    is_point = kind.state == "point"
+    reidentify = "never" if is_point else kind.reidentify  # a place alone tells nobody from another
+    life = life_rules(kind.birth, kind.merge_duplicates, kind.death, reidentify, kind.existence)
+    if own is None:
+        made_motion = make_plate_motion(root, constants, deviations_of(kind.nodes), is_point)
+    motion = made_motion if own is None else own
+    rules = {agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection}
     return CompiledPlate(
         plate=plate,
         cues=made,
         belief=make_belief(root.belief, None if own is not None else root.modes),
-        motion=make_plate_motion(root, constants, deviations_of(kind.nodes)) if own is None else own,
+        motion=motion,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
@@ -239,7 +267,8 @@ def _compile_plate(
         moving=moving,
         searching=_searching(plate, of, moving),
         finder=None if moving is None else _finder(moving),
-        association_rules={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection},
+        association_rules=rules,
+        sensors={agent: make_sensor(plate, agent, rule, motion.fields) for agent, rule in rules.items()},
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
         modes=None if own is not None or root.modes is None else make_modes(root.modes),
@@ -248,17 +277,23 @@ def _compile_plate(
 
 
 def make_plate_motion(
-    root: spec.InferenceNode, constants: Mapping[str, float], deviations: tuple[Deviation, ...] = ()
+    root: spec.InferenceNode,
+    constants: Mapping[str, float],
+    deviations: tuple[Deviation, ...] = (),
+    leaves_image: bool = False,
 ) -> MotionModel:
     """The motion that a graph with these constants asks for, before anything of a frame influences it.
 
-    `deviations` are those of latent nodes with a motion of their own.
+    `deviations` are those of latent nodes with a motion of their own. Targets that are no boxes go on beyond
+    the frame.
     """
     assert root.motion is not None
     settings = root.motion.settings
 
     def composed(chosen: spec.Motion) -> MotionModel:
         motion = _moves(chosen, constants)
+        if leaves_image and isinstance(motion, KinematicMotion | FormulaMotion):
+            motion = replace(motion, leaves_image=True)
         if settings.sd_angle_deg > 0:
             motion = turning(motion, settings.sd_angle_deg)
         if deviations:

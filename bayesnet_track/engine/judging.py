@@ -74,7 +74,7 @@ def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
     plate = filtered.compiled.plate
     root = plate.inference(plate.root)
     states = filtered.estimates(root.estimate)
-    boxes = _inside_frame(states, work)
+    boxes = states[:, :4].copy() if plate.spec.state == "point" else _inside_frame(states, work)
     measures = filtered.measures(boxes[:, 2] * boxes[:, 3])
     scores: list[ScoreOutcome] = []
     if root.score is not None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.expressions.terms import Term
-from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target, html_of
+from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Lost, Target, html_of
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
 from bayesnet_track.observation.image_files import Mask
 
@@ -56,6 +57,38 @@ class MeasuredAs:
     constants: Mapping[str, float]
 
 
+ANCHORED = ("x", "y")
+"""Fields that a detection of quantities places a new target by, where no `inverse` names others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A state whose quantities are known, from which h is followed to invert it.
+
+    Attributes:
+        place: (2,) the `ANCHORED` fields.
+        values: (K,) its quantities.
+    """
+
+    place: Floats
+    values: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """How a target starts with a detection of quantities.
+
+    Attributes:
+        terms: field of the state -> its value by the quantities; empty where h is followed.
+        constants: the numbers that they use by name.
+        anchor: from which h is followed; None where a detection alone starts no target.
+    """
+
+    terms: Mapping[str, Term]
+    constants: Mapping[str, float]
+    anchor: Anchor | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class CheckedTarget:
     """One plate, its tree resolved.
@@ -73,6 +106,7 @@ class CheckedTarget:
         constants: numbers that expressions use by name.
         givens: latent node -> its distribution by expressions, of those that have one.
         measures: agent -> its measurement functions, of those that have some.
+        inverses: agent that is given detections of quantities -> how one of them starts a target.
     """
 
     name: str
@@ -87,6 +121,7 @@ class CheckedTarget:
     constants: Mapping[str, float] = field(default_factory=dict)
     givens: Mapping[str, Conditional] = field(default_factory=dict)
     measures: Mapping[str, MeasuredAs] = field(default_factory=dict)
+    inverses: Mapping[str, Inverse] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""
@@ -107,6 +142,14 @@ class CheckedTarget:
                 own = self.children[name]
                 found[name] = frozenset(own).union(*(found.get(child, frozenset()) for child in own))
         return found
+
+    @cached_property
+    def lost(self) -> Lost:
+        """When it counts as lost; by default a point where it more probably does not exist than it does."""
+        written, existence = self.inference(self.root).lost, self.spec.existence
+        if written is not None or self.spec.state == "box" or existence is None:
+            return written or Lost()
+        return Lost(existence_below=max(0.5, (1.0 + existence.end) / 2), frames=1)
 
     def correlation(self, node: str) -> float | None:
         """Of the children's errors, where the pool of an inference node is learned; None elsewhere."""

@@ -115,7 +115,11 @@ LANGUAGE_VERSION = 1
 class Target(Model):
     """A plate: one copy of this net per target."""
 
-    state: Literal["box"] = Field(default="box", description="x, y, w, h in pixels; (x, y) is the centre")
+    state: Literal["box", "point"] = Field(
+        default="box",
+        description="`box`: x, y, w, h in pixels, (x, y) the centre; `point`: x, y alone, in the unit of its "
+        "[sensors](any_sensor.md)",
+    )
     birth: Birth | None = Field(
         default=None, description="where targets come from besides the given start boxes; default nowhere"
     )

@@ -63,7 +63,7 @@ class Sight:
         places |= {"x": across.ravel(), "y": down.ravel()}
         seen = np.concatenate([measured.seen.function(one) for one in (states, places)])
         seen = np.where(np.isfinite(seen), seen, measured.mean)
-        spans = np.where(measured.seen.circular, 2.0 * np.pi, np.ptp(seen, axis=0))
+        spans = np.where(measured.seen.periods < np.inf, measured.seen.periods, np.ptp(seen, axis=0))
         return np.asarray(np.maximum(spans, np.sqrt(2.0 * np.pi * np.diag(measured.covariance))))
 
     def message(

@@ -9,7 +9,7 @@ import numpy as np
 from bayesnet_track.adapt.rule_inputs import PartMeasure, PartStatus
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import Learn, Lost
+from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.inference.parts import PartBelief, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
@@ -38,7 +38,7 @@ def _status(target: CheckedTarget, evidence: Evidence, agents: list[str], weight
         return "hidden" if agents else "unwatched"
     kept = weights > 0
     fits = [float(weights[kept] @ evidence.messages[agent][kept]) for agent in seeing]
-    lost = target.inference(target.root).lost or Lost()
+    lost = target.lost
     return "seen" if np.exp(np.mean(fits)) >= lost.fit_below else "hidden"
 
 

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.numerics.inversion import shorter_way
 from bayesnet_track.observation.likelihoods import Reference
 from bayesnet_track.observation.planes import Plane, Planes
 
@@ -156,16 +156,16 @@ class Seen:
 
     Attributes:
         function: state field -> (N,), to (N, K) values; NaN where there is none.
-        circular: (K,) whether a quantity is an angle in radians, whose differences are taken modulo 2 pi.
+        periods: (K,) after how much a quantity is the same again, 2 pi of an angle in radians; infinite of
+            those that are no angles.
     """
 
     function: Callable[[Mapping[str, Floats]], Floats]
-    circular: NDArray[np.bool_]
+    periods: Floats
 
     def less(self, values: Floats, expected: Floats) -> Floats:
         """(N, K) values less what was expected; of angles the shorter way round."""
-        away = values - expected
-        return np.where(self.circular, (away + np.pi) % (2.0 * np.pi) - np.pi, away)
+        return shorter_way(self.periods)(values, expected)
 
 
 @dataclass(frozen=True, eq=False)

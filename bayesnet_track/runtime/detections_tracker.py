@@ -15,16 +15,19 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.association import overlapping_pairs
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.starts import check_starts, start_targets
-from bayesnet_track.engine.step import make_engine, step
+from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
+from bayesnet_track.observation.cue import OWN_DETECTION
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.observation.scans import Scan
 from bayesnet_track.runtime.arguments import say_unused_by_cues, whole
+from bayesnet_track.runtime.given_scans import read_scans, sensors_of
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
 from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, image_users, refuse_unknown
@@ -48,12 +51,16 @@ class _Fed:
     """A detector that finds what it is given."""
 
     now: Detections = field(default=NOTHING)
+    scanned: Mapping[str, Scan] = field(default_factory=dict)
 
     def start(self) -> DetectorState:
         return {}
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         return self.now, state
+
+    def scans(self, frame: Frame) -> Mapping[str, Scan]:
+        return self.scanned
 
 
 class DetectionsTracker(Storable):
@@ -117,6 +124,7 @@ class DetectionsTracker(Storable):
         DetectionsTracker.__init__(self, graph, **options)
 
     def _renew_engine(self) -> None:
+        self._sensors = sensors_of(self._graph)
         self._fed = _Fed()
         self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
 
@@ -151,6 +159,10 @@ class DetectionsTracker(Storable):
         Boxes that are not finite, have no area or lie outside of the frame are left out, with a warning that
         names their rows; their `tracker_id` is -1.
 
+        A graph whose sensors measure quantities takes a mapping of those that looked, such as ``{"radar":
+        {"range": [..], "bearing": [..]}}``, empty columns where one saw nothing, and gives the ids of each:
+        agent -> (n,) int64.
+
         Args:
             detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1 and
                 `data["class_name"]` (n,), which a graph with `labels` needs.
@@ -173,12 +185,15 @@ class DetectionsTracker(Storable):
             before = self._now
             clock = (self._clock if before is None else before.clock).tick(time_s, ANEW)
             image, kind = self._image(frame, before, clock.index)
-            given = read_given(detections, self._graph).inside(kind.width, kind.height)
-            marked = copy.copy(detections)
-            ids = np.full(given.count, NO_TARGET, dtype=np.int64)
-            marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
+            if self._sensors:
+                self._fed.scanned, rows = read_scans(detections, self._sensors)
+            else:
+                given = read_given(detections, self._graph).inside(kind.width, kind.height)
+                marked = copy.copy(detections)
+                ids = np.full(given.count, NO_TARGET, dtype=np.int64)
+                marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
+                self._fed.now = given.detections
             now = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
-            self._fed.now = given.detections
             if before is None:
                 check_starts(self._graph, [], kind.width, kind.height)
                 outcome = start_targets(self._graph, self._engine, now, [])
@@ -194,6 +209,11 @@ class DetectionsTracker(Storable):
                 resizing,
                 answers=outcome.answers,
             )
+            if self._sensors:
+                return {
+                    agent: owners_by_share(outcome.state, agent, scan, rows[agent], _count(detections[agent]))
+                    for agent, scan in self._fed.scanned.items()
+                }
             ids[given.rows] = owners(given.detections.boxes, outcome.metrics)
             return marked
 
@@ -244,6 +264,30 @@ def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArr
             found[row] = int(ids[column])
             taken.add(column)
     return np.array(found, dtype=np.int64)
+
+
+def owners_by_share(
+    state: State, agent: str, scan: Scan, rows: NDArray[np.int64], count: int
+) -> NDArray[np.int64]:
+    """The target of each detection (count,) of a sensor: the one that it is more probably than not."""
+    ids = np.full(count, NO_TARGET, dtype=np.int64)
+    for target, own in state.targets.items():
+        given = own.references.get(agent, {}).get(OWN_DETECTION)
+        if given is None or not len(given) or state.net.targets[target].status == "lost":
+            continue
+        width = scan.values.shape[1]
+        weights = given[:, width + 1] if given.shape[1] > width + 1 else np.ones(len(given))
+        best = int(np.argmax(weights))
+        if weights[best] >= 0.5:
+            same = np.flatnonzero((scan.values == given[best, :width]).all(axis=1))
+            free = [row for row in rows[same].tolist() if ids[row] == NO_TARGET]
+            ids[free[:1]] = int(target)
+    return ids
+
+
+def _count(given: Mapping[str, Any]) -> int:
+    """Number of rows that were given of a sensor."""
+    return len(np.atleast_1d(next(iter(given.values()))))
 
 
 def _checked(size: tuple[int, int]) -> tuple[int, int]:

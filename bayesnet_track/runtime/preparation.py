@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from typing import Any
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
@@ -19,6 +20,7 @@ from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.frames import Source
+from bayesnet_track.sources.scan_files import ScanFile
 
 
 def place_cues(
@@ -43,11 +45,11 @@ def prepare_engine(
     graph: CheckedGraph,
     seed: int,
     motion: MotionModel | None,
-    detector: FileDetector | None,
+    detector: FileDetector | ScanFile | None,
 ) -> Engine:
     """The engine of a run, with the detector of a file where there is one; raises as `track`."""
     own = None if motion is None else dict.fromkeys(graph.targets, motion)
-    given = {} if detector is None else {GIVEN: detector}
+    given: dict[str, Any] = {} if detector is None else {GIVEN: detector}
     return make_engine(graph, seed, motion=own, detectors=given)
 
 

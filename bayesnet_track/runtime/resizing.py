@@ -37,6 +37,7 @@ from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.frames import DecodedFrame, Size
+from bayesnet_track.sources.scan_files import ScanFile
 
 LEAST_MAX_SIDE = 16
 """The smallest `max_side`, px."""
@@ -113,10 +114,18 @@ class Resizing:
             )
         return replace(start, box=(x, y, w, h))
 
-    def detector(self, detector: FileDetector) -> FileDetector:
-        """Given detections where the engine sees them."""
+    def detector(self, detector: FileDetector | ScanFile) -> FileDetector | ScanFile:
+        """Given detections where the engine sees them.
+
+        Raises:
+            ValueError: frames are made smaller, and detections are quantities, whose functions are in px.
+        """
         if self.is_none:
             return detector
+        if isinstance(detector, ScanFile):
+            raise ValueError(
+                "max_side: the measures of sensors are of frames in their own size; leave it out"
+            )
         moved = {
             frame: Detections(_moved(one.boxes, self._in), one.scores, one.labels)
             for frame, one in detector.found.items()

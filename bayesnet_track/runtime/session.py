@@ -30,6 +30,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, steady
 from bayesnet_track.runtime.checkpoints.recipe import make_recipe, options_of
 from bayesnet_track.runtime.executors import Executing, make_executor
+from bayesnet_track.runtime.given_scans import check_scans, given_detector, source_or_times
 from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.preparation import (
     begin,
@@ -57,7 +58,7 @@ from bayesnet_track.runtime.results import (
 )
 from bayesnet_track.runtime.run import run
 from bayesnet_track.runtime.stop import closed_at_exit
-from bayesnet_track.sources.detection_files import file_detector
+from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.sources import open_source
 
 P = ParamSpec("P")
@@ -84,7 +85,7 @@ def prepare_at_call(
 @closed_at_exit
 def track(
     graph: str | PathLike[str] | GraphSpec | CheckedGraph,
-    source: str | PathLike[str] | FrameSource,
+    source: str | PathLike[str] | FrameSource | None,
     box: CornerBox | Sequence[Start] | None = None,
     *,
     out: str | PathLike[str] | None = None,
@@ -116,7 +117,8 @@ def track(
 
     Args:
         graph: an installed graph's name, a YAML path, or a graph in Python.
-        source: a video file, a folder of images, a glob, or an opened source.
+        source: a video file, a folder of images, a glob, or an opened source; None for the times of
+            `detections`, where the graph has sensors of quantities and looks at no image.
         box: start box x, y, w, h in the first frame, top-left corner, px; or one `Start` per target; none
             are needed where the graph has `birth`.
         out: run directory to write; nothing is written when None.
@@ -192,6 +194,7 @@ def track(
         check_steady = stack.enter_context(steady([*model_files(checked), detections, again]))
         read = {} if detections is None else {str(detections): file_sha256(detections)}
         external_inputs = as_inputs(inputs)
+        source = source_or_times(source, checked, detections)
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(
                 open_source(
@@ -223,10 +226,11 @@ def track(
         for start in starts:
             resizing.start(start)  # raises before anything is written
         seen = resizing.graph(checked)
-        detector = None if detections is None else resizing.detector(file_detector(Path(detections)))
+        detector = None if detections is None else resizing.detector(given_detector(seen, Path(detections)))
         engine = prepare_engine(seen, seed, motion, detector)
         given: GivenFrames | None = None
-        if detector is not None and detections is not None:
+        check_scans(seen, engine, opened, detector, detections, bool(video))
+        if isinstance(detector, FileDetector) and detections is not None:
             given = GivenFrames(Path(detections), detector.found, frames_of(opened))
             given.say(seen, resizing.tracked)
         say_unused_by_cues(seen, opened)

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
+SUFFIX = ".csv"
+"""A file of detections stands for a source of their times, without images."""
+
 LIVE_SCHEMES = frozenset({"rtsp", "rtsps"})
 NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
 
@@ -130,6 +133,8 @@ def make_reader(
                 raise SourceError(text, "permission denied", KINDS, "make the file readable")
             if path.suffix.lower() in IMAGE_SUFFIXES and not is_animated_png(path):
                 return _images(text, [path], value_range)
+            if path.suffix.lower() == SUFFIX:
+                return _scans(text)
             return _video(text, False, value_range)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
@@ -140,6 +145,16 @@ def make_reader(
     if glob.has_magic(text):
         return _images(text, _matching(text), value_range)
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def _scans(text: str) -> Reader:
+    """The times of a file of detections."""
+    from bayesnet_track.sources.scan_files import ScanReader
+
+    try:
+        return ScanReader(text)
+    except (OSError, ValueError) as error:
+        raise SourceError(text, str(error), KINDS, "mend the file") from error
 
 
 def _of_network(text: str, live: bool | None, value_range: ValueRange | None) -> Reader:

@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level, Lost
+from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import event_name
 from bayesnet_track.journal.events.event import Event
@@ -269,7 +269,7 @@ def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
                 add(name, "on_call", adapt.on_call.above)
             if node.learn is not None:
                 add(name, "learn", node.learn.below)
-            lost = (node.lost or Lost()) if name == target.root else None
+            lost = target.lost if name == target.root else None
             if lost is not None and lost.score_below is None and lost.existence_below is None:
                 add(name, "lost", lost.above, lost.frames)
             for key in ("score_below", "uncertain_below"):

@@ -277,7 +277,7 @@ def take(
     log_evidence = 0.0
     for one in used.values():
         if one.choices:
-            mean, covariance, log_own = _mix(mean, covariance, fields, one)
+            mean, covariance, log_own = _mix(mean, covariance, fields, one, is_unscented)
             log_evidence += log_own
             continue
         if one.seen is None:
@@ -337,12 +337,21 @@ def update_seen(
 
 
 def _mix(
-    mean: Floats, covariance: Floats, fields: tuple[str, ...], measured: Measurement
+    mean: Floats, covariance: Floats, fields: tuple[str, ...], measured: Measurement, is_unscented: bool
 ) -> tuple[Floats, Floats, float]:
-    """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none."""
+    """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none.
+
+    Where functions of the state have no value at the mean nothing is used.
+    """
     weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
     for weight, one in measured.choices:
-        after = update_by(mean, covariance, fields, one)
+        if one.seen is None:
+            after = update_by(mean, covariance, fields, one)
+        else:
+            by_function = update_seen(mean, covariance, fields, one, is_unscented)
+            if by_function is None:
+                return mean, covariance, 0.0
+            after = by_function
         weights.append(weight)
         means.append(after.mean)
         covariances.append(after.covariance)

@@ -258,6 +258,7 @@ class FormulaMotion:
         start_sd: (D - 4,) their sds.
         frame: columns and rows of the frame; None before one is known.
         static_discount: of kernels that keep hypotheses about unknown constants; None without kernels.
+        leaves_image: whether targets go on beyond the frame.
         undefined: ``drift x`` or ``sd x`` -> what was found; of this object alone, which is made for a frame.
     """
 
@@ -269,6 +270,7 @@ class FormulaMotion:
     start_sd: tuple[float, ...] = ()
     frame: tuple[int, int] | None = None
     static_discount: float | None = None
+    leaves_image: bool = False
     undefined: dict[str, Undefined] = field(default_factory=dict, init=False)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:

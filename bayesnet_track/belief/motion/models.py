@@ -145,19 +145,21 @@ class KinematicMotion:
         dynamics: the rows of A, (n, n); n = 1 for a random walk.
         diffusion: variance per frame interval of the white noise in the last derivative.
         start_sd: sds of the unknown first velocity and acceleration, (n - 1).
+        leaves_image: whether targets go on beyond the frame.
     """
 
     noise: spec.Noise
     dynamics: Rows
     diffusion: float = 0.0
     start_sd: tuple[float, ...] = ()
+    leaves_image: bool = False
 
     def __hash__(self) -> int:
         return self._hash
 
     @cached_property
     def _hash(self) -> int:  # once: that of settings takes longer than what is looked up by it
-        return hash((self.noise, self.dynamics, self.diffusion, self.start_sd))
+        return hash((self.noise, self.dynamics, self.diffusion, self.start_sd, self.leaves_image))
 
     @cached_property
     def noisy_columns(self) -> NDArray[np.intp]:

@@ -214,6 +214,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError("--truth is for --seeds; `score RUN --truth FILE` scores one run")
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.runtime.given_scans import source_or_times
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
@@ -232,6 +233,8 @@ def run(options: argparse.Namespace) -> int:
             "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
             "`birth`, whose detectors find the targets"
         )
+    with users_mistake():
+        options.source = str(source_or_times(options.source, graph, options.detections))
     with open_view(options) as view, open_given(options) as source:
         _say_size(options, source)
         return track_source(options, graph, source, starts, out, video=options.video, view=view)
@@ -247,16 +250,17 @@ def track_source(
     view: LiveView | None = None,
 ) -> int:
     """Track from the start boxes and write the run to `out`; the exit code."""
+    from bayesnet_track.runtime.given_scans import given_detector
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.results import Summary, replay_inputs
     from bayesnet_track.runtime.session import track
-    from bayesnet_track.sources.detection_files import file_detector
     from bayesnet_track.sources.mot_lines import COLUMNS
 
     detections = getattr(options, "detections", None)
     if detections is not None:
-        with users_file("--detections", f"a text file with MOT lines ({COLUMNS}) or JSON Lines"):
-            file_detector(detections)
+        kinds = f"a text file with MOT lines ({COLUMNS}) or JSON Lines, a CSV of what sensors measured"
+        with users_file("--detections", kinds):
+            given_detector(graph, detections)
     inputs = getattr(options, "inputs", None)
     if inputs is not None:
         with users_mistake():
@@ -369,7 +373,9 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     )
     run.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     run.add_argument(
-        "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
+        "--source",
+        help="video file, folder of images, glob, camera index, or URL; needed unless --detections is a CSV "
+        "of what sensors measured",
     )
     run.add_argument("-o", "--out", metavar="RUN", required=True, help="run directory to write")
     add_set_option(run)
@@ -391,7 +397,8 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument(
         "--detections",
         metavar="FILE",
-        help="file of detections (MOT, JSON Lines) for a graph whose births use `detections`",
+        help="file of detections (MOT, JSON Lines; CSV for sensors of quantities) for a graph whose births "
+        "use `detections`",
     )
     add_video_option(run)
     run.add_argument(

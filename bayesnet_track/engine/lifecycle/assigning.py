@@ -20,8 +20,7 @@ from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.detecting import Found
-from bayesnet_track.engine.lifecycle.existing import gate, with_looks
+from bayesnet_track.engine.lifecycle.sensing import Found, gate_boxes, with_looks
 from bayesnet_track.engine.lifecycle.sharing import Tracks, update_tentative
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.compile import compile_plan
@@ -68,7 +67,7 @@ def _assign_by_density(
     boxes: Floats,
     log_looks: Callable[[int, Floats], Floats],
 ) -> Owners:
-    pairs = gate(rule, mean, covariance, boxes)
+    pairs = gate_boxes(rule, mean, covariance, boxes)
     if rule.appearance > 0.0 and len(pairs.rows):
         pairs = _gate_looks(rule, pairs, mean, covariance, (boxes, log_looks))
     return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(mean), len(boxes))
@@ -154,14 +153,12 @@ def score_looks(work: FrameContext, target: str, state: TargetState, boxes: Floa
     return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
 
 
-def give_detection(
-    state: TargetState, agents: Mapping[str, AssociationRule], own: Floats | None
-) -> TargetState:
-    """The target with what its agents are given of the detections; None where nobody detected."""
-    detection = {} if own is None else {OWN_DETECTION: own}
+def give_detections(state: TargetState, own: Mapping[str, Floats | None]) -> TargetState:
+    """The target with what each of its agents is given of the detections; None where nobody detected."""
     given = {
-        agent: {k: v for k, v in state.references[agent].items() if k != OWN_DETECTION} | detection
-        for agent in agents
+        agent: {k: v for k, v in state.references[agent].items() if k != OWN_DETECTION}
+        | ({} if detection is None else {OWN_DETECTION: detection})
+        for agent, detection in own.items()
         if agent in state.references
     }
     return replace(state, references={**state.references, **given})

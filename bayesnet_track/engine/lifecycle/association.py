@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import chain
 
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, first_observed, remembered
+from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
@@ -26,14 +28,22 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.assigning import (
     advance_tentative,
     assign_detections,
-    give_detection,
+    give_detections,
     name_owners,
     remember_detections,
     score_looks,
     tentative_tracks,
 )
-from bayesnet_track.engine.lifecycle.detecting import Found, look
-from bayesnet_track.engine.lifecycle.existing import Crowd, MarginalAssociation, associate_marginal
+from bayesnet_track.engine.lifecycle.detecting import look, scan
+from bayesnet_track.engine.lifecycle.existing import (
+    Crowd,
+    MarginalAssociation,
+    after_look,
+    associate_marginal,
+    expect_crowd,
+    given_nothing,
+)
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.rows.columns import Rows
@@ -112,17 +122,37 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
             continue
         own = {target: one for target, one in apart.items() if net.targets[target].template == plate}
         several = Several(work, compiled, tables.get(plate), own)
-        share = several.assign if CrowdRule.of(compiled) is None else several.associate_marginal
-        done = share(history, found.get(plate))
+        if CrowdRule.of(compiled) is None:
+            done = several.assign(history, found.get(plate))
+        else:
+            looks = looks_of(work, plate, found)
+            done = several.associate_marginal(history, looks)
         history = done.history
         apart |= done.others
         if done.rows is not None:
             given[plate] = done.rows
-        if plate in found:
+        if plate in found or compiled.plate.inverses:
             owners[plate] = done.owners
     work.charge("life", started)
     after = Targets(targets.gaussians, (), apart, [*apart]) if apart else targets
     return Associated(found, owners, after, history, events, given)
+
+
+def looks_of(work: FrameContext, plate: str, found: Mapping[str, Found]) -> dict[str, Found]:
+    """Agent of a plate with existence -> what it is given, of those whose sensor or detector looked."""
+    compiled = work.engine.plates[plate]
+    if compiled.plate.inverses:
+        return scan(work, plate)
+    return {next(iter(compiled.sensors)): found[plate]} if plate in found else {}
+
+
+def scan_first(work: FrameContext, plate: str, history: TrackHistory) -> TrackHistory:
+    """The history after the sensors of a plate saw the first frame, in which it has no targets."""
+    return (
+        Several(work, work.engine.plates[plate], None, {})
+        .associate_marginal(history, scan(work, plate))
+        .history
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,58 +219,100 @@ class Several:
         others = {}
         for row, (target, state) in enumerate(self.others.items(), count):
             given = None if found is None else own[row : row + is_given[row]]
-            state = give_detection(state, compiled.association_rules, given)
+            state = give_detections(state, dict.fromkeys(compiled.association_rules, given))
             others[target] = remember_detections(state, agent, after.observed[row], refiltered.get(row))
         return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
 
-    def associate_marginal(self, history: TrackHistory, found: Found | None) -> Shared:
-        """What was `found` by probability, among targets that exist with one and unconfirmed tracks."""
-        work, compiled, count, plate = self.work, self.compiled, self.count, self.compiled.plate.name
-        rule, seen = CrowdRule.of(compiled), Found.none() if found is None else found
-        assert rule is not None
+    def associate_marginal(self, history: TrackHistory, looks: Mapping[str, Found]) -> Shared:
+        """What sensors saw, shared by probability among targets that exist with one and unconfirmed tracks.
+
+        `looks` has the sensors that looked. They are taken one after the other, each with what those before
+        it have told.
+        """
+        compiled, frames, plate = self.compiled, self.work.cache.frames, self.compiled.plate.name
+        rules = {agent: rule for agent in compiled.sensors if (rule := CrowdRule.of(compiled, agent))}
+        first, *_, last = (*rules, *rules)
         before = self._tracks()
-        expecting = predictor(work, compiled)
+        expecting = predictor(self.work, compiled)
         mean, covariance = expecting(before.mean, before.covariance)
         mixtures = self._in_modes(expecting.elapsed)
         for row, mixture in mixtures.items():
             mean[row], covariance[row] = mixture.moments
-        existence = np.array(
-            [1.0 if one.existence is None else one.existence for one in self.others.values()]
+        crowd = Crowd(mean, covariance, self._existence(), self.names, self._log_looks, mixtures)
+        detection_model = history.detection_models.get(plate) or DetectionModel(
+            UnconfirmedTracks.none(mean.shape[1])
         )
-        if self.rows is not None:
-            known = self.rows.columns.existence
-            existence = np.concatenate([known, existence]) if len(existence) else known
-        crowd = Crowd(
-            np.ascontiguousarray(mean[:, :4]),
-            np.ascontiguousarray(covariance[:, :4, :4]),
-            existence,
-            self.names,
-            self._log_looks,
-            mixtures,
-        )
-        done = associate_marginal(rule, work.cache.frames, crowd, history.detection_models.get(plate), found)
-        history = evolve(history, detection_models={**history.detection_models, plate: done.detection_model})
-        rows, live = None, slice(count)
-        if self.rows is not None:
-            rows = Given(
-                mean[live],
-                covariance[live],
-                own_detections(done.owner[live], seen.boxes, seen.scores),
-                np.diff(done.starts[: count + 1]) > 0,
-                done.existence[live],
-                self.rows.columns.observed,
-                seen.boxes,
-                done,
+        seen_first = looks.get(first)
+        crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
+        done = dict.fromkeys(rules, given_nothing(crowd, detection_model))
+        for agent in [one for one in rules if one in looks]:
+            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames))
+            further = None if agent == first else agent
+            done[agent] = associate_marginal(
+                rule, frames.current, crowd, detection_model.by(further), looks[agent]
             )
-        others = {}
-        for row, (target, state) in enumerate(self.others.items(), count):
-            which = slice(done.starts[row], done.starts[row + 1])
-            own = np.column_stack([seen.boxes[done.columns[which]], seen.scores[done.columns[which]]])
-            if rule.is_marginal:
-                own = np.column_stack([own, done.weights[which]])
-            state = give_detection(state, compiled.association_rules, None if found is None else own)
-            others[target] = evolve(state, existence=float(done.existence[row]))
-        return Shared(rows, others, name_owners(done.owner, self.names, len(seen.boxes)), history)
+            detection_model = detection_model.after(further, done[agent].detection_model)
+            crowd = evolve(crowd, existence=done[agent].existence)
+            if agent != last:
+                crowd = after_look(rule, crowd, looks[agent], done[agent])
+        history = evolve(history, detection_models={**history.detection_models, plate: detection_model})
+        rows = None
+        if self.rows is not None:
+            rows = self._given(mean, covariance, seen_first or Found.none(), done[first])
+        owners = [
+            name_owners(done[agent].owner, self.names, len(found.values)) for agent, found in looks.items()
+        ]
+        seen = {agent: looks.get(agent) for agent in rules}
+        others = {
+            target: self._told(state, row, seen, done, float(crowd.existence[row]))
+            for row, (target, state) in enumerate(self.others.items(), self.count)
+        }
+        return Shared(rows, others, tuple(chain.from_iterable(owners)), history)
+
+    def _existence(self) -> Floats:
+        """(T,) probability that each exists, as of the last frame."""
+        others = [1.0 if one.existence is None else one.existence for one in self.others.values()]
+        if self.rows is None:
+            return np.array(others, dtype=np.float64)
+        known = self.rows.columns.existence
+        return np.concatenate([known, others]) if others else known
+
+    def _given(self, mean: Floats, covariance: Floats, seen: Found, done: MarginalAssociation) -> Given:
+        """What the rows are given of what their only sensor saw."""
+        assert self.rows is not None
+        live = slice(self.count)
+        return Given(
+            mean[live],
+            covariance[live],
+            own_detections(done.owner[live], seen.boxes, seen.scores),
+            np.diff(done.starts[: self.count + 1]) > 0,
+            done.existence[live],
+            self.rows.columns.observed,
+            seen.boxes,
+            done,
+        )
+
+    def _told(
+        self,
+        state: TargetState,
+        row: int,
+        seen: Mapping[str, Found | None],
+        done: Mapping[str, MarginalAssociation],
+        existence: float,
+    ) -> TargetState:
+        """A target with what its agents are given, and how probably it exists."""
+        own: dict[str, Floats | None] = {}
+        for agent, found in seen.items():
+            if found is None:  # nobody looked
+                own[agent] = None
+                continue
+            which = slice(*done[agent].starts[row : row + 2])
+            columns, weights = done[agent].columns[which], done[agent].weights[which]
+            parts = [found.values[columns], found.scores[columns]]
+            if self.compiled.plate.spec.associate == "marginal":
+                parts.append(weights)
+            own[agent] = np.column_stack(parts)
+        return evolve(give_detections(state, own), existence=existence)
 
     @property
     def count(self) -> int:

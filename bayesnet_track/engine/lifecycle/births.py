@@ -17,9 +17,9 @@ from bayesnet_track.engine.lifecycle.confirming import (
     start_confirmed,
     start_record,
 )
-from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.ends import remember
 from bayesnet_track.engine.lifecycle.initiating import has_way
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sharing import start_tentative
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.starting import restart

@@ -16,10 +16,10 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.initiating import initiate, velocity
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState

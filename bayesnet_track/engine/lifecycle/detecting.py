@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, is_refusal_notable
 from bayesnet_track.adapt.status import next_try
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
-from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import FAULTS, said
 from bayesnet_track.observation.detector import (
@@ -26,30 +24,7 @@ from bayesnet_track.observation.detector import (
     check_detections,
 )
 from bayesnet_track.observation.planes import FramePair
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What one plate is given of a look, the best first.
-
-    Attributes:
-        boxes: (N, 4) centre boxes.
-        scores: (N,) 0..1.
-        numbers: (N,) their numbers in the look.
-    """
-
-    boxes: Floats
-    scores: Floats
-    numbers: Ints
-
-    @classmethod
-    def none(cls) -> Self:
-        """Nothing."""
-        return cls(np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
-
-    def only(self, which: NDArray[np.bool_]) -> Found:
-        """Those that are True in (N,)."""
-        return Found(self.boxes[which], self.scores[which], self.numbers[which])
+from bayesnet_track.observation.scans import Scanner
 
 
 def look(
@@ -67,6 +42,8 @@ def look(
     engine, frame, pair = work.engine, work.frame, work.cache.frames
     due: dict[str, str] = {}
     for plate, compiled in engine.plates.items():
+        if compiled.plate.inverses:
+            continue  # its sensors are no detectors of boxes: `scan`
         birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
         if (
             birth is not None
@@ -99,6 +76,19 @@ def look(
             events += event
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
     return given, evolve(history, detectors=states), tuple(events)
+
+
+def scan(work: FrameContext, plate: str) -> dict[str, Found]:
+    """Agent of a plate -> what it saw in this frame, of those whose sensor looked, the best first."""
+    compiled = work.engine.plates[plate]
+    scanner = work.engine.detectors[compiled.detector]
+    assert isinstance(scanner, Scanner)
+    found = {}
+    for agent, seen in scanner.scans(work.frame).items():
+        if agent in compiled.sensors:
+            best = np.argsort(-seen.scores, kind="stable")
+            found[agent] = Found(seen.values[best], seen.scores[best], best)
+    return found
 
 
 def _count_cut(

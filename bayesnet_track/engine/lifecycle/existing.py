@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, assign_pairs
-from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, Shared, UnconfirmedTracks, share
+from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, Shared, share
 from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes
-from bayesnet_track.engine.lifecycle.detecting import Found
+from bayesnet_track.engine.lifecycle.sensing import Found, Mixed, Sensor, with_looks
 from bayesnet_track.engine.lifecycle.unconfirmed import (
     CrowdRule,
     advance_unconfirmed,
@@ -27,15 +27,8 @@ from bayesnet_track.engine.lifecycle.unconfirmed import (
     with_fast,
 )
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.records import evolve
-from bayesnet_track.observation.cue import AssociationRule
-from bayesnet_track.observation.planes import FramePair
-
-COVERED = 0.5
-"""A target counts as covered when another one covers this share of its box."""
-
-LOG_TURN = math.log(2.0 * math.pi)
+from bayesnet_track.observation.planes import Frame, FramePair
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +36,8 @@ class Crowd:
     """T targets before a look.
 
     Attributes:
-        mean: (T, 4) boxes as they are expected.
-        covariance: (T, 4, 4).
+        mean: (T, D) as they are expected.
+        covariance: (T, D, D).
         existence: (T,) probability that each exists, as of the last frame.
         names: of the targets.
         log_looks: row, boxes (M, 4) -> (M,) log-likelihood by what the target looks like.
@@ -82,67 +75,73 @@ class MarginalAssociation:
     detection_model: DetectionModel
 
 
-def associate_marginal(
-    rule: CrowdRule,
-    frames: FramePair,
-    crowd: Crowd,
-    detection_model: DetectionModel | None,
-    found: Found | None,
-) -> MarginalAssociation:
-    """Share of each target in what was `found` (None: nobody looked), and the unconfirmed tracks after it."""
+def expect_crowd(
+    rule: CrowdRule, frames: FramePair, crowd: Crowd, detection_model: DetectionModel, found: Found | None
+) -> tuple[Crowd, DetectionModel]:
+    """The crowd and its unconfirmed tracks before the first look of a frame, which `found` something.
+
+    They are those that survive, and are predicted; the means and covariances of the crowd are so already.
+    """
     frame, last = frames.current, frames.previous
     dt = 1.0 if last is None else frame.time - last.time
-    if detection_model is None:
-        detection_model = DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields)))
+    survival = rule.existence.survival**dt
     size, before = (frame.width, frame.height), detection_model.unconfirmed
     unconfirmed = predict_unconfirmed(before, rule.motion, dt, size)
-    if found is not None:
+    if found is not None and rule.sensor.has_extent:
         fast = with_fast(rule, before, unconfirmed, found.boxes, dt)
         unconfirmed = unconfirmed.extend(predict_unconfirmed(fast, rule.motion, dt, size))
-    survival = rule.existence.survival**dt
-    count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, unconfirmed.existence])
-    if found is None:
-        unconfirmed = evolve(unconfirmed, existence=existence[count:])
-        nothing = np.empty(0, np.int64)
-        return MarginalAssociation(
-            existence[:count],
-            np.zeros(count + 1, np.int64),
-            nothing,
-            np.empty(0),
-            np.ones(count),
-            np.full(count, UNASSIGNED, dtype=np.int64),
-            evolve(detection_model, unconfirmed=unconfirmed),
-        )
-    detection_model = detection_model.with_sizes(found.boxes)
+    unconfirmed = evolve(unconfirmed, existence=survival * unconfirmed.existence)
+    return evolve(crowd, existence=survival * crowd.existence), evolve(
+        detection_model, unconfirmed=unconfirmed
+    )
+
+
+def given_nothing(crowd: Crowd, detection_model: DetectionModel) -> MarginalAssociation:
+    """What each target is given where nobody looked."""
+    count = len(crowd.mean)
+    return MarginalAssociation(
+        crowd.existence,
+        np.zeros(count + 1, np.int64),
+        np.empty(0, np.int64),
+        np.empty(0),
+        np.ones(count),
+        np.full(count, UNASSIGNED, dtype=np.int64),
+        detection_model,
+    )
+
+
+def associate_marginal(
+    rule: CrowdRule, frame: Frame, crowd: Crowd, detection_model: DetectionModel, found: Found
+) -> MarginalAssociation:
+    """What each target is given of what a sensor `found`, and the unconfirmed tracks after it."""
+    detection_model, unconfirmed = rule.sensor.learn(detection_model, found), detection_model.unconfirmed
     all_of = evolve(
         crowd,
-        mean=np.concatenate([crowd.mean, unconfirmed.mean[:, :4]]),
-        covariance=np.concatenate([crowd.covariance, unconfirmed.covariance[:, :4, :4]]),
-        existence=existence,
+        mean=np.concatenate([crowd.mean, unconfirmed.mean]),
+        covariance=np.concatenate([crowd.covariance, unconfirmed.covariance]),
+        existence=np.concatenate([crowd.existence, unconfirmed.existence]),
     )
-    area = float(frame.width * frame.height)
-    cover = _cover(all_of)
+    cover = rule.sensor.cover(all_of.mean, all_of.existence)
     hidden = _expect_hidden(rule, crowd.names, cover, detection_model)
     most = detection_model.detection(rule.existence)
     detection = detection_of(most, cover, hidden)
     for row, expected in crowd.modes.items():
         detection[row] *= expected.visible
-    shared = _share(rule, all_of, detection, detection_model, found.boxes, area)
-    pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.boxes))
+    area = float(frame.width * frame.height)
+    shared = _share(rule, all_of, detection, detection_model, found, area)
+    pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.values))
     unconfirmed = advance_unconfirmed(rule, unconfirmed, pairs, shared, found)
     unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, detection_model, found, shared.free, frame))
     detection_model = _learn(rule, detection_model, shared, crowd, (cover, hidden))
-    return _of_targets(
-        pairs, shared, count, evolve(detection_model, unconfirmed=prune(rule, detection_model, unconfirmed))
-    )
+    kept = evolve(detection_model, unconfirmed=prune(rule, detection_model, unconfirmed))
+    return _of_targets(pairs, shared, len(crowd.mean), kept)
 
 
-def _cover(crowd: Crowd) -> Floats:
-    """(T,) how probable it is that another target covers each."""
-    from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
-
-    order = np.argsort(crowd.mean[:, 0] - crowd.mean[:, 2] / 2, kind="stable")
-    return np.asarray(cover_rows(np.ascontiguousarray(crowd.mean), crowd.existence, order, COVERED))
+def after_look(rule: CrowdRule, crowd: Crowd, found: Found, done: MarginalAssociation) -> Crowd:
+    """The crowd as a further sensor expects it in the same frame."""
+    mean, covariance = crowd.mean.copy(), crowd.covariance.copy()
+    rule.sensor.mix(mean, covariance, found, Mixed(done.starts, done.columns, done.weights, done.missed))
+    return evolve(crowd, mean=mean, covariance=covariance)
 
 
 def _share(
@@ -150,66 +149,31 @@ def _share(
     crowd: Crowd,
     detection: Floats,
     detection_model: DetectionModel,
-    boxes: Floats,
+    found: Found,
     area_px2: float,
 ) -> Shared:
-    """Whose the detections (N, 4) are, of targets and unconfirmed tracks that are detected so surely (T,)."""
-    settings = rule.existence
+    """Whose the detections are, of targets and unconfirmed tracks that are detected so surely (T,)."""
+    settings, sensor = rule.existence, rule.sensor
     rate = detection_model.clutter_rate(settings) + settings.births
-    log_nobody = detection_model.log_density(boxes, area_px2) + math.log(rate)
-    pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
+    log_nobody = sensor.log_density(detection_model, found, area_px2) + math.log(rate)
+    pairs = sensor.gate(crowd.mean, crowd.covariance, found)
     if crowd.modes:
-        pairs = _in_modes(rule.association, pairs, crowd.modes, boxes)
-    if crowd.log_looks is not None and rule.association.appearance > 0:
-        pairs = with_looks(rule.association, pairs, crowd.log_looks, boxes)
-    likelihoods = evolve(pairs, values=pairs.values - 2.0 * LOG_TURN)
+        pairs = _in_modes(sensor, pairs, crowd.modes, found)
+    if crowd.log_looks is not None and sensor.association.appearance > 0:
+        pairs = with_looks(sensor.association, pairs, crowd.log_looks, found.boxes)
+    likelihoods = evolve(pairs, values=pairs.values + sensor.log_scale)
     return share(Expected(crowd.existence, detection), likelihoods, log_nobody)
 
 
-def gate(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: Floats) -> Pairs:
-    """The detections (N, 4) that may be whose, with -d^2 / 2 - log det S / 2; means (T, D), and (T, D, D)."""
-    from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
-
-    nothing = np.empty(0, np.int64)
-    if not len(boxes) or not len(mean):
-        return Pairs(nothing, nothing, np.empty(0))
-    boxes, variances = np.ascontiguousarray(boxes), rule.variances(boxes)
-    limit, min_overlap = chi_square_quantile(rule.gate, 4), rule.min_overlap
-    reach = np.sqrt(limit * (covariance[:, 0, 0] + variances[:, 0].max())) * (1 + 1e-9)
-    if min_overlap > 0.0:  # then they touch
-        reach = np.minimum(reach, (mean[:, 2] + boxes[:, 2].max()) / 2)
-    order = np.argsort(boxes[:, 0], kind="stable")
-    places = boxes[order, 0]
-    starts = np.searchsorted(places, mean[:, 0] - reach)
-    ends = np.searchsorted(places, mean[:, 0] + reach, side="right")
-    return Pairs(*gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap))
-
-
-def _in_modes(
-    rule: AssociationRule, pairs: Pairs, modes: Mapping[int, ExpectedInModes], boxes: Floats
-) -> Pairs:
+def _in_modes(sensor: Sensor, pairs: Pairs, modes: Mapping[int, ExpectedInModes], found: Found) -> Pairs:
     """The pairs with the density of a mixture, a Gaussian for each mode, of targets that have modes."""
-    values, variances = pairs.values.copy(), rule.variances(boxes)
-    for number, (row, column) in enumerate(zip(pairs.rows.tolist(), pairs.columns.tolist(), strict=True)):
-        if row in modes:
-            expected = modes[row]
-            spread = expected.covariances[:, :4, :4] + np.diag(variances[column])
-            away = boxes[column] - expected.means[:, :4]
-            d2 = np.einsum("mi,mi->m", away, np.linalg.solve(spread, away[:, :, None])[:, :, 0])
-            with np.errstate(divide="ignore"):
-                log = np.log(expected.shares) - 0.5 * (d2 + np.linalg.slogdet(spread)[1])
-            values[number] = np.logaddexp.reduce(log)
-    return evolve(pairs, values=values)
-
-
-def with_looks(
-    rule: AssociationRule, pairs: Pairs, log_looks: Callable[[int, Floats], Floats], boxes: Floats
-) -> Pairs:
-    """The pairs with what their targets look like: their values and appearance log L."""
     values = pairs.values.copy()
-    for row in np.unique(pairs.rows).tolist():
-        own = pairs.rows == row
-        values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
+    for row, expected in modes.items():
+        own = np.flatnonzero(pairs.rows == row)
+        if len(own):
+            logs = sensor.log_gains(expected.means, expected.covariances, found.only(pairs.columns[own]))
+            with np.errstate(divide="ignore"):
+                values[own] = np.logaddexp.reduce(np.log(expected.shares)[:, None] + logs, axis=0)
     return evolve(pairs, values=values)
 
 

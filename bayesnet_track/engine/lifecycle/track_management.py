@@ -9,11 +9,12 @@ of it is a function of the engine, what is remembered and the frame.
 from __future__ import annotations
 
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.association import Associated
+from bayesnet_track.engine.lifecycle.association import Associated, scan_first
 from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_existence
 from bayesnet_track.engine.lifecycle.confirming import Births
 from bayesnet_track.engine.lifecycle.detecting import look
 from bayesnet_track.engine.lifecycle.ends import end_duplicates, end_lost
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.numerics.records import evolve
@@ -47,10 +48,17 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
         )
     tracks.events += events
     for plate, rule in rules.items():
-        if plate in found and rule.birth is not None:
-            now = Births(work, tracks, plate, rule, rule.birth)
+        if rule.birth is None:
+            continue
+        now = Births(work, tracks, plate, rule, rule.birth)
+        owners = None if associated is None else associated.owners.get(plate)
+        if plates[plate].plate.inverses:  # their detections are no boxes, which could be compared with others
+            if associated is None:
+                tracks.history, owners = scan_first(work, plate, tracks.history), ()
+            give_birth_by_existence(now, Found.none(), owners)
+        elif plate in found:
             give = give_birth if rule.existence is None else give_birth_by_existence
-            give(now, found[plate], None if associated is None else associated.owners.get(plate))
+            give(now, found[plate], owners)
     for plate, rule in rules.items():
         end_duplicates(tracks, plate, rule, frame)
         end_lost(tracks, plate, rule, frame)

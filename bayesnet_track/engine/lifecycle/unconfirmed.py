@@ -14,15 +14,14 @@ from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.initiating import fast_covariance, is_moving, velocity
+from bayesnet_track.engine.lifecycle.sensing import Found, Mixed, Sensor
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.numerics.streams import birth_key
-from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import Frame
 
 HOPELESS = 0.02
@@ -43,35 +42,37 @@ class CrowdRule:
     """What a plate says of existence and association.
 
     Attributes:
-        association: which detections may be a target's, and how far off they are.
+        sensor: how detections measure targets, and which may be a target's.
         existence: the settings.
         is_marginal: whether targets use all detections that may be theirs, or those assigned to them.
         motion: how targets move.
         most: unconfirmed tracks that are kept.
     """
 
-    association: AssociationRule
+    sensor: Sensor
     existence: Existence
     is_marginal: bool
     motion: MotionModel
     most: int
 
     @classmethod
-    def of(cls, compiled: CompiledPlate) -> CrowdRule | None:
-        """That of a plate; None where it has no existence."""
+    def of(cls, compiled: CompiledPlate, agent: str | None = None) -> CrowdRule | None:
+        """That of a plate, by its first sensor unless it is named; None where it has no existence."""
         life = compiled.lifecycle
-        if life is None or life.existence is None or life.birth is None or not compiled.association_rules:
+        if life is None or life.existence is None or life.birth is None or not compiled.sensors:
             return None
-        association = next(iter(compiled.association_rules.values()))
+        sensor = next(iter(compiled.sensors.values())) if agent is None else compiled.sensors[agent]
         is_marginal = compiled.plate.spec.associate == "marginal"
         most = max(PROSPECTS * life.birth.max_targets, 32)
-        return cls(association, life.existence, is_marginal, compiled.moments, most)
+        return cls(sensor, life.existence, is_marginal, compiled.moments, most)
 
 
 def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionModel:
     """That of a first frame, in which free detections were `found`."""
-    detection_model = DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))).with_sizes(found.boxes)
-    free = np.ones(len(found.boxes))
+    detection_model = rule.sensor.learn(
+        DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))), found
+    )
+    free = np.ones(len(found.values))
     detection_model = detection_model.after_look(
         float(free.sum()) * (1.0 - detection_model.new_share(rule.existence))
     )
@@ -117,9 +118,8 @@ def predict_unconfirmed(
     if isinstance(motion, KinematicMotion) and (linear := _moves(motion, dt)) is not None:
         from bayesnet_track.numerics.kernels.row_kernels import predict_rows
 
-        mean, covariance = predict_rows(
-            unconfirmed.mean, unconfirmed.covariance, *linear, np.array(size, float)
-        )
+        image = confined(motion, *size).extent
+        mean, covariance = predict_rows(unconfirmed.mean, unconfirmed.covariance, *linear, image)
     else:
         moves = confined(motion, *size)
         several = [
@@ -155,9 +155,12 @@ def with_fast(
     sides = np.sqrt(before.mean[once, 2] * before.mean[once, 3])
     away = boxes[None, :, :2] - before.mean[once, None, :2]
     is_reached = np.hypot(away[..., 0], away[..., 1]) <= (FOLLOW_BOX * dt * sides)[:, None]
-    spread = expected.covariance[once][:, (0, 1), (0, 1)][:, None] + rule.association.variances(boxes)[:, :2]
+    spread = (
+        expected.covariance[once][:, (0, 1), (0, 1)][:, None]
+        + rule.sensor.association.variances(boxes)[:, :2]
+    )
     away = boxes[None, :, :2] - expected.mean[once, None, :2]
-    is_near = (away**2 / spread).sum(axis=2) <= chi_square_quantile(rule.association.gate, 4)
+    is_near = (away**2 / spread).sum(axis=2) <= chi_square_quantile(rule.sensor.association.gate, 4)
     fast = before.take(once[is_reached.any(axis=1) & ~is_near.any(axis=1)])
     covariance = [fast_covariance(motion, *one) for one in zip(fast.covariance, fast.mean, strict=True)]
     return evolve(
@@ -171,8 +174,6 @@ def advance_unconfirmed(
     rule: CrowdRule, unconfirmed: UnconfirmedTracks, pairs: Pairs, shared: Shared, found: Found
 ) -> UnconfirmedTracks:
     """The unconfirmed tracks after the look."""
-    from bayesnet_track.numerics.kernels.pair_kernels import mix_rows
-
     if not len(unconfirmed):
         return unconfirmed
     first = len(shared.existence) - len(unconfirmed)
@@ -180,9 +181,8 @@ def advance_unconfirmed(
     rows, columns, weights = pairs.rows[own] - first, pairs.columns[own], pairs.values[own]
     starts = np.searchsorted(rows, np.arange(len(unconfirmed) + 1))
     mean, covariance = unconfirmed.mean.copy(), unconfirmed.covariance.copy()
-    boxes = np.ascontiguousarray(found.boxes[columns])
     missed = np.clip(1.0 - np.bincount(rows, weights, minlength=len(unconfirmed)), 0.0, 1.0)
-    mix_rows(mean, covariance, starts, boxes, rule.association.variances(boxes), weights, missed)
+    rule.sensor.mix(mean, covariance, found, Mixed(starts, columns, weights, missed))
     is_seen = shared.seen[first:] >= 0.5
     scores = np.bincount(rows, weights * found.scores[columns], minlength=len(unconfirmed))
     return UnconfirmedTracks(
@@ -203,16 +203,14 @@ def begin_unconfirmed(
 ) -> UnconfirmedTracks:
     """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
     new = np.flatnonzero(free >= LEAST_FREE)
-    count, boxes = len(new), found.boxes[new]
-    if not count:
+    if not len(new):
         return UnconfirmedTracks.none(len(rule.motion.fields))
-    mean, covariance = _start_moments(rule.motion, boxes)
-    diagonal = np.arange(4)
-    covariance[:, diagonal, diagonal] += rule.association.variances(boxes)
+    begun = rule.sensor.begin(rule.motion, found.only(new))
+    new, count = new[begun.which], len(begun.which)
     ones = np.ones(count, dtype=np.int64)
     return UnconfirmedTracks(
-        mean,
-        covariance,
+        begun.mean,
+        begun.covariance,
         free[new] * detection_model.new_share(rule.existence),
         frame.index * ones,
         np.full(count, frame.time),
@@ -221,17 +219,6 @@ def begin_unconfirmed(
         ones,
         found.scores[new].astype(np.float64),
     )
-
-
-def _start_moments(motion: MotionModel, boxes: Floats) -> tuple[Floats, Floats]:
-    """(N, D) means and (N, D, D) covariances of targets first seen in boxes (N, 4), at least one."""
-    if isinstance(motion, KinematicMotion):  # every box the same but for its place and size
-        mean, spread = motion.start_moments(boxes[0])
-        means = np.tile(mean, (len(boxes), 1))
-        means[:, :4] = boxes
-        return means, np.tile(spread, (len(boxes), 1, 1))
-    moments = [motion.start_moments(box) for box in boxes]
-    return np.array([mean for mean, _ in moments]), np.array([spread for _, spread in moments])
 
 
 def prune(

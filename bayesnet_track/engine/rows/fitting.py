@@ -94,7 +94,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
         return None
     agent, association = next(iter(compiled.association_rules.items()))
     node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
-    lost = root.lost or Lost()
+    lost = compiled.plate.lost
     if lost.existence_below is not None and lost.uncertain_below is not None:
         return None
     is_plain = not node.switches_itself and association.floor is not None and association.appearance == 0.0

@@ -114,7 +114,8 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         own = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
     else:
         root = plate.inference[plate.roots[0]]
-        own = (*BOX, *further_fields(root), *(["mode"] if root.modes else []), *_modes(plate))
+        fields = BOX if plate.spec.state == "box" else BOX[:2]
+        own = (*fields, *further_fields(root), *(["mode"] if root.modes else []), *_modes(plate))
     return (*own, *FRAME_NAMES, *plate.constants)
 
 
@@ -204,9 +205,8 @@ def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
         declaration = plate.cues.get(node.agent.cue)
         if declaration is None:
             continue
-        if node.measures and (not declaration.measures or declaration.reads_detection):
-            why = "is assigned detections by its box" if declaration.measures else "scores hypotheses"
-            found = f"measures of {node.agent.cue}, which {why}"
+        if node.measures and not declaration.measures:
+            found = f"measures of {node.agent.cue}, which scores hypotheses"
             yield plate.message(name, found, "an agent such as readings", key=("measures",), on_key=True)
             continue
         if declaration.gives is None:
@@ -215,6 +215,11 @@ def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
             given = declaration.gives(cue_parameters(node.agent, declaration))
         except ValidationError:
             continue  # said where parameters are checked
+        if node.measures and declaration.reads_detection and not given:
+            found = f"measures of {node.agent.cue}, which is assigned detections by its box"
+            allowed = f"sd: {{{next(iter(node.measures))}: .., ...}} in the agent, or no measures"
+            yield plate.message(name, found, allowed, key=("measures",), on_key=True)
+            continue
         state = _names(plate, node)
         for quantity in given:
             if quantity not in node.measures and quantity not in state:

@@ -41,6 +41,7 @@ from bayesnet_track.graph.checks.motion import (
 )
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
+from bayesnet_track.graph.checks.sensors import SENSOR_CHECKS, read_inverses
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
@@ -226,6 +227,7 @@ CHECKS_OF_A_SOUND_TREE = (
     *FACTOR_CHECKS,
     *GIVEN_CHECKS,
     *MEASURE_CHECKS,
+    *SENSOR_CHECKS,
 )
 
 
@@ -324,4 +326,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
         constants=plate.constants,
         givens=read_givens(plate),
         measures=read_measures(plate),
+        inverses=read_inverses(plate),
     )

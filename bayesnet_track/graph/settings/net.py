@@ -301,6 +301,12 @@ class AgentNode(Model):
         description="of an agent that measures: quantity: its "
         "[expression](expressions.md#measurement-functions) of the state; default, fields of the state",
     )
+    inverse: dict[Name, Annotated[str, Field(max_length=MAX_CHARACTERS)]] = Field(
+        default={},
+        max_length=8,
+        description="of `detection` with `sd`: field of the state: its [expression](any_sensor.md) of the "
+        "quantities, with which a target starts; default, found by `measures` where that can be inverted",
+    )
     on: Literal["engine", "process"] | None = Field(
         default=None,
         description="where it runs, without effect on results: `engine`, in the engine's own process; "

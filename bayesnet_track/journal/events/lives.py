@@ -55,7 +55,7 @@ class Returned:
         frame: frame at which it starts again.
         target: its old id.
         template: name of the plate.
-        box: centre box x, y, w, h in px.
+        box: centre box x, y, w, h in px; of a point 1 x 1, in the unit of its sensors.
         active: agents that are switched on.
         recognition: the numbers.
     """
@@ -189,10 +189,10 @@ class TargetStarted:
         """The sentence of the event, without its frame."""
         x, y, w, h = self.box
         active = ", ".join(self.active) or "no agent"
-        return (
-            f"target {self.target} starts as {self.template}, centre {x:.4g}, {y:.4g}, "
-            f"{w:.4g} x {h:.4g} px → {active} on"
-        )
+        place = f"centre {x:.4g}, {y:.4g}, {w:.4g} x {h:.4g} px"
+        if w == h == 1.0:  # a point, which has no size
+            place = f"at {x:.4g}, {y:.4g}"
+        return f"target {self.target} starts as {self.template}, {place} → {active} on"
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ from bayesnet_track.runtime.checkpoints.standing import (
     standing,
 )
 from bayesnet_track.runtime.executors import Executing, make_executor
+from bayesnet_track.runtime.given_scans import given_detector
 from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.preparation import (
     held_files,
@@ -69,7 +70,6 @@ from bayesnet_track.runtime.results import (
 )
 from bayesnet_track.runtime.run import Resumed, RunPosition, run
 from bayesnet_track.runtime.stop import closed_at_exit
-from bayesnet_track.sources.detection_files import file_detector
 
 __all__ = ["ResumeError", "resume"]
 
@@ -149,7 +149,7 @@ def resume(
         resizing = resizing_of(opened, recipe.max_side)
         seen = resizing.graph(graph)
         given = recipe.detections
-        detector = None if given is None else resizing.detector(file_detector(given.place))
+        detector = None if given is None else resizing.detector(given_detector(seen, given.place))
         engine = prepare_engine(seen, recipe.seed, motion, detector)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor

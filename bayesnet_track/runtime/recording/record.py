@@ -93,6 +93,7 @@ class Recorder:
         self._directory, self._interval, self._optional = directory, frame_interval_s, optional
         self._asked = graph.spec.queries
         self._has_ids, self._hypotheses = not has_births(graph), "hypotheses" in optional
+        self._points = all(one.spec.state == "point" for one in graph.targets.values())
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self.longest_side = LONGEST_SIDE
@@ -111,10 +112,10 @@ class Recorder:
         with ExitStack() as files:
             self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
             self._frames = files.enter_context(FrameWriter(directory.frames, at.get("frames")))
-            mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids)
+            mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids, self._points)
             self._mot = files.enter_context(mot)
             self._csv = files.enter_context(
-                CsvWriter(directory.csv, at.get("csv"), query_columns(self._asked))
+                CsvWriter(directory.csv, at.get("csv"), query_columns(self._asked), self._points)
             )
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
             self._queries: QueryWriter | None = None

@@ -85,18 +85,26 @@ class MotWriter(LineFile):
     Frames count from 1, ids from 1 in the order in which targets appear. Pixels count from 0, as everywhere
     here; 3 decimals, the score 6. Without `lost`, a target has no line in frames in which it is lost: a box
     that nothing speaks for counts as false where several targets are scored. `CsvWriter` has them all. A file
-    that is continued goes on with its `ids`.
+    that is continued goes on with its `ids`. Of `points` there is no line: they have no box.
     """
 
     def __init__(
-        self, path: Path, lost: bool = True, after: int | None = None, ids: Mapping[str, int] = NO_IDS
+        self,
+        path: Path,
+        lost: bool = True,
+        after: int | None = None,
+        ids: Mapping[str, int] = NO_IDS,
+        points: bool = False,
     ) -> None:
         super().__init__(path, after)
+        self._points = points
         self.ids: dict[str, int] = dict(ids)
         self._lost = lost
 
     def write(self, tracked: Tracked) -> None:
         """Add the lines of one frame to the next flush."""
+        if self._points:
+            return
         number = tracked.frame + 1
         cells: list[float] = []
         rows = zip(tracked.targets, tracked.statuses, tracked.corners, tracked.scores, strict=True)
@@ -119,12 +127,14 @@ class CsvWriter(LineFile):
     """CSV with the header `CSV_COLUMNS`, then a column for each number that queries ask of a target.
 
     frame (from 0), time_s, target, x, y, w, h (top-left corner, width, height, px), status, score (0..1),
-    ud_px2, active (agents that gave evidence, separated by spaces).
+    ud_px2, active (agents that gave evidence, separated by spaces). Of `points` w and h are empty.
     """
 
-    def __init__(self, path: Path, after: int | None = None, queries: Sequence[str] = ()) -> None:
+    def __init__(
+        self, path: Path, after: int | None = None, queries: Sequence[str] = (), points: bool = False
+    ) -> None:
         super().__init__(path, after)
-        self._queries = tuple(queries)
+        self._queries, self._points = tuple(queries), points
         if after is None:
             self.append(",".join((*CSV_COLUMNS, *self._queries)))
             self.flush()
@@ -145,8 +155,10 @@ class CsvWriter(LineFile):
         )
         for target, corner, status, score, ud, active, end in rows:
             score, ud = score if abs(score) >= _NO_SCORE else 0.0, ud if abs(ud) >= 0.0005 else 0.0
-            cells += (*first, _cell(target), *corner, _cell(status), score, ud, _cell(active) + end)
-        self.append("\n".join([_CSV] * len(tracked.targets)) % tuple(cells))
+            place = corner[:2] if self._points else corner
+            cells += (*first, _cell(target), *place, _cell(status), score, ud, _cell(active) + end)
+        line = _CSV_OF_POINTS if self._points else _CSV
+        self.append("\n".join([line] * len(tracked.targets)) % tuple(cells))
 
     def _ends(self, tracked: Tracked) -> list[str]:
         """The cells of queries of each line."""
@@ -158,6 +170,7 @@ class CsvWriter(LineFile):
 
 _MOT = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.6f,-1,-1,-1"
 _CSV = "%d,%s,%s,%.3f,%.3f,%.3f,%.3f,%s,%.6f,%.3f,%s"
+_CSV_OF_POINTS = "%d,%s,%s,%.3f,%.3f,,,%s,%.6f,%.3f,%s"
 _NO_SCORE = 0.0000005
 """A score below it is written as 0, without a sign."""
 

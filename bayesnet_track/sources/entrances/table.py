@@ -244,6 +244,18 @@ BOXES = (
         "as of ground truth of one target",
     ),
     Entrance(
+        "what sensors measured, in a file",
+        "`--detections FILE.csv` for a graph whose sensors measure quantities; `track(..., detections=)`; "
+        "its times as `--source`",
+        ("sources.scan_files: scan_file parse_scans times_of ScanReader _table",),
+        "numbers that are not finite or lie outside of `within`, with their lines; columns that nothing "
+        "measures; a sensor without a detection; rows of frames that are not read",
+        "a missing column, or `frame` and `time_s` together; a cell that is no number, or empty beside "
+        "others; angles in another unit, lengths below 0; times out of order; two sensors of the same "
+        "quantity without a column `sensor`; `time_s` beside another source",
+        "whose a row is: the column `sensor` decides, else the quantities that it has",
+    ),
+    Entrance(
         "detections in a file",
         "`--detections FILE`; `track(..., detections=)`",
         (
@@ -263,7 +275,7 @@ BOXES = (
     Entrance(
         "detections in Python",
         "`DetectionsTracker.update`",
-        ("runtime.updates.given_detections: read_given",),
+        ("runtime.updates.given_detections: read_given", "runtime.given_scans: read_scans"),
         "boxes without an area, or outside of the frame, with their rows; their id is -1",
         "no `xyxy`, another shape than (n, 4), confidences beyond 0 to 1, no class names where the graph "
         "needs them, not one value for each box",

@@ -1,0 +1,273 @@
+"""Sensors whose detections are functions of the state: range and bearing, places on the ground, points.
+
+z = h(x) + N(0, R), with h by the graph's expressions. Of a target predicted as N(m, P) a detection is
+expected as N(h(m), S), S = H P H' + R, H the derivative of h at m; with `filter: unscented` both come from
+sigma points. A state that starts with a detection is where h has the value of it: by the inverse that the
+graph gives, else found by following h from a place where its value is known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bayesnet_track.adapt.existence import DetectionModel, Pairs
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.engine.lifecycle.sensing import LOG_TURN, Begun, BoxSensor, Found, Mixed, Sensor
+from bayesnet_track.graph.checked import ANCHORED, CheckedTarget, Inverse, MeasuredAs
+from bayesnet_track.graph.expressions.evaluate import values_of
+from bayesnet_track.inference.readings import seen_by
+from bayesnet_track.numerics.arrays import Bools, Floats
+from bayesnet_track.numerics.gaussian import chi_square_quantile, root, sigma_points, symmetric
+from bayesnet_track.numerics.inversion import derivatives, follow
+from bayesnet_track.observation.cue import AssociationRule
+from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.observation.protocols import Seen
+
+
+def make_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, fields: tuple[str, ...]) -> Sensor:
+    """The sensor of an agent that is given detections: of boxes, or of the quantities that it names."""
+    inverse = plate.inverses.get(agent)
+    if inverse is None:
+        return BoxSensor(rule)
+    parameters: Any = plate.parameters[agent]
+    belief = plate.inference(plate.root).belief
+    gaussian = None if belief is None else belief.gaussian
+    quantities = tuple(parameters.sd)
+    limits = np.array([parameters.within[name] for name in quantities])
+    return FunctionSensor(
+        rule,
+        quantities,
+        fields,
+        plate.measures.get(agent, MeasuredAs({}, {})),
+        np.array([*parameters.sd.values()]) ** 2,
+        limits[:, 0],
+        limits[:, 1],
+        inverse,
+        gaussian is not None and gaussian.filter == "unscented",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """What T targets are expected to be detected as.
+
+    Attributes:
+        values: (T, K) h of each.
+        spread: (T, K, K) S.
+        cross: (T, D, K) covariance of state and quantities.
+        is_known: (T,) whether h has a value there.
+    """
+
+    values: Floats
+    spread: Floats
+    cross: Floats
+    is_known: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionSensor:
+    """A sensor of quantities that are functions of the state.
+
+    Attributes:
+        association: the agent's rule: its gate.
+        quantities: names of the K quantities.
+        fields: names of the D fields of a state.
+        functions: h.
+        variances: (K,) of the errors.
+        low: (K,) least values that the sensor gives, and
+        high: (K,) largest ones; detections of nobody are uniform between them.
+        inverse: how a target starts with a detection.
+        is_unscented: whether moments are by sigma points.
+        has_extent: whether detections have a size.
+        seen: h in the frames of `at`.
+    """
+
+    association: AssociationRule
+    quantities: tuple[str, ...]
+    fields: tuple[str, ...]
+    functions: MeasuredAs
+    variances: Floats
+    low: Floats
+    high: Floats
+    inverse: Inverse
+    is_unscented: bool = False
+    has_extent: bool = False
+    seen: Seen | None = None
+
+    @property
+    def log_scale(self) -> float:
+        """As of every sensor."""
+        return -0.5 * len(self.quantities) * LOG_TURN
+
+    def at(self, frames: FramePair) -> FunctionSensor:
+        """With h in these frames: it may read the time between them, and their size."""
+        return replace(self, seen=seen_by(self.quantities, self.functions, frames))
+
+    def expect(self, mean: Floats, covariance: Floats) -> Expectation:
+        """What targets (T, D), (T, D, D) are expected to be detected as."""
+        seen, noise = self._seen, np.diag(self.variances)
+        with np.errstate(all="ignore"):
+            if self.is_unscented:
+                return self._by_points(seen, mean, covariance, noise)
+            values = self._of(mean)
+            slopes = derivatives(lambda states: self._near(states, values), mean)
+            cross = covariance @ np.swapaxes(slopes, 1, 2)
+            spread = slopes @ cross + noise
+        return _known(values, spread, cross)
+
+    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
+        """As of every sensor: d^2 = v' S^-1 v, v the shorter way round of angles."""
+        nothing = np.empty(0, np.int64)
+        if not len(mean) or not len(found.values):
+            return Pairs(nothing, nothing, np.empty(0))
+        d2, log_gains = self._distances(mean, covariance, found)
+        limit = chi_square_quantile(self.association.gate, len(self.quantities))
+        rows, columns = np.nonzero((d2 <= limit) & (d2 < np.inf))
+        return Pairs(rows, columns, log_gains[rows, columns])
+
+    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
+        """As of every sensor; -inf where h has no value."""
+        return self._distances(mean, covariance, found)[1]
+
+    def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
+        """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where h has no value."""
+        expected = self.expect(mean, covariance)
+        away = self._seen.less(found.values[None], expected.values[:, None])
+        lower = np.linalg.cholesky(expected.spread)
+        scaled = np.linalg.solve(lower, np.swapaxes(away, 1, 2))
+        d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=1), np.inf)
+        half = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        return d2, -0.5 * d2 - half[:, None]
+
+    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
+        """As of every sensor: each choice gives the update of the extended or unscented filter."""
+        if not len(mixed.columns):
+            return
+        expected = self.expect(mean, covariance)
+        for row in np.flatnonzero(np.diff(mixed.starts) > 0).tolist():
+            own = slice(mixed.starts[row], mixed.starts[row + 1])
+            if not expected.is_known[row]:
+                continue
+            gain = np.linalg.solve(expected.spread[row], expected.cross[row].T).T
+            away = self._seen.less(found.values[mixed.columns[own]], expected.values[row])
+            shares, moves = mixed.weights[own], away @ gain.T
+            shift = shares @ moves
+            told = float(shares.sum())
+            between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
+            mean[row] += shift
+            covariance[row] = symmetric(covariance[row] - told * gain @ expected.cross[row].T + between)
+        np.maximum(mean[:, 2:4], 1.0, out=mean[:, 2:4])
+
+    def cover(self, mean: Floats, existence: Floats) -> Floats:
+        """(T,) none: what has no extent hides nothing."""
+        return np.zeros(len(mean))
+
+    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+        """Nothing."""
+        return detection_model
+
+    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+        """Uniform between the least and the largest values that the sensor gives."""
+        return np.full(len(found.values), -float(np.log(self.high - self.low).sum()))
+
+    def begin(self, motion: MotionModel, found: Found) -> Begun:
+        """Where h has the values measured, as surely as they say; other fields as every target starts with.
+
+        The covariance is the inverse of H' R^-1 H, plus the inverse variances that fields start with which
+        the detection does not place.
+        """
+        with np.errstate(all="ignore"):
+            return self._begin(motion, found)
+
+    def _begin(self, motion: MotionModel, found: Found) -> Begun:
+        first, spread = motion.start_moments(np.array([0.0, 0.0, 1.0, 1.0]))
+        states = np.tile(first, (len(found.values), 1))
+        names = dict(zip(self.quantities, found.values.T, strict=True)) | dict(self.inverse.constants)
+        terms, anchor = self.inverse.terms, self.inverse.anchor
+        columns = [self.fields.index(name) for name in terms or ANCHORED]
+        if terms:
+            for column, term in zip(columns, terms.values(), strict=True):
+                states[:, column] = values_of(term, names)
+        elif anchor is None:
+            return Begun(np.empty(0, np.int64), states[:0], np.empty((0, *spread.shape)))
+        else:
+
+            def at(places: Floats) -> Floats:
+                moved = np.tile(states, (len(places) // len(states), 1))
+                moved[:, columns] = places
+                return self._of(moved)
+
+            way = self._seen.less(found.values, anchor.values)
+            less, place = self._seen.less, anchor.place
+            states[:, columns] = follow(at, less, place, anchor.values, way, self.variances)
+        return self._spread(states, spread, columns, found)
+
+    def _spread(self, states: Floats, spread: Floats, columns: list[int], found: Found) -> Begun:
+        expected = self._of(states)
+        slopes = derivatives(lambda near: self._near(near, expected), states)
+        prior = np.diagonal(spread).copy()
+        prior[columns] = math.inf
+        free = np.flatnonzero(prior > 0.0)
+        heights = slopes[:, :, free]
+        weighted = np.swapaxes(heights / self.variances[:, None], 1, 2)
+        information = weighted @ heights + np.diag(1.0 / prior[free])
+        usable = np.isfinite(states).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
+        usable &= np.isfinite(expected).all(axis=1)
+        information[~usable] = np.eye(len(free))
+        usable &= np.linalg.cond(information) < 1e14
+        information[~usable] = np.eye(len(free))
+        own = np.linalg.inv(information)
+        away = self._seen.less(found.values, expected)
+        states[:, free] += np.einsum("nij,njk,nk->ni", own, weighted, np.where(usable[:, None], away, 0.0))
+        covariance = np.zeros((len(states), *spread.shape))
+        covariance[np.ix_(np.arange(len(states)), free, free)] = (own + np.swapaxes(own, 1, 2)) / 2
+        which = np.flatnonzero(usable)
+        return Begun(which, states[which], covariance[which])
+
+    @property
+    def _seen(self) -> Seen:
+        assert self.seen is not None
+        return self.seen
+
+    def _of(self, states: Floats) -> Floats:
+        """(N, K) h of states (N, D)."""
+        return self._seen.function(dict(zip(self.fields, states.T, strict=True)))
+
+    def _near(self, states: Floats, expected: Floats) -> Floats:
+        """h of states (S * N, D), of angles near those expected of each of N."""
+        values = self._of(states)
+        around = np.tile(expected, (len(values) // len(expected), 1))
+        return around + self._seen.less(values, around)
+
+    def _by_points(self, seen: Seen, mean: Floats, covariance: Floats, noise: Floats) -> Expectation:
+        count, size = mean.shape
+        width = len(self.quantities)
+        values, spread, cross = np.empty((count, width)), np.empty((count, width, width)), None
+        cross = np.zeros((count, size, width))
+        for row in range(count):
+            lower = root(covariance[row])
+            rank = lower.shape[1]
+            scale = max(rank, 3.0)
+            unit = sigma_points(rank, scale)
+            weights = np.full(len(unit), 0.5 / scale)
+            weights[0] = 1.0 - rank / scale
+            middle = self._of(mean[row][None])
+            at = self._near(mean[row] + unit @ lower.T, middle)
+            values[row] = weights @ at
+            away = (at - values[row]) * weights[:, None]
+            spread[row] = away.T @ (at - values[row]) + noise
+            cross[row] = lower @ (unit.T @ away)
+        return _known(values, spread, cross)
+
+
+def _known(values: Floats, spread: Floats, cross: Floats) -> Expectation:
+    """The expectation, with harmless numbers where h has no value."""
+    width = values.shape[1]
+    is_known = np.asarray(np.isfinite(values).all(axis=1) & np.isfinite(spread).all(axis=(1, 2)))
+    values, cross = np.where(is_known[:, None], values, 0.0), np.where(is_known[:, None, None], cross, 0.0)
+    spread = np.where(is_known[:, None, None], (spread + np.swapaxes(spread, 1, 2)) / 2, np.eye(width))
+    return Expectation(values, spread, cross, is_known)

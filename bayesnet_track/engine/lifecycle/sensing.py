@@ -1,0 +1,233 @@
+"""How detections measure targets: the leaf of association, of which a box is one case.
+
+A sensor knows what a detection would be of a state, z = h(x) + N(0, R): which detections are near enough to a
+target's prediction, with their log densities; how beliefs are updated by those that may be theirs; how dense
+detections of nobody are; and which state one of them starts with. Association, existence and births ask
+nothing else of it. Boxes are here, quantities that are functions of the state in `measuring`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.existence import DetectionModel, Pairs
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.numerics.gaussian import chi_square_quantile
+from bayesnet_track.numerics.records import evolve
+from bayesnet_track.observation.cue import AssociationRule
+from bayesnet_track.observation.planes import FramePair
+
+COVERED = 0.5
+"""A target counts as covered when another one covers this share of its box."""
+
+LOG_TURN = math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What one plate is given of a look, the best first.
+
+    Attributes:
+        values: (N, K) what was measured: centre boxes x, y, w, h, else a column for each quantity.
+        scores: (N,) 0..1.
+        numbers: (N,) their numbers in the look.
+    """
+
+    values: Floats
+    scores: Floats
+    numbers: Ints
+
+    @property
+    def boxes(self) -> Floats:
+        """(N, 4) the values of a look for boxes."""
+        return self.values
+
+    @classmethod
+    def none(cls, width: int = 4) -> Self:
+        """Nothing, of so many values."""
+        return cls(np.empty((0, width)), np.empty(0), np.empty(0, np.int64))
+
+    def only(self, which: NDArray[np.bool_] | Ints) -> Found:
+        """Some of them."""
+        return Found(self.values[which], self.scores[which], self.numbers[which])
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """States that detections start with.
+
+    Attributes:
+        which: (M,) the detections that can start a target.
+        mean: (M, D).
+        covariance: (M, D, D).
+    """
+
+    which: Ints
+    mean: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """Which of the detections may be whose, for an update.
+
+    Attributes:
+        starts: (T + 1,) where the detections of each begin in the next two.
+        columns: (P,) which detection.
+        weights: (P,) the probability that it is the target's.
+        missed: (T,) that none is.
+    """
+
+    starts: Ints
+    columns: Ints
+    weights: Floats
+    missed: Floats
+
+
+class Sensor(Protocol):
+    """What association needs of a detector or another sensor."""
+
+    @property
+    def association(self) -> AssociationRule:
+        """The gate, and what else says whose a detection is."""
+
+    @property
+    def log_scale(self) -> float:
+        """What the log densities of `gate` lack: that of (2 pi)^(-K / 2)."""
+
+    @property
+    def has_extent(self) -> bool:
+        """Whether detections have a size, which says how far a target may move."""
+
+    def at(self, frames: FramePair) -> Sensor:
+        """The sensor in these frames."""
+
+    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
+        """Which detections may be whose, with -d^2 / 2 - log det S / 2; means (T, D) and (T, D, D)."""
+
+    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
+        """(T, N) -d^2 / 2 - log det S / 2 of all pairs."""
+
+    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
+        """Update beliefs (T, D), (T, D, D), in place, to the moments of the mixture of their updates."""
+
+    def cover(self, mean: Floats, existence: Floats) -> Floats:
+        """(T,) how probable it is that another target covers each."""
+
+    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+        """What is learnt of detections as such."""
+
+    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+        """(N,) log density of detections that are nobody's, in a frame of this area."""
+
+    def begin(self, motion: MotionModel, found: Found) -> Begun:
+        """The states that detections start with."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxSensor:
+    """A detector of boxes: h is the box of the state, R grows with the detection's own size.
+
+    Attributes:
+        association: the agent's rule.
+    """
+
+    association: AssociationRule
+    log_scale: float = -2.0 * LOG_TURN
+    has_extent: bool = True
+
+    def at(self, frames: FramePair) -> BoxSensor:
+        """The same in every frame."""
+        return self
+
+    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
+        """As of every sensor; boxes that overlap the prediction by less than `min_overlap` are out, too."""
+        return gate_boxes(self.association, mean, covariance, found.values)
+
+    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
+        """As of every sensor."""
+        noise = self.association.variances(found.values)[:, :, None] * np.eye(4)
+        spread = covariance[:, None, :4, :4] + noise
+        away = found.values - mean[:, None, :4]
+        d2 = np.einsum("tni,tni->tn", away, np.linalg.solve(spread, away[..., None])[..., 0])
+        return np.asarray(-0.5 * (d2 + np.linalg.slogdet(spread)[1]))
+
+    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
+        """As of every sensor; sides stay at least 1 px."""
+        from bayesnet_track.numerics.kernels.pair_kernels import mix_rows
+
+        boxes = np.ascontiguousarray(found.values[mixed.columns])
+        variances = self.association.variances(boxes)
+        mix_rows(mean, covariance, mixed.starts, boxes, variances, mixed.weights, mixed.missed)
+
+    def cover(self, mean: Floats, existence: Floats) -> Floats:
+        """By the share of the predicted box that the other's covers."""
+        from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
+
+        order = np.argsort(mean[:, 0] - mean[:, 2] / 2, kind="stable")
+        return np.asarray(cover_rows(np.ascontiguousarray(mean), existence, order, COVERED))
+
+    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+        """The sizes that detections have."""
+        return detection_model.with_sizes(found.values)
+
+    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+        """Uniform over the frame, of the sizes that detections have."""
+        return detection_model.log_density(found.values, area_px2)
+
+    def begin(self, motion: MotionModel, found: Found) -> Begun:
+        """The box itself, with the detection's error."""
+        boxes = found.values
+        mean, covariance = _start_moments(motion, boxes)
+        diagonal = np.arange(4)
+        covariance[:, diagonal, diagonal] += self.association.variances(boxes)
+        return Begun(np.arange(len(boxes)), mean, covariance)
+
+
+def gate_boxes(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: Floats) -> Pairs:
+    """The detections (N, 4) that may be whose, with -d^2 / 2 - log det S / 2; means (T, D), and (T, D, D)."""
+    from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
+
+    nothing = np.empty(0, np.int64)
+    if not len(boxes) or not len(mean):
+        return Pairs(nothing, nothing, np.empty(0))
+    boxes, variances = np.ascontiguousarray(boxes), rule.variances(boxes)
+    limit, min_overlap = chi_square_quantile(rule.gate, 4), rule.min_overlap
+    reach = np.sqrt(limit * (covariance[:, 0, 0] + variances[:, 0].max())) * (1 + 1e-9)
+    if min_overlap > 0.0:  # then they touch
+        reach = np.minimum(reach, (mean[:, 2] + boxes[:, 2].max()) / 2)
+    order = np.argsort(boxes[:, 0], kind="stable")
+    places = boxes[order, 0]
+    starts = np.searchsorted(places, mean[:, 0] - reach)
+    ends = np.searchsorted(places, mean[:, 0] + reach, side="right")
+    return Pairs(*gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap))
+
+
+def with_looks(
+    rule: AssociationRule, pairs: Pairs, log_looks: Callable[[int, Floats], Floats], boxes: Floats
+) -> Pairs:
+    """The pairs with what their targets look like: their values and appearance log L."""
+    values = pairs.values.copy()
+    for row in np.unique(pairs.rows).tolist():
+        own = pairs.rows == row
+        values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
+    return evolve(pairs, values=values)
+
+
+def _start_moments(motion: MotionModel, boxes: Floats) -> tuple[Floats, Floats]:
+    """(N, D) means and (N, D, D) covariances of targets first seen in boxes (N, 4), at least one."""
+    if isinstance(motion, KinematicMotion):  # every box the same but for its place and size
+        mean, spread = motion.start_moments(boxes[0])
+        means = np.tile(mean, (len(boxes), 1))
+        means[:, :4] = boxes
+        return means, np.tile(spread, (len(boxes), 1, 1))
+    moments = [motion.start_moments(box) for box in boxes]
+    return np.array([mean for mean, _ in moments]), np.array([spread for _, spread in moments])

@@ -1,0 +1,299 @@
+"""Checks of sensors whose detections are quantities, of how targets start with them, and of point states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from bayesnet_track.graph.checked import ANCHORED, Anchor, Inverse
+from bayesnet_track.graph.checks.cues import cue_parameters
+from bayesnet_track.graph.checks.factors import latent_above, names_at
+from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.expressions.evaluate import values_of
+from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.periods import period_of
+from bayesnet_track.graph.expressions.terms import FRAME_NAMES, ExpressionError, Term, Variable, names_in
+from bayesnet_track.graph.spec import AgentNode
+from bayesnet_track.graph.text.messages import GraphMessage, nearest
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.inversion import Less, shorter_way, solutions
+from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.observation.protocols import BOX
+
+PLACES = 3
+"""Places that a message names where several have the same values."""
+
+
+def sensors_of(plate: Plate) -> dict[str, Any]:
+    """The agents of a plate that are given detections of quantities -> their typed parameters."""
+    found = {}
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or not declaration.reads_detection or declaration.gives is None:
+            continue
+        try:
+            parameters = cue_parameters(node.agent, declaration)
+        except ValidationError:
+            continue  # said where parameters are checked
+        if declaration.gives(parameters):
+            found[name] = parameters
+    return found
+
+
+def sensors_share_detections(plate: Plate) -> Iterator[GraphMessage]:
+    """Detections of quantities are weighed by `existence`, at the root, and not beside those of boxes."""
+    sensors, birth = sensors_of(plate), plate.spec.birth
+    for name, parameters in sensors.items():
+        if plate.spec.existence is None:
+            found = "detections of quantities without existence, which says what a false one is"
+            yield plate.message(
+                name, found, f"existence: {{}} in targets.{plate.name}", key=("agent",), on_key=True
+            )
+        if not parameters.within:
+            first = next(iter(parameters.sd))
+            found = "detections of quantities without within, which says how dense false ones are"
+            allowed = f"within: {{{first}: [least, largest], ...}}"
+            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+        above = plate.agents[name].parent
+        if above not in plate.roots or latent_above(plate, above) is not None:
+            found = f"detections of quantities at {above}, which is not the root"
+            yield plate.message(name, found, f"parent: {plate.roots[0]}", key=("parent",))
+    if not sensors:
+        return
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is not None and declaration.reads_detection and name not in sensors:
+            found = f"detections of boxes beside those of quantities, of {next(iter(sensors))}"
+            yield plate.message(name, found, "sd in both, or boxes alone", key=("agent",), on_key=True)
+    if birth is None:
+        return
+    path = ("targets", plate.name, "birth")
+    if birth.detector.detector != GIVEN or birth.detector.parameters:
+        found = f"births by {birth.detector.detector}, and the agents measure detections of quantities"
+        yield plate.at.message((*path, "detector"), found, f"detector: {GIVEN}, without parameters")
+    for key, is_usual in {
+        "labels": not birth.labels,
+        "every": birth.every == 1,
+        "tentative": not birth.tentative,
+        "min_score": birth.min_score == 0.0,
+    }.items():
+        if not is_usual:
+            found = f"birth.{key} has no effect on detections of quantities"
+            yield plate.at.message((*path, key), found, "no such key", on_key=True)
+
+
+def inverses_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
+    """`inverse` gives fields of the state by the quantities of a sensor."""
+    sensors = sensors_of(plate)
+    for name, node in plate.agents.items():
+        if not node.inverse:
+            continue
+        if name not in sensors:
+            found = f"inverse of {node.agent.cue}, whose detections are no quantities"
+            yield plate.message(
+                name, found, "sd in a detection agent, or no inverse", key=("inverse",), on_key=True
+            )
+            continue
+        state = _state(plate, node)
+        needed = ANCHORED if plate.spec.state == "point" else BOX
+        missing = [one for one in needed if one not in node.inverse]
+        if missing:
+            found = f"inverse without {', '.join(missing)}"
+            allowed = f"an expression of each of {', '.join(needed)}"
+            yield plate.message(name, found, allowed, key=("inverse",), on_key=True)
+        names = (*sensors[name].sd, *plate.constants)
+        for written, text in node.inverse.items():
+            key = ("inverse", written)
+            if written not in state:
+                found = f"inverse of {written!r}, which is no field of the state"
+                yield plate.message(name, found, state, key=key, word=written, on_key=True)
+            try:
+                parse(text, names)
+            except ExpressionError as error:
+                message = plate.message(name, error.found, error.allowed, key=key)
+                if error.word:
+                    message = replace(message, nearest=nearest(error.word, error.near))
+                yield plate.at.inside(message, error.at)
+
+
+def sensors_can_start_targets(plate: Plate) -> Iterator[GraphMessage]:
+    """Without `inverse` one state has the values of a detection; one sensor at least can start targets."""
+    sensors = sensors_of(plate)
+    wholes = {
+        name: one for name, one in sensors.items() if one.within and _can_be_evaluated(plate, name, one)
+    }
+    starts = any(plate.agents[name].inverse for name in sensors)
+    for name, parameters in wholes.items():
+        if plate.agents[name].inverse:
+            continue
+        if plate.spec.state == "box":
+            found = "a detection of quantities has no size, and the state is a box"
+            allowed = "state: point for the target, or inverse: {x: .., y: .., w: .., h: ..}"
+            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+            starts = True
+            continue
+        if len(parameters.sd) < len(ANCHORED):
+            continue
+        places = _places(plate, name, parameters)
+        starts = starts or len(places) == 1
+        if len(places) == 1:
+            continue
+        allowed = "inverse: {x: .., y: ..}, expressions of " + ", ".join(parameters.sd)
+        if not len(places):
+            found = "measures that have the middle of within at no x, y that was found"
+        else:
+            shown = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in places[:PLACES].tolist())
+            found = f"measures with the same values at several places, such as {shown}"
+        yield plate.message(
+            name, found, allowed, key=("measures",) if plate.agents[name].measures else ("agent",)
+        )
+        starts = True
+    if wholes and not starts:
+        first = next(iter(wholes))
+        found = "no sensor that can start a target: each measures less than a place"
+        allowed = "a sensor of two quantities, or inverse of one"
+        yield plate.message(first, found, allowed, key=("agent",), on_key=True)
+
+
+def _can_be_evaluated(plate: Plate, name: str, parameters: Any) -> bool:
+    node = plate.agents[name]
+    try:
+        terms = [parse(node.measures[one], names_at(plate, node.parent)) for one in node.measures]
+    except ExpressionError:
+        return False
+    state = _state(plate, node)
+    known = all(one in node.measures or one in state for one in parameters.sd)
+    return known and not any(one in FRAME_NAMES for term in terms for one in names_in(term))
+
+
+def _state(plate: Plate, node: AgentNode) -> tuple[str, ...]:
+    """The fields of the state at the agent's parent."""
+    names = names_at(plate, node.parent)
+    return tuple(one for one in names if one not in FRAME_NAMES and one not in plate.constants)
+
+
+def _places(plate: Plate, name: str, parameters: Any) -> Floats:
+    """(S, 2) the x, y at which the quantities have the middle of `within`."""
+    middle = np.array([sum(parameters.within[one]) / 2 for one in parameters.sd])
+    function, less = _function(plate, name, parameters)
+    return solutions(function, less, middle, np.array([*parameters.sd.values()]) ** 2)
+
+
+def _function(plate: Plate, name: str, parameters: Any) -> tuple[Any, Less]:
+    node = plate.agents[name]
+    terms = [parse(node.measures[one]) if one in node.measures else Variable(one) for one in parameters.sd]
+    others = _others(plate, node)
+
+    def function(places: Floats) -> Floats:
+        names = {**plate.constants, **others, "x": places[:, 0], "y": places[:, 1]}
+        return np.stack([np.broadcast_to(values_of(term, names), (len(places),)) for term in terms], axis=1)
+
+    return function, shorter_way(np.array([period_of(term, plate.constants) for term in terms]))
+
+
+def _others(plate: Plate, node: AgentNode) -> Mapping[str, float]:
+    """The other fields of a state that starts."""
+    root = plate.inference[plate.roots[0]]
+    fields = {} if root.motion is None or root.motion.expressions is None else root.motion.expressions.fields
+    starts = {name: float(one.start) for name, one in fields.items()}
+    return {name: starts.get(name, 1.0 if name in BOX else 0.0) for name in _state(plate, node)}
+
+
+def read_inverses(plate: Plate) -> dict[str, Inverse]:
+    """How a target starts with a detection of each sensor, of a plate that passed the checks."""
+    found = {}
+    for name, parameters in sensors_of(plate).items():
+        terms: dict[str, Term] = {field: parse(text) for field, text in plate.agents[name].inverse.items()}
+        used = {one for term in terms.values() for one in names_in(term)}
+        constants = {one: value for one, value in plate.constants.items() if one in used}
+        anchor = None
+        if not terms and len(parameters.sd) >= len(ANCHORED):
+            (place,) = _places(plate, name, parameters)
+            anchor = Anchor(place, _function(plate, name, parameters)[0](place[None])[0])
+        found[name] = Inverse(terms, constants, anchor)
+    return found
+
+
+def points_have_no_size(plate: Plate) -> Iterator[GraphMessage]:
+    """Nothing of a point's net is about a size, a frame, or looks at a box."""
+    if plate.spec.state != "point":
+        return
+    sensors = sensors_of(plate)
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if (
+            name not in sensors
+            and declaration is not None
+            and (declaration.gives is None or declaration.reads_detection)
+        ):
+            found = f"{node.agent.cue}, which is about a box, beside state: point"
+            allowed = "agents of quantities: detection with sd, readings; or state: box"
+            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+    if plate.agents and not sensors:
+        path = ("targets", plate.name, "state")
+        found = "state: point without an agent that is given detections, with which a point starts"
+        yield plate.at.message(path, found, "an agent detection with sd, or state: box")
+    for name, above in plate.inference.items():
+        if above.parent is not None:
+            continue
+        if "ud_fields" in above.model_fields_set and set(above.ud_fields) - set(ANCHORED):
+            found = "ud_fields of a size, which a point does not have"
+            yield plate.message(name, found, "x, y", key=("ud_fields",), on_key=True)
+        lost, motion = above.lost, above.motion
+        if (
+            lost is not None
+            and lost.existence_below is None
+            and lost.score_below is None
+            and lost.above.kind == "ud_box"
+        ):
+            found = "lost.above in boxes, and the state is a point"
+            yield plate.message(
+                name, found, "existence_below, or above: {ud_px2: ..}", key=("lost",), on_key=True
+            )
+        if motion is not None:
+            yield from _points_move(plate, name, motion)
+
+
+def _points_move(plate: Plate, name: str, motion: Any) -> Iterator[GraphMessage]:
+    settings, kind = motion.settings, motion.kind
+    if kind == "box_velocity":
+        yield plate.message(
+            name, "box_velocity of a point", "constant_velocity", key=("motion",), on_key=True
+        )
+        return
+    if not settings.is_plain or settings.borders is not None:
+        found = "a motion that depends on the frame or on a size, and the state is a point"
+        yield plate.message(name, found, "noise and kinematics alone", key=("motion", kind), on_key=True)
+    if motion.expressions is not None:
+        wrong = [one for one in (*settings.drift, *settings.sd) if one in ("w", "h")]
+        if wrong:
+            found = f"a motion of {wrong[0]}, which a point does not have"
+            yield plate.message(name, found, "x, y and fields of its own", key=("motion", kind), on_key=True)
+        return
+    sized = settings.sd_px.w or settings.sd_px.h or "sd_box" in settings.model_fields_set
+    if sized or "sd_log" in settings.model_fields_set:
+        found = "noise of a size, which a point does not have"
+        yield plate.message(name, found, "sd_px: {x: .., y: ..}", key=("motion", kind), on_key=True)
+
+
+def sensors_fit(plate: Plate) -> Iterator[GraphMessage]:
+    """All of these checks, where the parameters of the agents that are given detections are sound."""
+    for node in plate.agents.values():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or not declaration.reads_detection:
+            continue
+        try:
+            cue_parameters(node.agent, declaration)
+        except ValidationError:
+            return  # said where parameters are checked
+    yield from sensors_share_detections(plate)
+    yield from inverses_can_be_read(plate)
+    yield from sensors_can_start_targets(plate)
+    yield from points_have_no_size(plate)
+
+
+SENSOR_CHECKS: tuple[Check, ...] = (sensors_fit,)
