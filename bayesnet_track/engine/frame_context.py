@@ -1,4 +1,4 @@
-"""One frame's work: what every part of it shares, made once per frame."""
+"""Context of a frame: what all its stages share, made once per frame."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def levels_after(
 
 
 def is_degenerate(of: Together, name: str) -> bool:
-    """Whether a target's own evidence could not be used; never of one in a group."""
+    """True if a target's own evidence could not be used; never of one in a group."""
     return of.row(name) is None and of[name].step.degenerate is not None
 
 

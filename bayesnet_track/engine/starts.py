@@ -131,7 +131,7 @@ def check_box(box: object, width: int, height: int) -> Floats:
 
 
 def _has_bool(box: object) -> bool:
-    """Whether a value is True or False, which count as 1 and 0 among numbers."""
+    """True if a value is True or False, which count as 1 and 0 among numbers."""
     return isinstance(box, Iterable) and any(isinstance(value, bool | np.bool_) for value in box)
 
 

@@ -27,7 +27,7 @@ class AgentUnavailable(Exception):
 
 
 def is_elsewhere(cue: Any) -> bool:
-    """Whether a cue is at work in another process, and can be asked now and answer later (`ask_ahead`)."""
+    """True if a cue is at work in another process, and can be asked now and answer later (`ask_ahead`)."""
     return hasattr(cue, "ask_ahead")
 
 

@@ -32,7 +32,7 @@ class PairFlaw:
     ignored: bool = False
 
     def __bool__(self) -> bool:
-        """Whether anything was wrong."""
+        """True if anything was wrong."""
         return self.undefined > 0 or self.ignored
 
 

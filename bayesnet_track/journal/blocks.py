@@ -244,10 +244,10 @@ CLOUD = "cloud"
 
 
 def is_text(name: str) -> bool:
-    """Whether a column holds texts."""
+    """True if a column holds texts."""
     return name in TEXTS or (name.startswith("parts/") and name.endswith("/status"))
 
 
 def is_box(name: str) -> bool:
-    """Whether a column has four numbers for each target."""
+    """True if a column has four numbers for each target."""
     return name in (*BOXES, CLOUD) or (name.startswith("parts/") and name.endswith(("/box", "/sd")))

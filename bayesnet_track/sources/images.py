@@ -81,7 +81,7 @@ def stack_of(path: Path) -> Stack | None:
 
 
 def is_animated_png(path: Path) -> bool:
-    """Whether a file is a PNG of several frames, which is read as a video."""
+    """True if a file is a PNG of several frames, which is read as a video."""
     try:
         with path.open("rb") as file:
             pages = pages_of(path.name, file.read(HEAD_BYTES)) if path.suffix.lower() == ".png" else None

@@ -270,7 +270,7 @@ class _Worker:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the process has not ended."""
+        """True if the process has not ended."""
         return self._process.poll() is None
 
     def do(self, job: Job, timeout_s: float | None, reports: SimpleQueue[Progress]) -> Row:

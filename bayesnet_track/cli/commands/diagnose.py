@@ -104,7 +104,7 @@ def _types(text: str) -> Mapping[str, Any]:
 
 
 def is_born(run: Run, target: str) -> bool:
-    """Whether detections start and end targets of this type."""
+    """True if detections start and end targets of this type."""
     return "birth" in _types(run.graph_text)[run.kinds[target]]
 
 

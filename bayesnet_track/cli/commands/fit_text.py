@@ -31,7 +31,7 @@ def used_features(graph: CheckedGraph) -> tuple[str, ...]:
 
 
 def has_score(graph: CheckedGraph) -> bool:
-    """Whether the first plate has a score."""
+    """True if the first plate has a score."""
     return _score_of(graph) is not None
 
 

@@ -88,7 +88,7 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
 
 
 def _is_one_of(now: Births, candidate: Candidate, boxes: Floats) -> bool:
-    """Whether a candidate is the object in one of the boxes (K, 4)."""
+    """True if a candidate is the object in one of the boxes (K, 4)."""
     return bool(alike(candidate.box[None], boxes, now.birth.min_distance_box, now.birth.covered).any())
 
 

@@ -103,7 +103,7 @@ def _count_cut(
 
 
 def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
-    """Whether the detector is asked: it has not failed, or it is tried again."""
+    """True if the detector is asked: it has not failed, or it is tried again."""
     fault = history.failed.get(detector)
     return fault is None or fault.until is None or fault.until <= frame
 

@@ -163,7 +163,7 @@ def match(compared: Sequence[Compared], detections: int, rule: Reidentify) -> tu
 
 
 def _is_contested(odds: Floats, k: int, others: Sequence[int], match: Match) -> bool:
-    """Whether another pair has a say in what would have become of this one at another `min_probability`.
+    """True if another pair has a say in what would have become of this one at another `min_probability`.
 
     At a lower one, a detection with better odds may take the target first. At a higher one, targets may be
     left that were taken before, or one of the `others`, the detections left, may take target k.

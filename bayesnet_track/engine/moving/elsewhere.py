@@ -118,7 +118,7 @@ def _that_look(searching: frozenset[str], plan: Plan, step: Step[Posterior]) -> 
 
 
 def _is_missing(work: FrameContext, target: str, context: MotionContext) -> bool:
-    """Whether the target is lost, or uncertain for as long as it takes to be called lost."""
+    """True if the target is lost, or uncertain for as long as it takes to be called lost."""
     status, plate = work.net.targets[target].status, work.plate_of(target).plate
     lost = plate.inference(plate.root).lost
     return status == "lost" or (status == "uncertain" and lost is not None and context.away > lost.frames)

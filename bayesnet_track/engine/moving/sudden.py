@@ -74,7 +74,7 @@ def _fit(plan: Plan, step: Step[Posterior]) -> float:
 
 
 def _pans(rule: Sudden, box: Floats, work: FrameContext) -> bool:
-    """Whether the whole picture moved far enough for a target in the centre box (4,) to be searched for."""
+    """True if the whole picture moved far enough for a target in the centre box (4,) to be searched for."""
     if rule.pan_box == 0.0:
         return True
     from bayesnet_track.vision.motion_planes import PanPlane

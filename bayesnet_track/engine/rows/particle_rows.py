@@ -85,7 +85,7 @@ def _tables(work: FrameContext, before: Mapping[str, TargetState]) -> list[Parti
 
 @lru_cache(maxsize=64)
 def plate_fits(compiled: CompiledPlate) -> bool:
-    """Whether the targets of a plate may be filtered together."""
+    """True if the targets of a plate may be filtered together."""
     belief = compiled.belief
     if not isinstance(belief, ParticleFilter) or not isinstance(compiled.motion, KinematicMotion):
         return False
@@ -103,7 +103,7 @@ def plate_fits(compiled: CompiledPlate) -> bool:
 
 
 def _asks_here(work: FrameContext, compiled: CompiledPlate, plan: Plan) -> bool:
-    """Whether all agents of a plan, one at least, are at work here and score hypotheses."""
+    """True if all agents of a plan, one at least, are at work here and score hypotheses."""
     return (
         not work.availability.known
         and len(plan.observations) > 0

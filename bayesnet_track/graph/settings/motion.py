@@ -197,7 +197,7 @@ class Moving(Noise):
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is noise and kinematics alone."""
+        """True if it is noise and kinematics alone."""
         return (
             self.inflate is None
             and self.size_reversion is None

@@ -134,7 +134,7 @@ class Given(Noise):
 
     @property
     def is_part(self) -> bool:
-        """Whether the state is the box of a part of the target."""
+        """True if the state is the box of a part of the target."""
         return self.offset_box is not None or self.size_box is not None or bool(self.written)
 
 

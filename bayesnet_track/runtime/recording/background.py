@@ -53,7 +53,7 @@ class Background:
             thread.join()
 
     def _is_at_work(self) -> bool:
-        """Whether there is a thread, which is started where there is none; a forked process has none."""
+        """True if there is a thread, which is started where there is none; a forked process has none."""
         if self._thread is None or not self._thread.is_alive():
             self._calls = Queue(self._most)
             thread = Thread(target=_work, args=(self._calls,), name=self._name, daemon=True)

@@ -43,7 +43,7 @@ def lock_run(directory: RunDirectory) -> Iterator[None]:
 
 
 def is_locked(directory: RunDirectory) -> bool:
-    """Whether another process writes the run now; changes nothing."""
+    """True if another process writes the run now; changes nothing."""
     if not directory.lock.is_file():
         return False
     try:

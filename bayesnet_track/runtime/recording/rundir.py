@@ -205,12 +205,12 @@ class RunDirectory:
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a new run is taking the place of an earlier one here; see `runtime.recording.replace`."""
+        """True if a new run is taking the place of an earlier one here; see `runtime.recording.replace`."""
         return (self.path / REPLACING).is_dir()
 
     @property
     def holds_run(self) -> bool:
-        """Whether a run is here, in whatever state."""
+        """True if a run is here, in whatever state."""
         return any((self.path / name).exists() for name in MARKS)
 
 

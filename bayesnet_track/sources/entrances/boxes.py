@@ -21,7 +21,7 @@ LARGEST = 1e100
 
 
 def is_mot_of_8(rows: Floats, name: str) -> bool:
-    """Whether lines of 8 numbers (N, 8) are MOT (.., confidence, class), rather than polygons.
+    """True if lines of 8 numbers (N, 8) are MOT (.., confidence, class), rather than polygons.
 
     Raises:
         ValueError: they can be both, or neither.
@@ -62,7 +62,7 @@ def _moderate(rows: Floats) -> Floats:
 
 
 def _grow(frames: Floats, ids: Floats) -> bool:
-    """Whether frames never fall, or not within an identity; and no identity but -1 is twice in one."""
+    """True if frames never fall, or not within an identity; and no identity but -1 is twice in one."""
     if (np.diff(frames) < 0).any():
         order = np.argsort(ids, kind="stable")
         same = np.diff(ids[order]) == 0
@@ -89,13 +89,13 @@ def _are_rectangles(points: Floats) -> NDArray[np.bool_]:
 
 
 def are_polygons(rows: Floats) -> bool:
-    """Whether lines of 8 numbers (N, 8) are the corners of rectangles, upright or rotated."""
+    """True if lines of 8 numbers (N, 8) are the corners of rectangles, upright or rotated."""
     rows = _moderate(rows)
     return len(rows) >= LEAST_LINES and float(_are_rectangles(rows.reshape(-1, 4, 2)).mean()) > 0.9
 
 
 def are_corners(boxes: Floats) -> bool:
-    """Whether boxes (N, 4), read as left, top, width, height, are rather left, top, right, bottom.
+    """True if boxes (N, 4), read as left, top, width, height, are rather left, top, right, bottom.
 
     They are if width and height always exceed left and top, and follow them: right - left and bottom - top
     vary much less than right and bottom.
@@ -150,7 +150,7 @@ def refuse_shares(boxes: Floats, name: str) -> None:
 
 
 def count_up(column: Floats | Ints) -> bool:
-    """Whether a column (N,) counts lines from 0 or 1.
+    """True if a column (N,) counts lines from 0 or 1.
 
     >>> count_up(np.array([1.0, 2, 3])), count_up(np.array([1.0, 3, 5]))
     (True, False)

@@ -86,7 +86,7 @@ class Layout:
 
     @property
     def has_corners(self) -> bool:
-        """Whether right and bottom are given."""
+        """True if right and bottom are given."""
         return {"right", "bottom"} <= self.columns.keys()
 
     @property
@@ -161,7 +161,7 @@ def plain(word: str) -> str:
 
 
 def is_kitti(words: Sequence[str]) -> bool:
-    """Whether a line is of KITTI's tracking labels: 17 or 18 words, the third a class by name."""
+    """True if a line is of KITTI's tracking labels: 17 or 18 words, the third a class by name."""
     return len(words) in (17, 18) and words[2].replace("_", "").isalpha()
 
 

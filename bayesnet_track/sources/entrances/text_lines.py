@@ -131,7 +131,7 @@ def _explain_lines(lines: list[str]) -> str | None:
 
 
 def _count(lines: list[str]) -> bool:
-    """Whether the first numbers grow from line to line, as frames do and classes do not."""
+    """True if the first numbers grow from line to line, as frames do and classes do not."""
     first = [int(line.split(" ", 1)[0]) for line in lines]
     return len(first) > 2 and all(one < other for one, other in pairwise(first))
 
@@ -174,7 +174,7 @@ class Lines:
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing here is a number for `float` alone, such as 1_0 or digits of other scripts."""
+        """True if nothing here is a number for `float` alone, such as 1_0 or digits of other scripts."""
         return all(line.isascii() and "_" not in line for line in self.text)
 
     def __iter__(self) -> Iterator[Line]:
@@ -243,7 +243,7 @@ def split_words(line: str) -> list[str]:
 
 
 def _is_name(word: str) -> bool:
-    """Whether a word can name a column: it has a letter, or is empty, and is no number such as nan."""
+    """True if a word can name a column: it has a letter, or is empty, and is no number such as nan."""
     return not is_number(word) and (not word.strip() or any(map(str.isalpha, word)))
 
 

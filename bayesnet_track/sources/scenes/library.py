@@ -125,7 +125,7 @@ class SceneSource:
 
     @property
     def has_depth(self) -> bool:
-        """Whether the frames carry a second eye."""
+        """True if the frames carry a second eye."""
         return self.scene.stereo is not None
 
     def __iter__(self) -> Iterator[Frame]:
