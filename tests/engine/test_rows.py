@@ -8,6 +8,7 @@ import pytest
 from bayesnet_track import load_graph
 from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.engine import step as steps
+from bayesnet_track.engine.rows import finding
 from bayesnet_track.engine.rows.columns import make_rows
 from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.starts import start_targets
@@ -53,6 +54,24 @@ def found():
     people = CrowdSettings(720, 480, 110, 9, births=0.2, life=30.0, crossings=2, beside=2)
     reported = detect_crowd(make_crowd(people, 4), DetectorSettings(missed=0.25, clutter=2.0), 4)
     return {index: one.detections for index, one in enumerate(reported[30 : 30 + FRAMES])}
+
+
+CHANGES = {
+    "plain": {},
+    "self-check": {"seen": {"self_check": {"above": {"ud_box": 0.02}, "frames": 2}}},
+    "unscented": {
+        "target": {"belief": {"gaussian": {"filter": "unscented", "likelihood": "sigma_points", "gate": 1}}}
+    },
+}
+
+
+def with_nodes(graph, name):
+    """The graph with other settings of its nodes."""
+    written = graph.spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    for node, settings in CHANGES[name].items():
+        plate["nodes"][node] |= settings
+    return load_graph(written)
 
 
 def outcomes(graph, found, inputs=None, frames=FRAMES):
@@ -197,7 +216,24 @@ def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, unlike):
     assert_alike(outcomes(graph, found, inputs, 24), apart(graph, found, inputs, 24), unlike)
 
 
-def test_a_track_is_the_same_bytes_alone_and_in_a_crowd(graph):
+@pytest.mark.parametrize("name", ["self-check", "unscented"])
+def test_other_gaussians_agree_as_rows_and_as_objects(name, graph, found, monkeypatch, unlike):
+    own = with_nodes(graph, name)
+    rows = outcomes(own, found)
+    assert sum(map(has_table, rows)) > FRAMES - 8 and not rows[-1].state.targets.others
+    assert any(type(event).__name__ == "StatusChanged" for one in rows for event in one.events)
+    monkeypatch.setattr(finding, "net_fits", lambda rule, net: False)
+    singles = outcomes(own, found)
+    assert not any(map(has_table, singles))
+    assert_alike(rows, singles, unlike)
+    for target, state in singles[-1].state.targets.items():
+        memory = rows[-1].state.targets[target].memory
+        assert memory.counts.tolist() == state.memory.counts.tolist()
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_track_is_the_same_bytes_alone_and_in_a_crowd(name, graph):
+    graph = with_nodes(graph, name)
     rng = np.random.default_rng(0)
     path = np.column_stack([60 + 3.0 * np.arange(40), np.full(40, 60.0)])
     first = np.column_stack([path, np.tile([30.0, 60.0], (40, 1))]) + rng.normal(0, 1, (40, 4))

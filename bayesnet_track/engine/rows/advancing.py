@@ -169,7 +169,7 @@ class FilteredGaussians:
         is_lost = self.before.columns.is_lost
         if decided:
             is_lost = is_lost.copy()
-            is_lost[[*decided]] = ~is_lost[[*decided]]
+            is_lost[[*decided]] = [nets[self.ids[row]].status == "lost" for row in decided]
         return self.before.after(self.columns.changed(memory=memory, is_lost=is_lost), time, nets)
 
     # -------------------------------------------------------------------------------- lines

@@ -97,7 +97,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     lost = compiled.plate.lost
     if lost.existence_below is not None and lost.uncertain_below is not None:
         return None
-    is_plain = not node.switches_itself and association.floor is not None and association.appearance == 0.0
+    is_plain = association.floor is not None and association.appearance == 0.0
     if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
         return None
     if not isinstance(motion, LinearMotion) or not _belief_fits(compiled, motion):
@@ -127,7 +127,7 @@ def _belief_fits(compiled: CompiledPlate, motion: LinearMotion) -> bool:
     belief = compiled.belief
     if not isinstance(belief, GaussianFilter) or belief.settings.gate < 1.0:
         return False
-    if belief.settings.filter == "unscented" or belief.settings.likelihood != "sigma_points":
+    if belief.settings.likelihood != "sigma_points":
         return False
     try:
         require_linear(motion)
