@@ -37,7 +37,7 @@ class WeightedStates:
 
 
 def hypotheses_of(states: Floats, fields: tuple[str, ...]) -> Hypotheses:
-    """What cues see of `states` (N, D): the boxes, and the further fields by name."""
+    """Hypotheses that cues see of `states` (N, D): the boxes, and the further fields by name."""
     return Hypotheses(states[:, :4], {name: states[:, k] for k, name in enumerate(fields) if k >= 4})
 
 
@@ -81,7 +81,7 @@ Stream = Callable[[str], np.random.Generator]
 
 
 class MotionModel(Protocol):
-    """How states move. A state is a row of fields: x, y, w, h, then the fields that the model adds."""
+    """Motion of states. A state is a row of fields: x, y, w, h, then the fields that the model adds."""
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -217,7 +217,7 @@ class Step(Generic[P_co]):
 
 
 class Belief(Protocol[P]):
-    """How a belief is represented and stepped. Holds settings only; what it knows is the posterior."""
+    """Representation of a belief, and its step. Holds settings only; what it knows is the posterior."""
 
     def start(self, box: Floats, motion: MotionModel, stream: Stream) -> P:
         """The belief about a target first seen in the centre box (4,)."""

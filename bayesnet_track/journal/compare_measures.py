@@ -134,7 +134,7 @@ def _together(blocks: Sequence[Block], sides: Sequence[Blocks], without: set[str
 
 
 class Apart:
-    """How far the estimates of each pair of targets are apart."""
+    """Distances between the estimates of each pair of targets."""
 
     def __init__(self, pairs: Sequence[Pair], sides: Sequence[Blocks]) -> None:
         self._pairs, self._sides = pairs, sides

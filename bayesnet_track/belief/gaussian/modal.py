@@ -253,7 +253,7 @@ class ModalFilter:
     def _choose(
         self, predicted: ModalPosterior, shared: Mapping[str, Measurement]
     ) -> tuple[list[dict[str, Measurement]], Floats]:
-        """What each mode is given of detections that may be the target's, and (K,) its log-evidence by them.
+        """Shares of each mode in detections that may be the target's, and (K,) its log-evidence by them.
 
         The weights are those of the association, w_j of detection j and w_0 of none. Given j, mode m has the
         probability mu_m N_m(z_j) / sum; given none, mu_m q_m / sum, q_m the probability that it is missed. So
@@ -292,7 +292,7 @@ class ModalFilter:
     def _gate(
         self, predicted: ModalPosterior, evidence: Evidence
     ) -> tuple[dict[str, Measurement], tuple[Gated, ...]]:
-        """What was measured inside the gate of a visible mode, and the rest as the nearest mode has it."""
+        """Measurements inside the gate of a visible mode, and the rest as the nearest mode has it."""
         nearest: dict[str, Gated] = {}
         used: dict[str, Measurement] = {}
         for part, hidden, share in zip(

@@ -85,7 +85,7 @@ class Attached:
         return self.motion.log_density(new[:, :-1], self._seed_velocity(old, dt), dt)
 
     def transition(self, old: Floats, dt: float) -> Transition:
-        """As `log_density`; `states` keeps the last field of the state it is given."""
+        """Log density of the transition; `states` keeps the last field of the state it is given."""
         own = self.motion.transition(self._seed_velocity(old, dt), dt)
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:

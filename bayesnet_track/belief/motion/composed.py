@@ -34,7 +34,7 @@ class Deviation:
     step_sd: float
 
     def over(self, dt: float) -> tuple[float, float]:
-        """What is left of it after `dt` frame intervals, as a factor, and the sd of what is added.
+        """Share of it that is left after `dt` frame intervals, as a factor, and the sd of what is added.
 
         d <- f^dt d + N(0, sd^2 (1 - f^(2 dt))) with f = sqrt(1 - step_sd^2 / sd^2): two steps of dt / 2 are
         one of dt, and N(0, sd^2) stays what it is.

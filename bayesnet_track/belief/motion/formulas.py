@@ -398,7 +398,7 @@ def make_formula_motion(settings: ByExpressions, constants: Mapping[str, float])
 
 
 def undefined_in(motion: object) -> Mapping[str, Undefined]:
-    """What was found of the expressions of a motion, or of those inside it; empty for another."""
+    """Flaws found in the expressions of a motion, or of those inside it; empty for another."""
     if motion is None or isinstance(motion, FormulaMotion):
         return {} if motion is None else motion.undefined
     inside = getattr(motion, "parts", None) or (getattr(motion, "motion", None),)

@@ -239,7 +239,7 @@ def draw_jumps(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log:
 def report_reappeared(
     jumping: Jumping, jumps: Jumps, weights: LogWeights, before: Floats
 ) -> Reappeared | None:
-    """What is told when those that jumped hold more than half of the belief; frame and target left open."""
+    """Event where hypotheses that jumped hold more than half of the belief; frame and target left open."""
     own = weights.weights[jumps.which]
     held = float(own.sum())
     if not held > TELL_ABOVE:

@@ -50,7 +50,7 @@ def _both_axes(matrix: ArrayLike) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Unmixing:
-    """What makes the noise of an axis' chain independent: `unmix` for both axes, and the variances left."""
+    """Transform of an axis' chain to independent noise: `unmix` for both axes, and the variances left."""
 
     unmix: Floats
     pivots: Floats

@@ -157,7 +157,7 @@ def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ances
 def adaptive_size(
     settings: spec.Particles, size: spec.AdaptiveSize, will_repeat: WillRepeat, inputs: Inputs
 ) -> FrameSample:
-    """As many hypotheses drawn from the motion model as the frame asks for, with their evidence.
+    """Hypotheses drawn from the motion model, as many as the frame asks for, with their evidence.
 
     The number is not enlarged on account of a half that calls for a second pass, whose hypotheses are better
     placed (`resize_by` looks at both).
@@ -187,7 +187,7 @@ def _find_size(size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, par
 def _size_unless(
     will_repeat: WillRepeat, size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, part: slice
 ) -> SampleSize:
-    """What a part asks for; no more than there are where it calls for a second pass."""
+    """Sample size that a part asks for; no more than there are where it calls for a second pass."""
     wanted = _find_size(size, inputs, one, part)
     if will_repeat(one.prior_log[part], one.evidence.log_likelihood[part]):
         return replace(wanted, particles=min(wanted.particles, float(len(one))))

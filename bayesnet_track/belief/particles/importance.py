@@ -260,7 +260,7 @@ Refine = Callable[[Inputs, FrameSample], FrameSample]
 
 
 def proposal_of(settings: spec.Particles) -> tuple[Draw, Refine | None]:
-    """How the settings draw the hypotheses of a frame, and what they do with them then; None for nothing."""
+    """Proposal of the settings, which draws the hypotheses of a frame; None for draws from the motion."""
     chosen, size = settings.proposal.settings, start_size(settings)
     match chosen:
         case Auxiliary():

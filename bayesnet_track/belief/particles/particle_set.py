@@ -44,7 +44,7 @@ class ParticleSet:
 
     @property
     def hypotheses(self) -> Hypotheses:
-        """What cues see of it: the boxes, and the further fields by name."""
+        """Hypotheses that cues see of it: the boxes, and the further fields by name."""
         return hypotheses_of(self.states, self.fields)
 
     @property
@@ -133,7 +133,7 @@ class Clouds:
 
     @classmethod
     def of(cls, beliefs: Sequence[ParticleSet]) -> Clouds:
-        """Those of beliefs, one at least, with the same fields and as many hypotheses each."""
+        """Clouds of beliefs, one at least, with the same fields and as many hypotheses each."""
         return cls(
             np.array([one.states for one in beliefs]),
             beliefs[0].fields,

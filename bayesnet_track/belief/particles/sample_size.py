@@ -64,7 +64,7 @@ class SizeMemory:
 def find_sample_size(
     size: AdaptiveSize, states: Floats, fields: tuple[str, ...], prior_log: Floats, log_likelihood: Floats
 ) -> SampleSize:
-    """What hypotheses (N, D) of prior log-weights and log-likelihoods (N,) ask for: the most over the fields.
+    """Sample size that hypotheses (N, D) of prior log-weights and log-likelihoods (N,) need, over all fields.
 
     Degenerate weights (none positive, or one not a finite number) ask for nothing and have no effective
     hypotheses, so that `SampleSize.asks` keeps the number that there was.
@@ -172,7 +172,7 @@ class SizeDecision:
 
     @property
     def cause(self) -> SampleSize:
-        """What brought the number about: this frame's wish where it was enlarged, else the last frame's."""
+        """Wish behind the number: this frame's where it was enlarged, else the last frame's."""
         if not any(self.more):
             return self.before.wanted
         mean = (self.halves_wanted[0].particles + self.halves_wanted[1].particles) / 2
@@ -184,7 +184,7 @@ class SizeDecision:
         return count if asked <= ENLARGED * self.begin else max(count, min(most, math.ceil(asked / 2)))
 
     def scale(self, factor: float) -> SizeDecision:
-        """As if `factor` times as many had been asked for, in both frames."""
+        """The wishes of both frames times `factor`."""
         first, second = (_scale(wanted, factor) for wanted in self.halves_wanted)
         before = replace(self.before, wanted=_scale(self.before.wanted, factor))
         return replace(self, before=before, halves_wanted=(first, second))
@@ -230,7 +230,7 @@ def make_report(sizing: SizeDecision) -> Report:
 
 
 def find_limit(sizing: SizeDecision) -> str:
-    """What kept the number from being as asked: max, min, ess (too few effective to save any), or nothing."""
+    """Limit that kept the number from the wish: max, min, ess (too few effective to save any), or nothing."""
     wanted, particles = sizing.cause, sizing.particles
     if wanted.particles > particles:
         return "max"

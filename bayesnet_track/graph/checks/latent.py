@@ -178,7 +178,7 @@ Form = Literal["one", "kernel", "gaussian", "grid"]
 
 
 def form_of(target: CheckedTarget, node: str, measuring: Container[str]) -> Form:
-    """How a latent node's own state is held; `measuring` are the agents that say where the target is.
+    """Form of a latent node's own state; `measuring` are the agents that say where the target is.
 
     As `belief` or `draw` say. Without them the integral over the state is exact where it can be: a Gaussian,
     if all below is measured; a grid, if only x and y are uncertain; else one draw per hypothesis. What moves

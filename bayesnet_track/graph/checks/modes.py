@@ -100,7 +100,7 @@ def modes_move_by_themselves(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def _expressions_move_alone(plate: Plate, name: str, mode: str, motion: Motion) -> Iterator[GraphMessage]:
-    """What changes a kinematic motion does not reach one by expressions."""
+    """No setting that changes a kinematic motion stands beside one by expressions."""
     for word in KINEMATIC:
         if getattr(motion.settings, word, None):
             found = f"{word}, which does not reach mode {mode!r}: that moves by expressions"

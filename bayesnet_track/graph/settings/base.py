@@ -38,7 +38,7 @@ class Choice(Model):
 
     @classmethod
     def bare(cls, word: str) -> Any:
-        """What a bare `word` stands for: settings that are all defaults."""
+        """Settings that a bare `word` stands for: settings that are all defaults."""
         return {}
 
     @model_validator(mode="after")
@@ -130,5 +130,5 @@ class Empty(Model):
 
 
 def word_or_mapping(value: Any) -> str:
-    """Which of the two forms of a setting is used: a bare word or a mapping (also as a model)."""
+    """Form in which a setting is written: a bare word or a mapping (also as a model)."""
     return "mapping" if isinstance(value, (Mapping, Model)) else "word"

@@ -368,7 +368,7 @@ class FactorNode(Model):
 
     @property
     def expression(self) -> str:
-        """What it says, the default included."""
+        """Expression of the factor, the default included."""
         return "mask(x, y)" if self.factor is None else self.factor
 
     @property
@@ -378,7 +378,7 @@ class FactorNode(Model):
 
 
 def node_kind(value: Any) -> str:
-    """Which of the nodes a value is, or is to be: agent, factor or inference."""
+    """Kind of node that a value is, or is to be: agent, factor or inference."""
     if isinstance(value, Model):
         return {AgentNode: "agent", FactorNode: "factor"}.get(type(value), "inference")
     if not isinstance(value, Mapping):
