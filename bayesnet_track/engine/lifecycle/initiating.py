@@ -62,10 +62,10 @@ def velocity(motion: MotionModel, mean: Floats) -> Floats:
 
 
 def fast_covariance(motion: MotionModel, covariance: Floats, mean: Floats) -> Floats:
-    """(D, D) covariance of a start at (D,) with a velocity of sd `FOLLOW_BOX` sides of the box a frame."""
-    at = [motion.fields.index(name) for name in VELOCITY]
-    fast = covariance.copy()
-    fast[at, at] = np.maximum(fast[at, at], FOLLOW_BOX**2 * mean[2] * mean[3])
+    """(..., D, D) covariances of starts at (..., D) with a velocity of sd `FOLLOW_BOX` sides a frame."""
+    fast, sides2 = covariance.copy(), mean[..., 2] * mean[..., 3]
+    for at in (motion.fields.index(name) for name in VELOCITY):
+        fast[..., at, at] = np.maximum(fast[..., at, at], FOLLOW_BOX**2 * sides2)
     return fast
 
 

@@ -144,30 +144,25 @@ def with_fast(
 ) -> UnconfirmedTracks:
     """Second hypotheses of tracks seen once: faster than the graph's start velocities say.
 
-    A track has one if none of the detections (N, 4) is inside its gate where it is `expected`, and one is
-    within `FOLLOW_BOX` of its sides a frame interval of where it was `before`: its velocity is known by that
-    reach only, and it is as much less probable as `FAST_SHARE` says. All others would have none of a chance.
+    A track has one if none of the detections (N, 4) is inside its gate where it is `expected`, and a single
+    one is within `FOLLOW_BOX` of its sides a frame interval of where it was `before`, which is near no other
+    such track. Its velocity is known by that reach only; it is as much less probable as `FAST_SHARE` says.
     """
-    motion = rule.motion
-    once = np.flatnonzero(before.looks == 1)
+    motion, once = rule.motion, np.flatnonzero(before.looks == 1)
     if not len(once) or not len(boxes) or not is_moving(motion):
         return before.take(np.empty(0, np.int64))
-    sides = np.sqrt(before.mean[once, 2] * before.mean[once, 3])
-    away = boxes[None, :, :2] - before.mean[once, None, :2]
-    is_reached = np.hypot(away[..., 0], away[..., 1]) <= (FOLLOW_BOX * dt * sides)[:, None]
-    spread = (
-        expected.covariance[once][:, (0, 1), (0, 1)][:, None]
-        + rule.sensor.association.variances(boxes)[:, :2]
-    )
-    away = boxes[None, :, :2] - expected.mean[once, None, :2]
-    is_near = (away**2 / spread).sum(axis=2) <= chi_square_quantile(rule.sensor.association.gate, 4)
-    fast = before.take(once[is_reached.any(axis=1) & ~is_near.any(axis=1)])
-    covariance = [fast_covariance(motion, *one) for one in zip(fast.covariance, fast.mean, strict=True)]
-    return evolve(
-        fast,
-        covariance=np.array(covariance).reshape(fast.covariance.shape),
-        existence=FAST_SHARE * fast.existence,
-    )
+    at, places = before.mean[once], boxes[:, :2].T[:, None]
+    x, y = places - at.T[:2, :, None]
+    reach = FOLLOW_BOX * dt * np.sqrt(at[:, 2] * at[:, 3])
+    is_reached = x * x + y * y <= (reach * reach)[:, None]
+    is_reached &= (is_reached.sum(axis=1) == 1)[:, None] & (is_reached.sum(axis=0) == 1)
+    rows, columns = np.nonzero(is_reached)
+    once, found = once[rows], boxes[columns]
+    spread = expected.covariance[once][:, (0, 1), (0, 1)] + rule.sensor.association.variances(found)[:, :2]
+    d2 = ((found[:, :2] - expected.mean[once, :2]) ** 2 / spread).sum(axis=1)
+    fast = before.take(once[d2 > chi_square_quantile(rule.sensor.association.gate, 4)])
+    covariance = fast_covariance(motion, fast.covariance, fast.mean)
+    return evolve(fast, covariance=covariance, existence=FAST_SHARE * fast.existence)
 
 
 def advance_unconfirmed(
