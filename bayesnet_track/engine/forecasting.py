@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
+from bayesnet_track.engine.queries import forecast_numbers
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.metrics import FrameMetrics, HasBox
@@ -27,6 +29,8 @@ class Forecast(HasBox):
         sd: of x, y, w, h, px.
         region50: bounds of the central 50 % of the centre: x_low, x_high, y_low, y_high, px.
         region90: the same of the central 90 %.
+        queries: what the belief answers to the queries of the graph, by name: conditions and numbers of one
+            target that do not read `frame_s`.
     """
 
     target: str
@@ -35,6 +39,7 @@ class Forecast(HasBox):
     sd: tuple[float, ...]
     region50: tuple[float, ...]
     region90: tuple[float, ...]
+    queries: Mapping[str, float] = field(default_factory=dict)
 
 
 def forecast(
@@ -64,7 +69,11 @@ def forecast(
     for ahead in range(1, frames + 1):
         stream = engine.streams.of(birth, compiled.plate.root, moment_of(state.time + ahead), "forecast")
         belief = compiled.belief.predict(belief, motion, 1.0, stream)
-        found.append(_described(compiled, belief, last, ahead))
+        expected = _described(compiled, belief, last, ahead)
+        if engine.queries:
+            answers = forecast_numbers(engine, compiled.plate.name, last.target, belief, size)
+            expected = replace(expected, queries=answers)
+        found.append(expected)
     return found
 
 

@@ -10,6 +10,8 @@ from itertools import combinations, product
 import numpy as np
 
 from bayesnet_track.belief.asked import BeliefGroup, GaussianGroup, WeightedGroup, groups_of
+from bayesnet_track.belief.contract import Posterior
+from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.filtered_rows import Together
@@ -33,7 +35,7 @@ from bayesnet_track.inference.queries import (
 )
 from bayesnet_track.journal.events.beliefs import QueryPassed
 from bayesnet_track.journal.events.lives import DuplicateEnded
-from bayesnet_track.journal.metrics import Answers, Subject
+from bayesnet_track.journal.metrics import Answers, Subject, numbers_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame
@@ -105,6 +107,25 @@ def frame_names(frame: Frame, previous: Frame | None) -> dict[str, float]:
         "dt": 1.0 if previous is None else passed,
         "frame_s": seconds / passed,
     }
+
+
+def forecast_numbers(
+    engine: Engine, kind: str, target: str, belief: Posterior, size: tuple[int, int]
+) -> dict[str, float]:
+    """Numbers that a belief one frame after another answers, by name.
+
+    Conditions and numbers of one target; what reads `frame_s`, pairs and crossings are left out.
+    """
+    targets = AskedTargets({kind: groups_of([(target, belief)])}, {})
+    frame = {"frame_width": float(size[0]), "frame_height": float(size[1]), "dt": 1.0, "frame_s": math.nan}
+    asked = [
+        compiled
+        for compiled in engine.queries
+        if compiled.query.kinds == (kind,)
+        and compiled.query.kind in ("probability", "value")
+        and "frame_s" not in compiled.fixed
+    ]
+    return numbers_of([answer(compiled, targets, frame) for compiled in asked], target)
 
 
 def asked_targets(state: State, kinds: set[str]) -> AskedTargets:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 
-from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.asked import groups_of
+from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion, deviations_of
@@ -17,12 +18,14 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.engine.metrics import CLOUD_SIZE
+from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.graph import spec
+from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.settings import setting
@@ -156,8 +159,45 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
         else line
         for line in run.metrics
     )
+    metrics = tuple(_with_answers(run, metrics, found))
     events = tuple(replace(one, smoothed=True) if isinstance(one, RunStarted) else one for one in run.events)
     return SmoothedRun(events, metrics)
+
+
+def _with_answers(
+    run: Run, metrics: Sequence[FrameMetrics], smoothed: Mapping[tuple[str, int], Smoothed]
+) -> Iterator[FrameMetrics]:
+    """The lines with what the smoothed beliefs answer to queries; crossings stay those of the filter.
+
+    A target's first frame has no smoothed belief: its answers and the number of all stay there, too.
+    """
+    spec = run.spec
+    queries = [
+        compile_query(name, query, spec.constants)
+        for name, query in spec.queries.items()
+        if query.crosses is None
+    ]
+    if not queries:
+        yield from metrics
+        return
+    width, height = Resizing.of(run.started).tracked
+    frame = {"frame_width": float(width), "frame_height": float(height), "dt": 1.0}
+    frame["frame_s"] = run.started.frame_interval_s
+    for index, group in groupby(metrics, key=lambda line: line.frame):
+        lines = list(group)
+        beliefs: dict[str, list[tuple[str, Posterior]]] = {kind: [] for kind in spec.targets}
+        for line in lines:
+            if (line.target, index) in smoothed:
+                beliefs[run.kinds[line.target]].append((line.target, smoothed[line.target, index]))
+        exists = {line.target: line.existence for line in lines if line.existence is not None}
+        targets = AskedTargets({kind: groups_of(members) for kind, members in beliefs.items()}, exists)
+        answers = [answer(compiled, targets, frame) for compiled in queries]
+        if any((line.target, index) not in smoothed for line in lines):
+            answers = [replace(answered, total=None) for answered in answers]
+        for line in lines:
+            is_smoothed = (line.target, index) in smoothed
+            numbers = numbers_of(answers, line.target) if is_smoothed else {}
+            yield replace(line, queries={**line.queries, **numbers})
 
 
 def _most_probable(

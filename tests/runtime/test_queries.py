@@ -184,6 +184,31 @@ def test_answers_are_stored_with_a_tracker(tmp_path: Path) -> None:
     assert dict(again.queries["left"]) == dict(tracker.queries["left"])
 
 
+def test_a_forecast_answers_for_frames_to_come(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "run", horizon=2)
+    lines = [json.loads(line) for line in (folder / "forecasts.jsonl").read_text().splitlines()]
+    last = [line for line in lines if line["frame"] == FRAMES - 1]
+    assert [line["ahead"] for line in last] == [1, 2]
+    for line in last:
+        assert set(line["queries"]) == {"right"}  # `speed` reads frame_s
+        x, sd = line["box"][0], line["sd"][0]
+        assert line["queries"]["right"] == pytest.approx(
+            float(x > 100), abs=0.5 if abs(x - 100) < 3 * sd else 0.01
+        )
+
+
+def test_a_smoothed_run_answers_from_its_smoothed_beliefs(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "run", keep_beliefs=True)
+    assert main(["smooth", str(folder), "--out", str(tmp_path / "smooth")]) == 0
+    before, after = open_run(folder).metrics, open_run(tmp_path / "smooth").metrics
+    for line in after[1:]:
+        assert line.queries["inside_count"] == pytest.approx(line.queries["inside"], abs=1e-6)
+    assert [line.queries for line in before[1:-1]] != [line.queries for line in after[1:-1]]
+    assert after[-1].queries["right"] == pytest.approx(before[-1].queries["right"], abs=0.3)
+    spread = [sum(line.queries["speed_sd"] for line in lines[1:]) for lines in (after, before)]
+    assert spread[0] < spread[1]  # later frames tell of earlier velocities
+
+
 def test_a_graph_without_queries_has_no_stage_for_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["graph", "two_squares", "--plan"]) == 0
     assert "queries" not in capsys.readouterr().out

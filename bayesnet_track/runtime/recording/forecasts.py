@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,6 +51,7 @@ class ForecastWriter(LineFile):
                             "sd": _short(one.sd),
                             "region50": _short(one.region50),
                             "region90": _short(one.region90),
+                            **({"queries": _rounded(one.queries)} if one.queries else {}),
                         }
                     )
                 )
@@ -57,3 +59,7 @@ class ForecastWriter(LineFile):
 
 def _short(values: tuple[float, ...]) -> list[float]:
     return [round(value, DIGITS) for value in values]
+
+
+def _rounded(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(f"{number:.6g}") for name, number in numbers.items()}
