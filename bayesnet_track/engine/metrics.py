@@ -57,6 +57,10 @@ def index(measures: Measures, root: str) -> float:
     return measures.fit / (1.0 + measures.ud_px2[root] / max(measures.area_px2, 1.0))
 
 
+CHOICES = frozenset(("mode", "carried"))
+"""Fields of hypotheses that are choices, not numbers: they have columns of their own."""
+
+
 def frame_metrics(
     work: FrameContext,
     target: str,
@@ -108,7 +112,20 @@ def frame_metrics(
         parts=_part_metrics(measures),
         e_value=None if root.alarm is None else e_value(measured.scored.cusum, root.alarm),
         p_values=dict(summary.p_values),
+        state=state_numbers(summary.belief),
     )
+
+
+def state_numbers(belief: Posterior) -> dict[str, float]:
+    """Mean and sd of each field of a belief beside the box, by name; none of hidden choices."""
+    names = [name for name in belief.fields[4:] if name not in CHOICES]
+    if not names:
+        return {}
+    mean = belief.mean.tolist()
+    sds = np.sqrt(np.maximum(np.diagonal(belief.covariance), 0.0)).tolist()
+    places = {name: belief.fields.index(name) for name in names}
+    means = {name: mean[place] for name, place in places.items()}
+    return means | {f"{name}_sd": sds[place] for name, place in places.items()}
 
 
 def _score_metrics(measured: Measured, plate: CheckedTarget) -> tuple[float, dict[str, float]]:

@@ -157,6 +157,8 @@ class FrameMetrics(HasBox):
         queries: answers by the names of queries: a probability or a mean, ``NAME_sd``, ``NAME_low`` and
             ``NAME_high`` of a number, ``NAME/TARGET`` of a pair with another target, ``NAME_count`` of all
             targets together; left out when the graph has no `queries`.
+        state: mean of each field of the motion beside the box, such as `vx` in px per frame or a field of
+            the graph's own, and its sd, as ``vx_sd``; in the frames tracked in; left out without any.
     """
 
     frame: int
@@ -206,6 +208,7 @@ class FrameMetrics(HasBox):
     e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
     p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     queries: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    state: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
         """The main facts: who, when, how sure, where, and by whose evidence."""

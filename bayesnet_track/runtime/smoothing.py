@@ -17,7 +17,7 @@ from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
 from bayesnet_track.engine.compiled import make_plate_motion
-from bayesnet_track.engine.metrics import CLOUD_SIZE
+from bayesnet_track.engine.metrics import CLOUD_SIZE, state_numbers
 from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.graph import spec
@@ -276,6 +276,7 @@ def _described(
         centre_box=_floats(_inside(shown[:4], resizing.tracked)),
         map=_floats(best[:4]),
         sd=_floats(np.sqrt(variances)),
+        state=state_numbers(belief),
         ud_px2=ud,
         ud_nodes={**line.ud_nodes, name: ud},
         region50=_floats(region50),

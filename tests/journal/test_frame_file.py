@@ -48,6 +48,7 @@ FULL = line(
     e_value=1e200,
     p_values={"color": 1e-60},
     queries={"near/2": 0.5, "speed_sd": 1.5},
+    state={"vx": -1.5, "vx_sd": 0.25},
 )
 
 

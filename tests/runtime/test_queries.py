@@ -304,3 +304,30 @@ def test_the_count_of_drawn_crowds_is_calibrated() -> None:
         below = distribution[:count].sum()
         transforms.append(below + rng.random() * distribution[count])
     assert kstest(transforms, "uniform").pvalue > 0.01
+
+
+def test_velocities_are_measured_too(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = open_run(whole).metrics[-1]
+    assert set(line.state) == {"vx", "vy", "vx_sd", "vy_sd"}
+    speed = line.queries["speed"] / 25
+    assert np.hypot(line.state["vx"], line.state["vy"]) == pytest.approx(speed, abs=line.state["vx_sd"] * 2)
+    assert main(["export", str(whole), "--format", "frames"]) == 0
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert last["state"]["vx"] == pytest.approx(line.state["vx"])
+    table = open_run(whole).to_dict()
+    assert table["vx"][-1] == line.state["vx"] and table["vy_sd"][-1] == line.state["vy_sd"]
+
+
+def test_velocities_of_rows_are_those_of_their_lines() -> None:
+    from bayesnet_track.journal.frame_columns import lines_of
+    from bayesnet_track.runtime.recording.measured import measured
+
+    tracker = crowd({})
+    lines = tracker._now.metrics
+    columns = lines.columns()
+    assert columns is not None
+    back = list(lines_of(columns))
+    for line, other in zip(tracker.targets, back, strict=True):
+        assert line.state == pytest.approx(other.state)
+        assert set(line.state) >= {"vx", "vy_sd"}
+    assert measured(tracker.targets)[0]["state/vx"].shape == (4,)

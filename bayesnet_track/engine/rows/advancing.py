@@ -262,6 +262,9 @@ class FilteredGaussians:
         }
         if rule.crowd is not None:
             columns["existence"] = now.existence
+        sds = np.sqrt(np.maximum(np.diagonal(now.covariance, axis1=1, axis2=2), 0.0))
+        for place, name in enumerate(rule.motion.fields[4:], 4):
+            columns[f"state/{name}"], columns[f"state/{name}_sd"] = now.mean[:, place], sds[:, place]
         return columns
 
 

@@ -115,7 +115,7 @@ def _explain(message: GraphMessage, error: ExpressionError, query: Query) -> Gra
 def queries_have_their_own_names(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """No query has the name of a column of the run's tables, or of another query's numbers."""
     fields = {name for target in spec.targets.values() for name in fields_of(target)}
-    reserved = {*COLUMNS, *fields, *(f"sd_{name}" for name in fields)}
+    reserved = {*COLUMNS, *fields, *(f"{name}_sd" for name in fields)}
     numbers = {end: name for name, query in spec.queries.items() for end in query.further_names(name)}
     for name in spec.queries:
         path = ("queries", name)

@@ -181,9 +181,11 @@ class Run:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Columns of its table: `tables.TRACK_COLUMNS`, then the numbers that queries ask of a target."""
+        """Columns of its table: `tables.TRACK_COLUMNS`, velocities and own fields, numbers of queries."""
+        measured = dict.fromkeys(name for line in self.metrics for name in line.state)
+        fields = (name for name in measured if name not in TRACK_COLUMNS)
         asks = "\nqueries:" in self.graph_text
-        return (*TRACK_COLUMNS, *(query_columns(self.spec.queries) if asks else ()))
+        return (*TRACK_COLUMNS, *fields, *(query_columns(self.spec.queries) if asks else ()))
 
     def to_rows(self) -> list[Row]:
         """One row per live target and frame, with the columns of `columns`."""

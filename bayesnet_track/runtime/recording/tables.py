@@ -56,13 +56,16 @@ AGENT_COLUMNS = ("frame", "time_s", "target", "agent", "silent", "kl", "contribu
 
 
 def track_rows(
-    metrics: Iterable[FrameMetrics], kinds: Mapping[str, str], queries: Sequence[str] = ()
+    metrics: Iterable[FrameMetrics], kinds: Mapping[str, str], further: Sequence[str] = ()
 ) -> list[Row]:
-    """Rows of `TRACK_COLUMNS`, then of `queries`, numbers by name; `kinds` is target id -> plate."""
+    """Rows of `TRACK_COLUMNS`, then of `further` numbers by name: fields of the state, answers to queries.
+
+    `kinds` is target id -> plate.
+    """
     return [
         {name: get(line) for name, get in TRACK_COLUMNS.items()}
         | {"kind": kinds.get(line.target)}
-        | {name: line.queries.get(name) for name in queries}
+        | {name: line.state.get(name, line.queries.get(name)) for name in further}
         for line in metrics
     ]
 
