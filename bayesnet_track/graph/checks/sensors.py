@@ -258,6 +258,9 @@ def points_have_no_size(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(
                 name, found, "existence_below, or above: {ud_px2: ..}", key=("lost",), on_key=True
             )
+        if above.belief is not None and above.belief.grid is not None:
+            found = "a grid, whose cells lie on the frame, and the state is a point"
+            yield plate.message(name, found, "gaussian or particles", key=("belief",), on_key=True)
         if motion is not None:
             yield from _points_move(plate, name, motion)
 
