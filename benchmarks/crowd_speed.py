@@ -82,8 +82,8 @@ def graph_of(name: str) -> CheckedGraph:
     """A graph with room for all targets, its detections taken as they are."""
     written = load_graph(name).spec.model_dump(exclude_unset=True)
     (plate,) = written["targets"].values()
-    plate["birth"]["max_targets"] = 1000
-    plate["birth"]["detector"] = {"detections": {"max_count": 1000, "max_overlap": 1.0}}
+    plate["birth"]["max_targets"] = 10_000
+    plate["birth"]["detector"] = {"detections": {"max_count": 10_000, "max_overlap": 1.0}}
     return load_graph(written)
 
 

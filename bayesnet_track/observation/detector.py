@@ -49,7 +49,7 @@ class DetectorParameters(BaseModel):
         description="Of two boxes with a larger intersection over union only the better one is kept (0..1).",
     )
     max_count: int = Field(
-        default=32, ge=1, le=1000, description="Detections kept of a frame, the best (count)."
+        default=32, ge=1, le=10_000, description="Detections kept of a frame, the best (count)."
     )
 
 
@@ -61,7 +61,7 @@ class GivenParameters(DetectorParameters):
         default=1.0, gt=0, le=1, description="Largest area of a detection's box (share of the frame)."
     )
     max_count: int = Field(
-        default=1000, ge=1, le=1000, description="Detections kept of a frame, the best (count)."
+        default=10_000, ge=1, le=10_000, description="Detections kept of a frame, the best (count)."
     )
 
 

@@ -126,6 +126,21 @@ def test_everybody_in_a_crowd_is_tracked(graph):
     assert sorted(found) == list(range(1, 121))
 
 
+@pytest.mark.parametrize("max_overlap", [0.99, 1.0])
+def test_more_than_a_thousand_are_tracked_each_with_an_identity(max_overlap):
+    graph = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    graph["targets"]["target"]["birth"]["detector"] = {"detections": {"max_overlap": max_overlap}}
+    tracker = DetectionsTracker(load_graph(graph), size=(1600, 1600))
+    down, across = np.divmod(40.0 * np.arange(1200), 1600)
+    people = SimpleNamespace(
+        xyxy=np.stack([across, 50 * down, across + 20, 50 * down + 40], axis=1),
+        confidence=np.linspace(0.5, 0.9, 1200),
+    )
+    for _ in range(4):
+        found = tracker.update(people).tracker_id
+    assert sorted(found) == list(range(1, 1201))
+
+
 boxes_in_a_row = arrays(np.float64, st.tuples(st.integers(0, 8), st.just(4)), elements=st.integers(1, 12))
 
 

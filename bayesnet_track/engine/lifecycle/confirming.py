@@ -25,6 +25,7 @@ from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Continued, Returned
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import OBSERVED
@@ -69,18 +70,24 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
     done: list[Candidate] = []
     refused: list[Floats] = []
     compiled = now.work.engine.plates[now.plate]
+    live, boxes, count = len(tracks.of_plate(now.plate)), *_with_room(now, len(ready))
     for number, waiting in enumerate(ready):
         candidate = initiate(compiled, waiting)
         if candidate.is_far and candidate.mean is None:
             continue
-        held = tracks.boxes(tracks.held(now.plate))
-        if _is_one_of(now, candidate, held) or _continue(now, candidate):
+        if _is_one_of(now, candidate, boxes[:count]):
             done.append(waiting)
-        elif len(tracks.of_plate(now.plate)) >= most:
+        elif _continue(now, candidate):
+            done.append(waiting)
+            boxes, count = _with_room(now, len(ready))
+        elif live >= most:
             if not _is_one_of(now, candidate, np.array(refused).reshape(-1, 4)):
                 refused.append(candidate.box)
         else:
-            _start(now, candidate, nearest.get(number))
+            metrics = _start(now, candidate, nearest.get(number))
+            live += 1
+            if metrics.status != "lost":
+                boxes[count], count = metrics.centre_box, count + 1
             done.append(waiting)
     if refused:
         _refuse(now, len(refused))
@@ -90,6 +97,12 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
 def _is_one_of(now: Births, candidate: Candidate, boxes: Floats) -> bool:
     """True if a candidate is the object in one of the boxes (K, 4)."""
     return bool(alike(candidate.box[None], boxes, now.birth.min_distance_box, now.birth.covered).any())
+
+
+def _with_room(now: Births, more: int) -> tuple[Floats, int]:
+    """(K + more, 4) boxes of the live targets that are not lost, with room for those that start, and K."""
+    boxes = now.tracks.boxes(now.tracks.held(now.plate))
+    return np.concatenate([boxes, np.empty((more, 4))]), len(boxes)
 
 
 def _continue(now: Births, candidate: Candidate) -> bool:
@@ -112,8 +125,8 @@ def _continue(now: Births, candidate: Candidate) -> bool:
     return True
 
 
-def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:
-    """A net for a candidate: of an old target when it is recognised, else of a new one."""
+def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMetrics:
+    """A net for a candidate: of an old target when it is recognised, else of a new one; its first metrics."""
     tracks, frame, box = now.tracks, now.frame, candidate.box
     if nearest is not None and nearest.is_sure:
         target = nearest.recognition.target
@@ -151,6 +164,7 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> None:
     tracks.history = evolve(tracks.history, births={**tracks.history.births, target: candidate.birth})
     state = with_belief(born.state, candidate, now.work.engine.plates[now.plate].association_rules)
     tracks.add(target, state, start_record(state, frame.index, frame), born.metrics)
+    return born.metrics
 
 
 def with_belief(state: TargetState, candidate: Candidate, rules: Iterable[str]) -> TargetState:

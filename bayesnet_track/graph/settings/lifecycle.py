@@ -105,7 +105,7 @@ class Birth(Model):
     )
     every: FrameCount = Field(default=1, description="frames between runs of the detector")
     confirm: Confirm = Field(default=Confirm(), description="how often it is detected before it gets a net")
-    max_targets: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+    max_targets: Annotated[Whole, Field(ge=1, le=10_000)] = Field(
         default=20, description="live targets of this plate at most"
     )
     min_distance_box: NotNegative = Field(

@@ -163,7 +163,7 @@ def _at(box: tuple[float, float, float, float]) -> str:
     return f", centre {box[0]:.4g}, {box[1]:.4g}, {box[2]:.4g} x {box[3]:.4g} px"
 
 
-MOST_DETECTIONS = 1000
+MOST_DETECTIONS = 10_000
 """Detections of a frame that a graph can use."""
 
 

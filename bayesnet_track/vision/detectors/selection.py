@@ -157,13 +157,16 @@ def select(
     names = [""] * len(boxes) if labels is None else labels
     areas = (parameters.min_area_px, parameters.max_area_share * frame.width * frame.height)
     left = find_fitting(boxes, scores, (frame.width, frame.height), areas, parameters.min_score)
-    left = left[_best_first(boxes[left], scores[left])[:CANDIDATES]]
-    apart = left[keep_best(boxes[left], parameters.max_overlap, CANDIDATES)]
-    chosen = apart[: parameters.max_count]
+    left = left[_best_first(boxes[left], scores[left])]
+    if parameters.max_overlap < 1.0:
+        candidates = max(CANDIDATES, parameters.max_count)
+        left = left[:candidates]
+        left = left[keep_best(boxes[left], parameters.max_overlap, candidates)]
+    chosen = left[: parameters.max_count]
     if not len(chosen):
         return NOTHING
     kinds = tuple([str(names[k]) for k in chosen.tolist()])
-    return Detections(boxes[chosen], scores[chosen], kinds, len(apart) - len(chosen))
+    return Detections(boxes[chosen], scores[chosen], kinds, len(left) - len(chosen))
 
 
 def _best_first(boxes: Floats, scores: Floats) -> NDArray[np.int64]:
