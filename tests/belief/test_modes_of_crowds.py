@@ -19,9 +19,12 @@ from bayesnet_track.belief.motion.averaged import without_modes
 from bayesnet_track.belief.motion.modes import FIELD, moments_of
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.compiled import make_plate_motion
+from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.existing import _in_modes
+from bayesnet_track.engine.lifecycle.sensing import BoxSensor
 from bayesnet_track.graph import spec
 from bayesnet_track.inference.hidden import Sight
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule, Measurement
 
 BOXES = np.array([[66.0, 92.0, 20.0, 21.0], [48.0, 90.0, 19.0, 20.0]])
@@ -114,7 +117,8 @@ def test_pairs_weigh_a_detection_by_all_modes_in_which_it_can_be_seen(before):
         w for (k, j), (w, _, _) in pairs.items() if j == 1
     )
     several = Pairs(np.array([0, 0]), np.array([0, 1]), np.zeros(2))
-    values = _in_modes(RULE, several, {0: expected}, BOXES).values
+    found = evolve(Found.none(), values=BOXES, scores=np.ones(2), numbers=np.arange(2))
+    values = _in_modes(BoxSensor(RULE), several, {0: expected}, found).values
     assert values[0] - values[1] == pytest.approx(np.log(seen), abs=1e-9)
     chain = motion.chain.over(1.0)
     assert expected.visible == pytest.approx(float((prior.mode_probabilities @ chain)[:2].sum()))

@@ -112,9 +112,11 @@ REFUSED = {
         ),
         "unknown name 'parent.shoulder'; allowed: parent.x,",
     ),
-    "a point without a size": (
-        HEAD + "targets:\n  a:\n    state: point\n    nodes:\n      a: {motion: {random_walk: {}}}\n",
-        "state is 'point'; allowed: box",
+    "a point without detections": (
+        HEAD + "targets:\n  a:\n    state: point\n    nodes:\n"
+        "      a: {belief: {gaussian: {filter: extended}}, motion: {random_walk: {sd_px: {x: 3, y: 3}}}}\n"
+        f"      {SEEN}\n",
+        "state: point without an agent that is given detections, with which a point starts; allowed: an agent",
     ),
     "a team as two modes": (
         model(
