@@ -116,7 +116,7 @@ REFUSED = {
         HEAD + "targets:\n  a:\n    state: point\n    nodes:\n"
         "      a: {belief: {gaussian: {filter: extended}}, motion: {random_walk: {sd_px: {x: 3, y: 3}}}}\n"
         f"      {SEEN}\n",
-        "state: point without an agent that is given detections, with which a point starts; allowed: an agent",
+        "state: point without an agent that is given detections, with which a point starts; allowed: an",
     ),
     "a team as two modes": (
         model(
