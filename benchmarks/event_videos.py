@@ -107,18 +107,29 @@ def leave(sequence: Sequence, coin: random.Random) -> EventVideo | None:
 def cover(sequence: Sequence, coin: random.Random) -> EventVideo:
     """A patch of the colour that is farthest from the target's slides over it, and away again."""
     images, truth = _cut(sequence, BEFORE + SLIDE + AWAY + SLIDE + AFTER)
-    colour = _farthest(images[0], truth[0])
-    grain = np.random.default_rng(coin.randrange(2**32))
-    side = coin.choice((-1, 1))
     inside = np.linspace(1.3, 0.0, SLIDE + 1)[1:]
     offsets = [*inside, *[0.0] * (AWAY - 2), *-inside[::-1], -1.3]
     hidden = np.zeros(len(images), np.bool_)
-    for index, offset in enumerate(offsets, start=BEFORE):
+    hidden[cover_target(images, truth, BEFORE, offsets, coin)] = True
+    return EventVideo(sequence.name, images, truth, hidden, np.full(truth.shape, np.nan))
+
+
+def cover_target(
+    images: list[Image], truth: Boxes, first: int, offsets: list[float], coin: random.Random
+) -> list[int]:
+    """Fill a patch into the images from the `first` on, so many box widths beside the target.
+
+    Returned are the frames in which it hides the target.
+    """
+    colour = _farthest(images[0], truth[0])
+    grain = np.random.default_rng(coin.randrange(2**32))
+    side, covered = coin.choice((-1, 1)), []
+    for index, offset in enumerate(offsets, start=first):
         x, y, w, h = truth[index]
         left, top = x - 0.15 * w + side * offset * w, y - 0.15 * h
         _fill(images[index], (left, top, 1.3 * w, 1.3 * h), colour, grain)
-        hidden[index] = offset == 0.0
-    return EventVideo(sequence.name, images, truth, hidden, np.full(truth.shape, np.nan))
+        covered += [index] if offset == 0.0 else []
+    return covered
 
 
 def darken(sequence: Sequence, coin: random.Random) -> EventVideo:
