@@ -241,7 +241,7 @@ def main() -> None:
     options = parser.parse_args()
     halves = HALVES if options.half == "both" else [options.half]
     for half in halves:
-        sequences = find_sequences(options.data_folder, HALVES[half], 150)
+        sequences = find_sequences(options.data_folder, list(HALVES[half]), 150)
         for video in make_videos(options.kind, sequences, len(sequences), options.seed):
             write_video(video, options.out_folder / f"{video.sequence}_{options.kind.replace(' ', '_')}")
 

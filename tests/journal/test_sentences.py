@@ -75,6 +75,7 @@ from bayesnet_track.journal.events.statuses import (
     DistractorSeen,
     DoubtEnded,
     FoundAgain,
+    Regained,
     SceneCut,
     StatusChanged,
 )
@@ -640,6 +641,18 @@ GOLDEN = [
         "frame 50: target 1, missing since frame 20, recognised 31.4 px from where it was held: 0.82 of its "
         "usual fit ≥ 0.4, the last of 3 frames, score 0.91 ≥ 0.55; would have stayed missing at "
         "found_fit > 0.53",
+    ),
+    (
+        Regained(50, "1", 3, 0.6751, 0.55, 0.55, 0.5731, 0.00376, 0.05, 0.00808, 0.0237, 0.05, None),
+        "frame 50: agents and verifiers agree on where target 1 is for 3 frames: score without its limits "
+        "0.675 ≥ 0.55, UD 0.00376 × box area ≤ 0.05 → its fit 0.0237 of 0.05 no longer limits the score; "
+        "would have stayed so at regain.score_above > 0.574 or regain.ud_box < 0.00808",
+    ),
+    (
+        Regained(50, "1", 3, 0.81, 0.742, 0.55, 0.62, 0.004, 0.05, 0.0081, 0.024, 0.05, 20),
+        "frame 50: agents and verifiers agree on where target 1, missing since frame 20, is for 3 frames: "
+        "score without its limits 0.81 ≥ 0.742, UD 0.004 × box area ≤ 0.05 → its fit 0.024 of 0.05 no longer "
+        "limits the score; would have stayed so at regain.score_above > 0.62 or regain.ud_box < 0.0081",
     ),
     (
         SceneCut(50, "1", 0.83, 0.25, 0.9, 0.765),

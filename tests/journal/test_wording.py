@@ -14,6 +14,7 @@ from bayesnet_track.journal.events.statuses import (
     DistractorSeen,
     DoubtEnded,
     FoundAgain,
+    Regained,
     StatusChanged,
 )
 from bayesnet_track.journal.events.switches import Activated, LocallyAdapted
@@ -89,6 +90,7 @@ def test_the_life_of_a_target_has_what_explains_its_statuses():
         AlarmRaised(12, "1", 21.0, 0.05, 10, 25),
         AlarmEnded(14, "1"),
         FoundAgain(20, "1", 0.82, 0.4, 0.25, 3, 0.53, 15, 31.4),
+        Regained(21, "1", 3, 0.675, 0.55, 0.55, 0.573, 0.004, 0.05, 0.0081, 0.024, 0.05, 15),
         Reappeared(*(21, "1", "agents", 9, 0.93, 0.5, 0.1, 0.008, 210.4, 84.2, 95.2, 5120.0, 1024.0)),
         VerifierFailed(22, "1", "texture", "raised ValueError"),
     ]

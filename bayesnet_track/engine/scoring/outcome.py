@@ -20,6 +20,8 @@ from bayesnet_track.engine.scoring.rivals import (
     with_distractor,
 )
 from bayesnet_track.engine.scoring.score import (
+    SAYS_NOTHING,
+    Agreement,
     Place,
     ScoreState,
     Sighting,
@@ -29,8 +31,9 @@ from bayesnet_track.engine.scoring.score import (
     most,
     probability,
 )
+from bayesnet_track.graph.settings.adapt import Regain
 from bayesnet_track.graph.settings.scores import Alarm, Guarantee
-from bayesnet_track.graph.spec import Distractors, InferenceNode
+from bayesnet_track.graph.spec import Distractors, InferenceNode, Logistic
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.statuses import (
@@ -40,6 +43,7 @@ from bayesnet_track.journal.events.statuses import (
     DistractorSeen,
     DoubtEnded,
     FoundAgain,
+    Regained,
 )
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import kl
@@ -179,7 +183,9 @@ def score_target(work: FrameContext, filtered: Filtered, box: Floats, measures: 
         scored, distractor, ended = _follow_distractors(
             work, filtered, root.distractors, box, measures, scored
         )
-    bound = most(rule, measures.fit, scored.doubt)
+    scored, regained = _follow_agreement(work, filtered, root, box, measures, scored)
+    free = root.lost is not None and _is_regained(scored, root.lost.regain)
+    bound = most(rule, max(measures.fit, rule.full_fit) if free else measures.fit, scored.doubt)
     if filtered.modes is not None and filtered.modes.hidden is not None:
         bound = min(bound, 1.0 - filtered.modes.hidden)
     score = min(probability(rule, scored.features(rule)), bound)
@@ -190,7 +196,7 @@ def score_target(work: FrameContext, filtered: Filtered, box: Floats, measures: 
         bound = min(bound, most_now)
         score = min(score, bound)
     scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
-    notices = (*notices, *(one for one in (found, ended) if one is not None))
+    notices = (*notices, *(one for one in (found, regained, ended) if one is not None))
     if score >= HELD and not unfit:
         verified = verification.follow(verified)
     scored, notices = evolve(scored, references=verified.references), (*notices, *verified.failed)
@@ -245,3 +251,100 @@ def _follow(
         scored, notice = judge_alarm(before, with_evidence(scored, score, frame), root.alarm, frame, target)
         notices.append(notice)
     return scored, tuple(notice for notice in notices if notice is not None)
+
+
+# ------------------------------------------------------------------------------------ the way back
+#
+# After an event the references are those of before, so that the target fits worse than usual. The score is
+# bounded by the fit then, references do not learn, and the fit stays poor. What agents and verifiers agree on
+# for some frames ends that: the bound is gone, the target is missing no longer, and references learn again.
+
+FAR_BOX = 1.0
+"""Box sides beyond the first from which on distance asks for no more: the root of the level counts there."""
+
+LEAST_FIT = 0.2
+"""Share of `full_fit` below which nothing is there that could be agreed on."""
+
+STEADY_BOX = 0.5
+"""Box sides by which the estimate may move from one of these frames to the next."""
+
+
+@dataclass(frozen=True)
+class Localized:
+    """A sighting, and how sure the belief is of the place.
+
+    Attributes:
+        look: its appearance; its score does not count here.
+        ud_box: UD as a share of the estimate's area.
+        full_fit: fit below which the score is bounded.
+    """
+
+    look: Sighting
+    ud_box: float
+    full_fit: float
+
+
+def _is_regained(scored: ScoreState, rule: Regain | None) -> bool:
+    """True while the agreement has lasted long enough, so that the fit does not bound the score."""
+    return rule is not None and scored.agreement is not None and scored.agreement.frames >= rule.frames
+
+
+def _unbounded_score(logistic: Logistic, scored: ScoreState, ud_box: float) -> float:
+    """The score without its bounds, by the UD of this frame: none of it is kept from before the event."""
+    features = scored.features(logistic)
+    return probability(logistic, {**features, "log_ud_box": math.log(max(ud_box, 1e-9))})
+
+
+def follow_agreement(
+    scored: ScoreState, rule: Regain, logistic: Logistic, localized: Localized
+) -> tuple[ScoreState, Regained | None]:
+    """Memory with the agreement of one frame more, and the event of the frame from which on it counts.
+
+    It begins in a frame in which the target is not tracked, and lasts for as long as agents and verifiers
+    agree. More than one box side from where a missing target was held a higher score is asked for. Nothing is
+    agreed on where the frame shows nothing, or while a look-alike limits the score.
+    """
+    look, before = localized.look, scored.agreement
+    share = 1.0 / (1.0 + min(max(_moved_box(scored, look) - 1.0, 0.0), FAR_BOX))
+    score, level = _unbounded_score(logistic, scored, localized.ud_box), rule.score_above**share
+    shows = look.surprise >= SAYS_NOTHING and look.fit >= LEAST_FIT * localized.full_fit and not scored.doubt
+    agrees = shows and score >= level and localized.ud_box <= rule.ud_box
+    if not agrees or (before is None and look.status == "tracking"):
+        return (scored if before is None else evolve(scored, agreement=None)), None
+    turning, ud_box, frames = score ** (1.0 / share), localized.ud_box, 1
+    if before is not None and math.hypot(look.x - before.x, look.y - before.y) <= STEADY_BOX * look.side_px:
+        turning, ud_box = min(turning, before.score_above), max(ud_box, before.ud_box)
+        frames = before.frames + 1
+    scored = evolve(scored, agreement=Agreement(look.x, look.y, frames, turning, ud_box))
+    if frames < rule.frames:
+        return scored, None
+    event = None
+    if frames == rule.frames and (look.fit < localized.full_fit or scored.missing is not None):
+        since = scored.missing
+        levels = (score, level, rule.score_above, turning, localized.ud_box, rule.ud_box, ud_box)
+        event = Regained(look.frame, look.target, frames, *levels, look.fit, localized.full_fit, since)
+    return evolve(scored, missing=None, again=(), low=0), event
+
+
+def _moved_box(scored: ScoreState, look: Sighting) -> float:
+    """Distance from where a missing target was held, box sides; 0 of one that is not missing."""
+    if scored.missing is None or not scored.place:
+        return 0.0
+    return math.hypot(look.x - scored.place[0], look.y - scored.place[1]) / look.side_px
+
+
+def _follow_agreement(
+    work: FrameContext,
+    filtered: Filtered,
+    root: InferenceNode,
+    box: Floats,
+    measures: Measures,
+    scored: ScoreState,
+) -> tuple[ScoreState, Regained | None]:
+    """With the agreement of agents and verifiers on where the target is, where the graph asks for it."""
+    if root.score is None or root.lost is None or root.lost.regain is None:
+        return scored, None
+    rule, ud_px2 = root.score.settings, measures.ud_px2[filtered.plan.root]
+    look = _look(work, filtered, box, 0.0, measures.fit)
+    localized = Localized(look, ud_px2 / max(measures.area_px2, 1.0), rule.full_fit)
+    return follow_agreement(scored, root.lost.regain, rule, localized)

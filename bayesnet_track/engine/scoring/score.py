@@ -147,6 +147,20 @@ MARGINAL_POINTS = 32
 
 
 @dataclass(frozen=True)
+class Agreement:
+    """Agreement on one place, at last at `x`, `y` px, in so many `frames` in a row.
+
+    All of them would count up to a level `score_above`, and down to a level `ud_box`.
+    """
+
+    x: float
+    y: float
+    frames: int
+    score_above: float
+    ud_box: float
+
+
+@dataclass(frozen=True)
 class ScoreState:
     """Memory of the score of a target.
 
@@ -168,6 +182,7 @@ class ScoreState:
         missing: frame since which nothing is seen that fits as the target did; None while something is.
         again: largest `found_fit` at which each of the last consecutive frames that show it would still do.
         place: x and y of the last estimate while it was held, px; empty before there is one.
+        agreement: agreement on one place while it is not tracked; None without any.
         references: verifier -> what it remembers; empty of one that failed.
         unfit: whether nothing fitted in the last frame, so that the score was bounded by `full_fit`.
     """
@@ -189,6 +204,7 @@ class ScoreState:
     missing: int | None = None
     again: tuple[float, ...] = ()
     place: tuple[float, ...] = ()
+    agreement: Agreement | None = None
     references: Mapping[str, Reference] = field(default_factory=dict)
     unfit: bool = False
 

@@ -200,6 +200,13 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
         if low is None and rule.found_fit is not None:
             found = "lost.found_fit without lost.score_below"
             yield plate.message(name, found, "both, or none", key=("lost", "found_fit"), on_key=True)
+        if low is None and rule.regain is not None:
+            found = "lost.regain without lost.score_below"
+            yield plate.message(name, found, "both, or none", key=("lost", "regain"), on_key=True)
+        by_fit = node.score is not None and node.score.settings.full_fit > 0.0
+        if low is not None and rule.regain is not None and rule.found_fit is None and not by_fit:
+            found = "lost.regain has no effect: neither full_fit of score nor lost.found_fit limits the score"
+            yield plate.message(name, found, "one of these", key=("lost", "regain"), on_key=True)
         if low is not None and rule.above != Lost().above:
             found = "lost.above has no effect: with score_below the score alone says when the target is lost"
             yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)

@@ -206,6 +206,23 @@ class Learn(Model):
     )
 
 
+class Regain(Model):
+    """After an event, agents and verifiers that agree on one place count more than a poor fit.
+
+    While the target is not tracked and both hold for `frames` frames in a row, at a place that moves by less
+    than half a box side a frame, the score is not bounded by `full_fit`, and a target that is missing
+    (`found_fit`) is found. References are those of before the event: they learn again, as the score allows.
+    """
+
+    score_above: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.55,
+        description="the score without its bounds has to reach this, and its root two box sides or more from "
+        "where the target was held",
+    )
+    ud_box: Positive = Field(default=0.05, description="largest UD, as a share of the estimate's area")
+    frames: FrameCount = Field(default=3, description="consecutive frames in which both have to hold")
+
+
 class Lost(Model):
     """The target is lost when UD is above a threshold or nothing fits, until neither has held for as long.
 
@@ -240,5 +257,10 @@ class Lost(Model):
         description="distance of a frame from the one before it, in colours and structure, above which the "
         "scene was cut: the target is lost at once and, with `relocalize`, searched for in the whole frame; "
         "0.3 is a good value; default: cuts are not noticed",
+    )
+    regain: Regain | None = Field(
+        default=None,
+        description="agreement of agents and verifiers on one place that ends a loss although the fit is "
+        "still poor; needs `score_below`, and `full_fit` or `found_fit`; default: only the fit does",
     )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")

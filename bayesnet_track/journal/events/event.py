@@ -52,6 +52,7 @@ Event = (
     | statuses.AlarmRaised
     | statuses.AlarmEnded
     | statuses.FoundAgain
+    | statuses.Regained
     | lives.CandidateConfirmed
     | lives.BirthsRefused
     | lives.DetectorFailed

@@ -100,6 +100,56 @@ class FoundAgain:
 
 
 @dataclass(frozen=True)
+class Regained:
+    """Agents and verifiers agree on one place: a poor fit to references of before no longer limits the score.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        frames: consecutive frames that showed it.
+        score: of the last of them, without its bounds.
+        score_level: score that was required at this distance from where the target was held.
+        score_above: score that is required at no distance.
+        turning_score: largest `score_above` with which all of them would have shown it.
+        ud_box: UD in the last of them, as a share of the estimate's area.
+        ud_level: largest UD that shows it.
+        turning_ud: smallest such level with which all of them would have shown it.
+        fit: likelihood of the best hypothesis in the last of them.
+        full_fit: fit below which the score was limited.
+        missing_since: frame since which the target was missing; None when it was not.
+    """
+
+    frame: int
+    target: str
+    frames: int
+    score: float
+    score_level: float
+    score_above: float
+    turning_score: float
+    ud_box: float
+    ud_level: float
+    turning_ud: float
+    fit: float
+    full_fit: float
+    missing_since: int | None = None
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        score, level = distinct_texts(self.score, self.score_level)
+        ud, most = distinct_texts(self.ud_box, self.ud_level)
+        highest = round_away(self.turning_score, decimals(self.turning_score, self.score_above), up=True)
+        lowest = round_away(self.turning_ud, decimals(self.turning_ud, self.ud_level), up=False)
+        missing = "" if self.missing_since is None else f", missing since frame {self.missing_since},"
+        numbers = f"score without its limits {score} ≥ {level}, UD {ud} × box area ≤ {most}"
+        effect = f"its fit {self.fit:.3g} of {self.full_fit:.3g} no longer limits the score"
+        return (
+            f"agents and verifiers agree on where target {self.target}{missing} is for "
+            f"{plural(self.frames, 'frame')}: {numbers} → {effect}; would have stayed so at "
+            f"regain.score_above > {highest} or regain.ud_box < {lowest}"
+        )
+
+
+@dataclass(frozen=True)
 class SceneCut:
     """A frame shows another scene than the one before it: the target is lost from this frame on.
 

@@ -126,6 +126,7 @@ CHAPTERS = (
     # What limits the score or frees it, withholds the status, or finds the target: a status has a cause.
     statuses.DistractorSeen,
     statuses.DoubtEnded,
+    statuses.Regained,
     statuses.AssuranceChanged,
     statuses.AlarmRaised,
     statuses.AlarmEnded,
