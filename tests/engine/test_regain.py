@@ -11,7 +11,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.engine.scoring.outcome import Localized, follow_agreement
 from bayesnet_track.engine.scoring.score import Agreement, ScoreState, Sighting
 from bayesnet_track.graph.settings.adapt import Regain
-from bayesnet_track.graph.spec import Logistic
+from bayesnet_track.graph.spec import GraphSpec, Logistic
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.statuses import Regained
 
@@ -42,7 +42,7 @@ def track(regain, paint=(60, 140, 200)):
     lost.pop("regain")
     if regain is not None:
         lost["regain"] = regain
-    tracker, said, events = Tracker(spec, seed=1), None, []
+    tracker, said, events = Tracker(GraphSpec.model_validate(spec), seed=1), None, []
     for index, (image, box) in enumerate(video(paint)):
         if index == 0:
             tracker.init(image, box)
@@ -113,7 +113,7 @@ def test_a_regain_without_anything_to_end_is_refused():
     node = spec["targets"]["target"]["nodes"]["target"]
     node["lost"].pop("found_fit")
     node["motion"]["random_walk"]["relocalize"].pop("sudden")
-    Tracker(spec)
+    Tracker(GraphSpec.model_validate(spec))
     node["score"]["logistic"].pop("full_fit")
     with pytest.raises(ValueError, match=r"lost\.regain has no effect: neither full_fit of score nor"):
-        Tracker(spec)
+        Tracker(GraphSpec.model_validate(spec))
