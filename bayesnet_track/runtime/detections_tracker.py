@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from os import PathLike
 from typing import Any, ClassVar, Never
@@ -23,8 +22,8 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation.cue import OWN_DETECTION
-from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
-from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.scans import Scan
 from bayesnet_track.runtime.arguments import say_unused_by_cues, whole
 from bayesnet_track.runtime.given_scans import read_scans, sensors_of
@@ -32,6 +31,7 @@ from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
 from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, image_users, refuse_unknown
 from bayesnet_track.runtime.updates.given_detections import read_given
+from bayesnet_track.runtime.updates.rehearsal import Fed, rehearse_detections
 from bayesnet_track.runtime.updates.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
@@ -44,23 +44,6 @@ LEAST_OVERLAP = 0.3
 USUAL_SIZE = (1920, 1080)
 
 ANEW = "call reset()"
-
-
-@dataclass
-class _Fed:
-    """A detector that finds what it is given."""
-
-    now: Detections = field(default=NOTHING)
-    scanned: Mapping[str, Scan] = field(default_factory=dict)
-
-    def start(self) -> DetectorState:
-        return {}
-
-    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
-        return self.now, state
-
-    def scans(self, frame: Frame) -> Mapping[str, Scan]:
-        return self.scanned
 
 
 class DetectionsTracker(Storable):
@@ -104,6 +87,7 @@ class DetectionsTracker(Storable):
         self._levels = Levels("frame 0", value_range_of(value_range))
         self._renew_engine()
         self._users = image_users(self._engine)
+        rehearse_detections(self._graph, self._seed, owners)
         self._now: Standing | None = None
         self._own = frozenset({*vars(self), "_own"})
 
@@ -125,7 +109,7 @@ class DetectionsTracker(Storable):
 
     def _renew_engine(self) -> None:
         self._sensors = sensors_of(self._graph)
-        self._fed = _Fed()
+        self._fed = Fed()
         self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
 
     @property

@@ -34,6 +34,7 @@ from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
 from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, refuse_unknown
+from bayesnet_track.runtime.updates.rehearsal import rehearse_boxes
 from bayesnet_track.runtime.updates.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.view.overlay import draw_targets
@@ -177,6 +178,8 @@ class Tracker(HasBox, Storable):
                 )
             placed = [resizing.start(one) for one in starts]
             engine = self._make(resizing.graph(self._graph)) if self._graph.masks else self._engine
+            if depth is None and not self._has_own_motion:
+                rehearse_boxes(self._graph, engine, placed, resizing.frame(first))
             begun = start_targets(self._graph, engine, resizing.frame(first), placed)
             check_started(self._graph, begun)
             shown = resizing.outcome(begun)

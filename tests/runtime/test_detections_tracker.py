@@ -286,3 +286,15 @@ def test_what_is_no_frame_is_refused():
     for frame, message in (("frame.png", "not str"), (np.zeros((480, 640)), "float64 values of shape")):
         with pytest.raises(ValueError, match=message):
             tracker.update(SimpleNamespace(xyxy=TWO), frame)
+
+
+def test_several_targets_that_a_detector_finds_again_are_tracked():
+    """The detector's parameters are part of the motion, and targets of the same motion are moved together."""
+    plain = yaml.safe_load(load_graph("kalman_detections").text)
+    node = plain["targets"]["target"]["nodes"]["target"]
+    node["belief"] = {"particles": {"size": 50}}
+    node["motion"]["constant_velocity"] |= LOOKING["relocalize by a detector"][1]
+    tracker, image = DetectionsTracker(plain), np.zeros((480, 640, 3), np.uint8)
+    for _ in range(6):
+        found = tracker.update(SimpleNamespace(xyxy=TWO), image)
+    assert found.tracker_id.tolist() == [1, 2]

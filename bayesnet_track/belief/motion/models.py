@@ -158,8 +158,8 @@ class KinematicMotion:
         return self._hash
 
     @cached_property
-    def _hash(self) -> int:  # once: that of settings takes longer than what is looked up by it
-        return hash((self.noise, self.dynamics, self.diffusion, self.start_sd, self.leaves_image))
+    def _hash(self) -> int:  # without the noise: its settings may name a detector, whose parameters have none
+        return hash((self.dynamics, self.diffusion, self.start_sd, self.leaves_image))
 
     @cached_property
     def noisy_columns(self) -> NDArray[np.intp]:

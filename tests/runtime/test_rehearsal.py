@@ -1,0 +1,116 @@
+"""After a live tracker is made, no frame imports a module, and none compiles or loads a kernel."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bayesnet_track import DetectionsTracker, Tracker, load_graph
+from bayesnet_track.runtime.updates import rehearsal
+
+LATE = """
+import gc, json, sys, warnings
+import numpy as np
+from types import SimpleNamespace
+from numba.core.dispatcher import Dispatcher
+from bayesnet_track import DetectionsTracker, Start, Tracker, load_graph
+warnings.simplefilter("ignore")
+graph = load_graph(sys.argv[1])
+rng = np.random.default_rng(4)
+
+def kernels():
+    found = (one for one in gc.get_objects() if isinstance(one, Dispatcher))
+    return {(one.py_func.__qualname__, str(types)) for one in found for types in one.overloads}
+
+def detections(frame):
+    x, y = 20 + 60.0 * np.arange(12) + frame, 40 + 10 * np.arange(12)
+    boxes = np.stack([x, y, x + 30, y + 70], axis=1)[rng.random(12) < 0.9]
+    boxes[0, :2] = 0
+    return SimpleNamespace(xyxy=boxes, confidence=np.full(len(boxes), 0.9), data={})
+
+texture = rng.integers(0, 256, (240, 320, 3), dtype=np.uint8)
+
+def picture(frame):
+    image, x = texture.copy(), 60 + 3 * frame
+    if not 25 <= frame < 40:
+        image[100:140, x : x + 40] = (20, 40, 220)
+    return image
+
+if sys.argv[2] == "detections":
+    tracker = DetectionsTracker(graph, size=(900, 400))
+    update = lambda frame: tracker.update(detections(frame))
+else:
+    tracker = Tracker(graph)
+    tracker.init(picture(0), Start((60, 100, 40, 40), next(iter(graph.targets))))
+    update = lambda frame: tracker.update(picture(frame))
+before = set(sys.modules), kernels()
+for frame in range(1, 61):
+    update(frame)
+print(json.dumps([sorted(set(sys.modules) - before[0]), sorted(name for name, _ in kernels() - before[1])]))
+"""
+
+DETECTIONS = ("bytetrack", "jpda", "kalman_detections", "oc_sort", "sort")
+DRAWN = (
+    "adaptive", "bouncing_square", "carried_box", "color_fusion", "crowd",
+    "falling_ball", "general", "gray_square", "grid_displacement", "hidden_ball", "kalman_ball",
+    "orange_and_gray", "person_leaning", "person_levels", "person_parts", "radar_ball", "road", "road_mask",
+    "two_colors", "two_squares", "two_squares_velocity",
+)  # fmt: skip
+
+
+def late(graph, kind):
+    """Modules and kernels that frames 1 to 60 needed first, in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", LATE, graph, kind], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout.strip().splitlines()[-1]
+
+
+def test_no_frame_of_a_crowd_imports_or_compiles():
+    assert late("kalman_detections", "detections") == "[[], []]"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("graph", DETECTIONS)
+def test_no_frame_of_detections_imports_or_compiles(graph):
+    assert late(graph, "detections") == "[[], []]"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("graph", DRAWN)
+def test_no_frame_of_drawn_pictures_imports_or_compiles(graph):
+    assert late(graph, "pictures") == "[[], []]"
+
+
+def test_what_is_made_up_leaves_nothing_behind(monkeypatch):
+    """The same results, whether it was rehearsed or not."""
+    found = []
+    for rehearsed in (True, False):
+        monkeypatch.setattr(rehearsal, "_done", set())
+        if not rehearsed:
+            monkeypatch.setattr(rehearsal, "_rehearse", lambda *given: iter(()))
+        tracker = Tracker("two_squares", seed=3)
+        image = np.random.default_rng(2).integers(0, 256, (96, 128, 3), dtype=np.uint8)
+        tracker.init(image, (30, 30, 24, 24))
+        found.append([tracker.update(np.roll(image, n, axis=1)) for n in range(1, 5)])
+    assert found[0] == found[1]
+
+
+def test_it_is_rehearsed_once_for_a_graph_and_never_with_cues_of_the_users_own(monkeypatch):
+    monkeypatch.setattr(rehearsal, "_done", set())
+    frames = []
+    monkeypatch.setattr(
+        rehearsal, "_frame", lambda *given, made=rehearsal._frame: frames.append(1) or made(*given)
+    )
+    for _ in range(2):
+        DetectionsTracker("kalman_detections")
+    assert len(frames) == rehearsal.FRAMES
+    engine = Tracker("two_squares")._engine
+    (cue,) = [one for plate in engine.plates.values() for name, one in plate.cues.items() if name == "color"]
+    monkeypatch.setattr(type(cue), "__module__", "a_cue_of_my_own")
+    rehearsal.rehearse_boxes(
+        load_graph("two_squares"), engine, [], rehearsal._frame(0, rehearsal._Look((64, 48), True))
+    )
+    assert len(frames) == rehearsal.FRAMES + 1
