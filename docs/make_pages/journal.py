@@ -208,7 +208,8 @@ alone.
 
 - Events and fields are added without a new version. An added field has a default value, so that earlier files
   stay readable. An earlier program refuses a line that it does not know.
-- No event or field is removed or renamed, and none gets another type, unit or meaning. If one must, the
+- No event or field is removed or renamed, and none gets another type, unit or meaning; one may get a further
+  kind of value. If one must, the
   version goes up by one.
 - A run of another version of the format is refused (exit code 4) with the program version that wrote it:
   install that one to read it.

@@ -146,7 +146,7 @@ def test_lines_are_made_when_the_first_is_asked_for_and_once():
 def test_lines_of_several_groups_come_in_the_order_of_the_targets():
     one, other = Group(b=[0] * 4, l=[1] * 4), Group(a=[2] * 4)
     lines = Lines([one, other], ["a", "b", "l"])
-    born = SimpleNamespace(target="n", centre_box=(3.0,) * 4, status="tracking")
+    born = SimpleNamespace(target="n", centre_box=(3.0,) * 4, status="tracking", is_gone=False)
     more = lines.with_born([born])
     assert [*more.ids] == ["a", "b", "l", "n"] and len(lines) == 3 and len(more) == 4
     assert more.places.boxes[:, 0].tolist() == [2, 0, 1, 3]

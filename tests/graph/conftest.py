@@ -391,7 +391,13 @@ def everything() -> dict[str, Any]:
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
             "learn": {"below": {"ud_baseline": 2}, "guard": {}},
-            "lost": {"frames": 9, "score_below": 0.25, "uncertain_below": 0.6},
+            "lost": {
+                "frames": 9,
+                "score_below": 0.25,
+                "uncertain_below": 0.6,
+                "found_fit": 0.4,
+                "regain": {"score_above": 0.6, "ud_box": 0.1, "frames": 4},
+            },
             "score": {
                 "logistic": {
                     "bias": -1.5,

@@ -163,10 +163,12 @@ SYSTEM = "the operating system or the installation"
 _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         RUN: (
+            "cli.batch.results.Ledger._read",
             "cli.batch.results.read_table",
             "evaluate.runs._has_end",
             "journal.frame_file.FrameFile.__init__",
             "journal.frame_file.FrameFile.columns",
+            "journal.frame_file.FrameFile.contents",
             "journal.reader._read",
             "journal.timings.read_seconds",
             "journal.writer.read_position",
@@ -205,6 +207,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "numerics.compiled.is_whole",
         ),
         SYSTEM: (
+            "cli.batch.places._memory",
             "cli.commands.graphs.init",
             "cli.doctor.check_package",
             "cli.doctor.installed",
@@ -332,6 +335,15 @@ FILES = (
         "a missing column, more cells than columns, two values for one frame, a frame that is no whole "
         "number",
         "a decimal comma, or digits in groups: refused in a file with commas",
+    ),
+    Entrance(
+        "polygons of queries",
+        "`polygon` of a `count`",
+        ("graph.checks.queries: _read_polygon",),
+        "nothing: all of it is used",
+        "no file, or one that is too large or no text; a row that is not two finite numbers; fewer than three "
+        "corners, or corners without an area",
+        "none: a first line of names is left out",
     ),
     Entrance(
         "masks and templates",
