@@ -148,7 +148,9 @@ boxes_in_a_row = arrays(np.float64, st.tuples(st.integers(0, 8), st.just(4)), el
 def test_the_best_overlaps_come_first(boxes, places, data):
     statuses = data.draw(st.lists(st.sampled_from(["tracking", "lost"]), min_size=8, max_size=8))
     targets = [
-        SimpleNamespace(target=str(number + 1), centre_box=tuple(place), status=status, is_gone=status == "lost")
+        SimpleNamespace(
+            target=str(number + 1), centre_box=tuple(place), status=status, is_gone=status == "lost"
+        )
         for number, (place, status) in enumerate(zip(places, statuses, strict=False))
     ]
     held = [one for one in targets if one.status != "lost"]

@@ -341,7 +341,7 @@ FILES = (
         "`polygon` of a `count`",
         ("graph.checks.queries: _read_polygon",),
         "nothing: all of it is used",
-        "no file, or one that is too large or no text; a row that is not two finite numbers; fewer than three "
+        "no file, or one that is too large or no text; a row that is not two finite numbers; fewer than 3 "
         "corners, or corners without an area",
         "none: a first line of names is left out",
     ),
