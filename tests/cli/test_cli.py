@@ -558,15 +558,22 @@ MISTAKES = {
         "bayesnet-track run: --truth {wrong}/none: No such file or directory; expected a text file with one "
         "box x,y,w,h per line, or MOT lines",
     ),
+    "run general --init 1,2,3,4 --out {out}": (
+        2,
+        "bayesnet-track run: no source: a video, a folder of images; without one, detections of quantities for a "
+        "graph with sensors, whose times then stand for frames",
+    ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/none": (
         2,
         "bayesnet-track run: --detections {wrong}/none: No such file or directory; expected a text "
-        "file with MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
+        "file with MOT lines (frame,id,left,top,width,height,confidence,...), JSON Lines, or a CSV "
+        "of what sensors measured",
     ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/binary": (
         2,
         "bayesnet-track run: --detections {wrong}/binary: not a text file (a JPEG image); expected a text "
-        "file with MOT lines (frame,id,left,top,width,height,confidence,...) or JSON Lines",
+        "file with MOT lines (frame,id,left,top,width,height,confidence,...), JSON Lines, or a CSV "
+        "of what sensors measured",
     ),
     "batch general --list {wrong}/binary --out {out}": (
         2,
@@ -726,7 +733,7 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
         ),
         (
             "run general --sorce x -o y",
-            "no option --sorce; did you mean --source?; the following arguments are required: --source",
+            "no option --sorce; did you mean --source?",
         ),
         (
             "run general --source x -o y --init 1 2 3 4",
@@ -738,7 +745,6 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
             "demo: nothing takes 'words'; a value is one word",
         ),
         ("run g --source x --out y --executor ray", "no --executor 'ray'; there are serial, processes"),
-        ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
         (
             "run general --init 1,2,3,4 --init-from z --source x --out y",
             "--init-from: not allowed with argument",

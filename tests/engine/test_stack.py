@@ -37,11 +37,12 @@ def graph_of(belief):
 
 
 def names_between(update, frame):
-    """Qualified names of the calls between `update` and `frame`, the outermost first."""
+    """Qualified names of the calls between `update` and `frame`, the outermost first; none outside of it."""
     names = []
-    while frame is not None and frame.f_code is not update.__code__:
+    while frame.f_code is not update.__code__:
         names.append(f"{frame.f_globals['__name__']}.{frame.f_code.co_qualname}")
-        frame = frame.f_back
+        if (frame := frame.f_back) is None:
+            return ()
     return tuple(reversed(names))
 
 

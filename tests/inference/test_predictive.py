@@ -46,7 +46,7 @@ def read(state, scale, rng):
     """Range and bearing, from a place left of the target."""
     z = polar({"x": state[:1, 0], "y": state[:1, 1]})[0]
     z = z + scale * rng.multivariate_normal(np.zeros(2), POLAR_ERROR)
-    return Measurement(("range", "bearing"), z, POLAR_ERROR, seen=Seen(polar, np.array([False, True])))
+    return Measurement(("range", "bearing"), z, POLAR_ERROR, seen=Seen(polar, np.array([np.inf, 2 * np.pi])))
 
 
 def find(state, scale, rng):

@@ -533,8 +533,8 @@ GOLDEN = [
         "max_count ≥ 60",
     ),
     (
-        DetectionsCut(0, "detections", 1000, 1, 1),
-        "frame 0: detections found 1001 → the best 1000 are used, not 1; max_count is at most 1000",
+        DetectionsCut(0, "detections", 10000, 1, 1),
+        "frame 0: detections found 10001 → the best 10000 are used, not 1; max_count is at most 10000",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),

@@ -91,6 +91,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
         "truth.txt",
         "beliefs.jsonl",
         "forecasts.jsonl",
+        "queries.csv",
         "manifest.json",
         "inputs.jsonl",
         "inputs_ahead.jsonl",

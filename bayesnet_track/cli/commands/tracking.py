@@ -258,7 +258,7 @@ def track_source(
 
     detections = getattr(options, "detections", None)
     if detections is not None:
-        kinds = f"a text file with MOT lines ({COLUMNS}) or JSON Lines, a CSV of what sensors measured"
+        kinds = f"a text file with MOT lines ({COLUMNS}), JSON Lines, or a CSV of what sensors measured"
         with users_file("--detections", kinds):
             given_detector(graph, detections)
     inputs = getattr(options, "inputs", None)
