@@ -560,8 +560,8 @@ MISTAKES = {
     ),
     "run general --init 1,2,3,4 --out {out}": (
         2,
-        "bayesnet-track run: no source: a video, a folder of images; without one, detections of quantities for "
-        "a graph with sensors, whose times then stand for frames",
+        "bayesnet-track run: no source: a video, a folder of images; without one, detections of quantities "
+        "for a graph with sensors, whose times then stand for frames",
     ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/none": (
         2,
