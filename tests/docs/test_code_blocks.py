@@ -126,6 +126,8 @@ def pieces(page: Path) -> list[Piece]:
             found.append(Piece(name, line, "mine.yaml", "\n".join(code)))
         elif code[0].startswith("source,"):
             found.append(Piece(name, line, "videos.csv", "\n".join(code)))
+        elif code[0].startswith("time_s,sensor"):
+            found.append(Piece(name, line, "sea.csv", "\n".join(code)))
         elif language == "yaml":
             continue
         elif language == "python":
