@@ -181,7 +181,7 @@ class Run:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Columns of its table: `tables.TRACK_COLUMNS`, velocities and own fields, numbers of queries."""
+        """The columns of its table, those of `tables.TRACK_COLUMNS`, velocities, own fields and queries."""
         measured = dict.fromkeys(name for line in self.metrics for name in line.state)
         fields = (name for name in measured if name not in TRACK_COLUMNS)
         asks = "\nqueries:" in self.graph_text
