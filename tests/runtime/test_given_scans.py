@@ -98,7 +98,7 @@ def load_graph_text(text=GRAPH):
 
 
 def test_a_stored_tracker_goes_on_with_the_same_numbers(tmp_path):
-    first = DetectionsTracker(load_graph_text())
+    first = DetectionsTracker(load_graph_text(), fps=1)
     steps = list(looks())
     for _, _, z in steps[:12]:
         first.update({"radar": {"range": z[:, 0], "bearing": z[:, 1]}})
