@@ -242,7 +242,7 @@ def _compile_plate(
     moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
     is_point = kind.state == "point"
-    reidentify = "never" if is_point else kind.reidentify  # a place alone tells nobody from another
+    reidentify = "never" if is_point else kind.reidentify  # a place alone identifies nobody
     life = life_rules(kind.birth, kind.merge_duplicates, kind.death, reidentify, kind.existence)
     if own is None:
         made_motion = make_plate_motion(root, constants, deviations_of(kind.nodes), is_point)

@@ -4,7 +4,7 @@ The automaton remembers the side on which the hypothesis was last surely (at lea
 whether its last change of side led through the segment. A crossing counts once it is surely across.
 
 Successive positions are a particle and its ancestor. Of a Gaussian belief they are `TRACES` draws of its
-trajectory: x_{t-1} is weighed by what the frame tells of it, and x_t drawn given x_{t-1} by their covariance
+trajectory: x_{t-1} is weighted by the likelihood of the frame; x_t is drawn given x_{t-1} by their covariance
 (Rauch-Tung-Striebel). Where nothing is known of ancestors (grids, modes, a target that returns), draws are
 coupled by the quantiles of their distance to the line, which no other coupling crosses less.
 """

@@ -244,7 +244,7 @@ def main() -> int:
 
 
 def progress_of(send: Callable[[dict[str, Any]], None], every_s: float = EVERY_S) -> Progressing:
-    """A function that tells how far a job is, now and then."""
+    """A function that sends the progress of a job every `every_s` seconds at most."""
     shown = 0.0
 
     def progress(done: int, expected: int | None) -> None:
