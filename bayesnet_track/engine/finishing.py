@@ -109,6 +109,16 @@ class FinishedGroup(Generic[Table]):
             return ()
         return tuple(decision for of in self.judged.chosen.values() for decision in of)
 
+    @property
+    def table_events(self) -> tuple[Event, ...]:
+        """Events of the targets of the table, with their decisions, in order."""
+        reports = self.filtered.reports(self.work.frame.index)
+        if not reports:
+            return self.decided
+        chosen = self.judged.chosen
+        rows = sorted({*reports, *chosen})
+        return tuple(chain(*((*reports.get(row, ()), *chosen.get(row, ())) for row in rows)))
+
     def state(self, row: int) -> TargetState:
         """The state of one target after the frame, still with the plan that the frame began with."""
         judged, one = self.judged, self.judged.filtered.of(row)

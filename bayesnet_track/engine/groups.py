@@ -27,6 +27,7 @@ from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.observation.cue import Measurement, Reference
@@ -149,6 +150,9 @@ class FilteredGroup(Protocol[Table]):
         nets: Mapping[str, TargetNet],
     ) -> Table | None:
         """The table of the other targets after the frame; None without any."""
+
+    def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
+        """Row -> events of its update, of targets that are in a table after the frame."""
 
     def line_columns(
         self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats
@@ -277,6 +281,10 @@ class FilteredEach:
         nets: Mapping[str, TargetNet],
     ) -> None:
         """No target is in a table after the frame."""
+
+    def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
+        """No target is in a table after the frame."""
+        return {}
 
     def line_columns(self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
         """Lines have to be made."""

@@ -85,9 +85,8 @@ def carry_out(work: FrameContext, state: State, results: Results, joint: JointBe
     net, others = work.net, dict[str, TargetState]()
     events: list[Event] = [*joint.events]
     for one in results.gaussians:
-        decisions = one.decided
-        net = apply_decisions(net, decisions)
-        events += decisions
+        net = apply_decisions(net, one.decided)
+        events += one.table_events
     for target, (group, row) in results.singles.items():
         decisions = group.decisions(row)
         net = apply_decisions(net, decisions)

@@ -244,11 +244,16 @@ def p_after(values: Floats, noises: Floats, means: Floats, covariances: Floats) 
         means: (T, K) after.
         covariances: (T, K, K) P, after.
     """
-    from scipy.special import chdtrc
-
     residual = values - means
     d2 = np.einsum("tk,tk->t", residual, np.linalg.solve(noises - covariances, residual[..., None])[..., 0])
-    return np.asarray(np.round(chdtrc(values.shape[1], np.maximum(d2, 0.0)), DIGITS))
+    return p_beyond(np.maximum(d2, 0.0), values.shape[1])
+
+
+def p_beyond(d2: Floats, degrees: int) -> Floats:
+    """(T,) probabilities that draws of a Gaussian of so many fields lie beyond squared distances (T,)."""
+    from scipy.special import chdtrc
+
+    return np.asarray(np.round(chdtrc(degrees, d2), DIGITS))
 
 
 _REACH = 9.0

@@ -62,6 +62,10 @@ CHANGES = {
     "unscented": {
         "target": {"belief": {"gaussian": {"filter": "unscented", "likelihood": "sigma_points", "gate": 1}}}
     },
+    "gated": {
+        "target": {"belief": {"gaussian": {"filter": "kalman", "likelihood": "sigma_points", "gate": 0.9}}}
+    },
+    "samples": {"target": {"belief": {"gaussian": {"filter": "kalman", "gate": 0.9, "samples": 41}}}},
 }
 
 
@@ -216,12 +220,13 @@ def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, unlike):
     assert_alike(outcomes(graph, found, inputs, 24), apart(graph, found, inputs, 24), unlike)
 
 
-@pytest.mark.parametrize("name", ["self-check", "unscented"])
+@pytest.mark.parametrize("name", [name for name in CHANGES if name != "plain"])
 def test_other_gaussians_agree_as_rows_and_as_objects(name, graph, found, monkeypatch, unlike):
     own = with_nodes(graph, name)
     rows = outcomes(own, found)
     assert sum(map(has_table, rows)) > FRAMES - 8 and not rows[-1].state.targets.others
-    assert any(type(event).__name__ == "StatusChanged" for one in rows for event in one.events)
+    kinds = {type(event).__name__ for one in rows for event in one.events}
+    assert "StatusChanged" in kinds and ("MeasurementGated" in kinds) == (name in ("gated", "samples"))
     monkeypatch.setattr(finding, "net_fits", lambda rule, net: False)
     singles = outcomes(own, found)
     assert not any(map(has_table, singles))

@@ -58,7 +58,9 @@ def test_rows_are_corrected_by_the_kalman_update(beliefs):
     seen = np.arange(7) != 2
     before = mean.copy(), covariance.copy()
     counts = np.array([True, True, False, False])
-    found = update_rows(mean, covariance, own, seen, variances, 0.05, IMAGE, counts, ALONE)
+    limits = 0.05, np.inf, ALONE
+    nothing = np.empty((7, 0, 4))
+    found = update_rows((mean, covariance), own, seen, variances, nothing, limits, IMAGE, counts)
     for row in range(7):
         after = linear_update(
             before[0][row],

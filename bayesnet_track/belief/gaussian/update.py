@@ -216,6 +216,11 @@ class Gated:
     turning: float
 
 
+def gated_of(agent: str, d2: float, gate: float, degrees: int) -> Gated:
+    """A measurement of so many fields that is farther from the prediction than the `gate` lets it be."""
+    return Gated(agent, d2, chi_square_quantile(gate, degrees), degrees, chi_square_cdf(d2, degrees))
+
+
 @dataclass(frozen=True, eq=False)
 class MeasurementUpdate:
     """A Gaussian after measurements.
@@ -271,7 +276,7 @@ def take(
         degrees = len(one.fields)
         limit = chi_square_quantile(gate, degrees)
         if d2 > limit:
-            gated.append(Gated(agent, d2, limit, degrees, chi_square_cdf(d2, degrees)))
+            gated.append(gated_of(agent, d2, gate, degrees))
         else:
             used[agent] = one
     log_evidence = 0.0

@@ -14,7 +14,9 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import STATUSES
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes, report_gated
+from bayesnet_track.belief.gaussian.update import ask, gated_of
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
@@ -26,10 +28,11 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.journal.encoder import EncodedCloud, encode_clouds
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.frame_columns import ABSENT, texts
 from bayesnet_track.journal.net.target_net import TargetNet
-from bayesnet_track.numerics.arrays import AREA, FIT, HYPOTHESES, NATS, UD, Bools, Floats, Ints
-from bayesnet_track.numerics.distributions import p_after
+from bayesnet_track.numerics.arrays import AREA, D2, FIT, HYPOTHESES, NATS, UD, Bools, Floats, Ints
+from bayesnet_track.numerics.distributions import p_after, p_beyond
 from bayesnet_track.numerics.gaussian import ALONE, roots
 from bayesnet_track.observation.cue import Measurement, Reference
 
@@ -44,7 +47,7 @@ class FilteredGaussians:
     Attributes:
         before: their rows before the frame.
         columns: what is known of them, but for the rules' memory and the status.
-        numbers: (T, 8) what was measured, in the columns of `numerics.arrays`.
+        numbers: (T, 10) what was measured, in the columns of `numerics.arrays`.
     """
 
     before: Rows
@@ -122,11 +125,27 @@ class FilteredGaussians:
 
     def _measures_of(self, row: int) -> Measures:
         rule, agent = self.before.rule, self.before.rule.agent
-        _, nats, _, _, agent_ud, ud, fit, area = self.numbers[row].tolist()
+        _, nats, _, _, agent_ud, ud, fit, area, strength, _ = self.numbers[row].tolist()
         silent = () if self.columns.given[row] == GIVEN else (agent,)
         return Measures(
-            {rule.root: ud}, {agent: agent_ud}, {agent: 0.0}, {agent: nats}, {agent: nats}, fit, area, silent
+            {rule.root: ud},
+            {agent: agent_ud},
+            {agent: 0.0},
+            {agent: nats},
+            {agent: strength},
+            fit,
+            area,
+            silent,
         )
+
+    def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
+        """Row -> events of its update: a detection outside the gate was not used."""
+        gate = self.before.rule.belief.settings.gate
+        reports: dict[int, tuple[Event, ...]] = {}
+        for row in np.flatnonzero(self.numbers[:, D2]).tolist():
+            gated = gated_of(self.before.rule.agent, float(self.numbers[row, D2]), gate, len(BOX_FIELDS))
+            reports[row] = (report_gated(gated, gate, 0, frame, self.ids[row]),)
+        return reports
 
     def of(self, row: int) -> Filtered:
         """Nothing: columns say all of these targets."""
@@ -184,7 +203,7 @@ class FilteredGaussians:
             for reach in SHARES
         ]
         clouds = self._clouds(work) if hypotheses else [EncodedCloud()] * len(self.ids)
-        log_evidence, nats, ess, size, _, _, _, _ = self.numbers.T.tolist()
+        log_evidence, nats, ess, size, *_ = self.numbers.T.tolist()
         columns = zip(variances, ess, nats, zip(*regions, strict=True), clouds, strict=True)
         more = zip(log_evidence, size, self._p_values(), strict=True)
         return {
@@ -222,6 +241,9 @@ class FilteredGaussians:
         boxes = now.own[own, :4]
         noise = (rule.association.variances(boxes) * rule.temperature)[:, :, None] * np.eye(4)
         values = p_after(boxes, noise, now.mean[own, :4], now.covariance[own, :4, :4])
+        d2 = self.numbers[own, D2]
+        if d2.any():  # what was not used left no trace in the belief
+            values[d2 > 0.0] = p_beyond(d2[d2 > 0.0], len(BOX_FIELDS))
         for row, value in zip(own.tolist(), values.tolist(), strict=True):
             found[row] = value
         return found
@@ -231,7 +253,7 @@ class FilteredGaussians:
     ) -> dict[str, NDArray[Any]]:
         """The columns of `journal.frame_columns`, without hypotheses."""
         now, rule = self.columns, self.before.rule
-        log_evidence, nats, ess, size, agent_ud, ud, fit, area = self.numbers.T
+        log_evidence, nats, ess, size, agent_ud, ud, fit, area, strength, _ = self.numbers.T
         own, nothing = f"/{rule.agent}", np.zeros(len(self.ids))
         variances = np.diagonal(now.covariance, axis1=1, axis2=2)[:, :4]
         p_values = [ABSENT if value is None else value for value in self._p_values()]
@@ -257,7 +279,7 @@ class FilteredGaussians:
             "kl" + own: nothing,
             "contribution" + own: nats,
             "agent_ud_px2" + own: agent_ud,
-            "strength" + own: nats,
+            "strength" + own: strength,
             "p_values" + own: np.array(p_values),
         }
         if rule.crowd is not None:
@@ -275,34 +297,32 @@ def filter_gaussians(work: FrameContext, rows: Rows, given: Given) -> FilteredGa
     from bayesnet_track.numerics.kernels.row_kernels import update_rows
 
     rule, started, frame = rows.rule, work.engine.clock(), work.frame
-    mean, covariance, marginal = given.mean, given.covariance, given.marginal
+    moments, marginal = (given.mean, given.covariance), given.marginal
     image = image_of(rule, frame.width, frame.height)
+    drawn = _draw(work, rows, moments)
     if marginal is None:
         boxes = np.ascontiguousarray(given.own[:, :4])
         variances = rule.association.variances(boxes) * rule.temperature
         variances[~given.is_given] = 1.0
-        numbers = update_rows(
-            mean, covariance, boxes, given.is_given, variances, rule.floor, image, rule.counts, ALONE
-        )
+        limits = rule.floor, rule.farthest, ALONE
+        numbers = update_rows(moments, boxes, given.is_given, variances, drawn, limits, image, rule.counts)
     else:
         starts = marginal.starts[: len(rows.ids) + 1]
         boxes = np.ascontiguousarray(given.boxes[marginal.columns[: starts[-1]]])
         numbers = measure_and_mix_rows(
-            mean,
-            covariance,
+            moments,
             starts,
             boxes,
             rule.association.variances(boxes) * rule.temperature,
-            marginal.weights[: starts[-1]],
-            marginal.missed[: len(rows.ids)],
-            rule.floor,
+            (marginal.weights[: starts[-1]], marginal.missed[: len(rows.ids)]),
+            drawn,
+            (rule.floor, ALONE),
             image,
             rule.counts,
-            ALONE,
         )
     columns = rows.columns.changed(
-        mean=mean,
-        covariance=covariance,
+        mean=given.mean,
+        covariance=given.covariance,
         size=numbers[:, HYPOTHESES].astype(np.int64),
         own=given.own,
         given=np.where(given.is_given, GIVEN, GIVEN_NONE),
@@ -311,3 +331,16 @@ def filter_gaussians(work: FrameContext, rows: Rows, given: Given) -> FilteredGa
     )
     work.charge("belief", started)
     return FilteredGaussians(rows, columns, numbers)
+
+
+def _draw(work: FrameContext, rows: Rows, moments: tuple[Floats, Floats]) -> Floats:
+    """(T, N, 4) boxes drawn from the predictions; (T, 0, 4) where sigma points stand for them."""
+    rule, count = rows.rule, len(rows.ids)
+    settings = rule.belief.settings
+    if settings.likelihood == "sigma_points":
+        return np.empty((count, 0, 4))
+    motion = confined(rule.motion, work.frame.width, work.frame.height)
+    draws = work.engine.streams.of_each(work.births_of(rows.ids), rule.root, work.moment, "samples")
+    pairs = zip(*moments, draws, strict=True)
+    asked = [ask(mean, covariance, motion, settings, rng).states for mean, covariance, rng in pairs]
+    return np.array([states[:, :4] for states in asked]).reshape(count, -1, 4)

@@ -26,6 +26,7 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure import columns_of
 from bayesnet_track.inference.measure_rows import StepArrays, measure_rows, uncertainties
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
@@ -214,6 +215,10 @@ class FilteredRows(Mapping[str, Filtered]):
             return None
         table = self.before.then(time, self.clouds, references, memory, nets)
         return table.take(kept) if apart else table
+
+    def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
+        """Nothing is left out of an update."""
+        return {}
 
     def line_columns(self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
         """Lines have to be made."""

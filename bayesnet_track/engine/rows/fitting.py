@@ -24,6 +24,7 @@ from bayesnet_track.graph.spec import InferenceNode, Lost
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule
 
 LinearMotion = KinematicMotion | BoxVelocityMotion
@@ -41,6 +42,8 @@ class RowRule:
         floor: of the agent's likelihood, the temperature taken in.
         temperature: the agent's.
         lost: when a target counts as lost.
+        belief: how beliefs are updated.
+        farthest: largest squared distance from the prediction of a detection that is used.
         counts: (4,) the fields of UD.
         plan: the compiled net with the agent.
         crowd: how targets exist and share detections; None where each is assigned one.
@@ -53,6 +56,8 @@ class RowRule:
     floor: float
     temperature: float
     lost: Lost
+    belief: GaussianFilter
+    farthest: float
     counts: NDArray[np.bool_]
     plan: Plan
     crowd: CrowdRule | None = None
@@ -100,7 +105,11 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     is_plain = association.floor is not None and association.appearance == 0.0
     if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
         return None
-    if not isinstance(motion, LinearMotion) or not _belief_fits(compiled, motion):
+    if not (
+        isinstance(compiled.belief, GaussianFilter)
+        and isinstance(motion, LinearMotion)
+        and _is_linear(motion)
+    ):
         return None
     return RowRule(
         compiled,
@@ -110,6 +119,10 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
         float(association.floor or 0.0) ** (1.0 / node.temperature),
         node.temperature,
         lost,
+        compiled.belief,
+        chi_square_quantile(compiled.belief.settings.gate, 4)
+        if compiled.belief.settings.gate < 1.0
+        else np.inf,
         np.array([name in root.ud_fields for name in BOX_FIELDS]),
         compile_plan(compiled.plate, [agent], compiled.cues),
         CrowdRule.of(compiled),
@@ -123,12 +136,7 @@ def _root_fits(root: InferenceNode) -> bool:
     return estimate in ("map", "mean") and is_product and all(one is None for one in further)
 
 
-def _belief_fits(compiled: CompiledPlate, motion: LinearMotion) -> bool:
-    belief = compiled.belief
-    if not isinstance(belief, GaussianFilter) or belief.settings.gate < 1.0:
-        return False
-    if belief.settings.likelihood != "sigma_points":
-        return False
+def _is_linear(motion: LinearMotion) -> bool:
     try:
         require_linear(motion)
     except ValueError:

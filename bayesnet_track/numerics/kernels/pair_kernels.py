@@ -9,10 +9,24 @@ import math
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Bools, Floats, Ints
+from bayesnet_track.numerics.arrays import (
+    AGENT_UD,
+    AREA,
+    ESS,
+    FIT,
+    HYPOTHESES,
+    LOG_EVIDENCE,
+    MEASURES,
+    NATS,
+    STRENGTH,
+    UD,
+    Bools,
+    Floats,
+    Ints,
+)
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.gaussian import factor, root_of
-from bayesnet_track.numerics.kernels.row_kernels import correct_row
+from bayesnet_track.numerics.gaussian import factor
+from bayesnet_track.numerics.kernels.row_kernels import correct_row, place_row
 
 
 @compiled
@@ -304,41 +318,40 @@ def mix_rows(
 
 @compiled
 def measure_and_mix_rows(
-    mean: Floats,
-    covariance: Floats,
+    moments: tuple[Floats, Floats],
     starts: Ints,
     boxes: Floats,
     variances: Floats,
-    weights: Floats,
-    missed: Floats,
-    floor: float,
+    shares: tuple[Floats, Floats],
+    drawn: Floats,
+    limits: tuple[float, float],
     image: Floats,
     counts: Bools,
-    alone: float,
 ) -> Floats:
-    """Mix as `mix_rows` does, with (T, 8) measures of each row as of `row_kernels.update_rows`."""
+    """Mix as `mix_rows` does, with (T, 10) measures of each row as of `row_kernels.update_rows`.
+
+    `shares` are the weights of the boxes and (T,) `missed`, `limits` the floor of a likelihood and the share
+    of its sd below which a field is known from others.
+    """
+    (mean, covariance), (weights, missed), (floor, alone) = moments, shares, limits
     count, size = mean.shape
-    found = np.zeros((count, 8))
+    found = np.zeros((count, MEASURES))
     lower, rest, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
-    points_at = np.empty((2 * size + 1, 4))
-    log, prior = np.empty(2 * size + 1), np.empty(2 * size + 1)
+    most = max(2 * size + 1, drawn.shape[1])
+    points_at = np.empty((most, 4))
+    log, prior = np.empty(most), np.empty(most)
     for t in range(count):
         a, b = starts[t], starts[t + 1]
-        width = root_of(covariance[t], lower, rest, scale, alone)
-        points = 2 * width + 1
-        far = math.sqrt(width + 1.0)
-        log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
+        points = drawn.shape[1]
+        if points == 0:
+            points = place_row(mean[t], covariance[t], image, alone, (points_at, prior), (lower, rest, scale))
+        else:
+            for n in range(points):
+                prior[n] = -math.log(points)
+                for k in range(4):
+                    points_at[n, k] = drawn[t, n, k]
         best, top = 0, -np.inf
         for n in range(points):
-            prior[n] = log_first if n == 0 else log_other
-            for k in range(4):
-                value = mean[t, k]
-                if n > 0:
-                    step = far * lower[k, (n - 1) % width]
-                    value = value + step if n <= width else value - step
-                extent = image[k % 2]
-                low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
-                points_at[n, k] = min(max(value, low), high)
             likelihood = missed[t] if b > a else 1.0
             for e in range(a, b):
                 d2 = 0.0
@@ -349,13 +362,6 @@ def measure_and_mix_rows(
             if log[n] > log[best]:
                 best = n
             top = max(top, prior[n] + log[n])
-        # The covariance as its root has it, as where agents' likelihoods are fitted.
-        for i in range(size):
-            for k in range(i + 1):
-                value = 0.0
-                for j in range(width):
-                    value += lower[i, j] * lower[k, j]
-                covariance[t, i, k], covariance[t, k, i] = value, value
         total = 0.0
         for n in range(points):
             total += math.exp(prior[n] + log[n] - top)
@@ -367,18 +373,20 @@ def measure_and_mix_rows(
             squares += weight * weight
             for k in range(4):
                 if counts[k]:
-                    found[t, 4] += weight * (points_at[n, k] - points_at[best, k]) ** 2
+                    found[t, AGENT_UD] += weight * (points_at[n, k] - points_at[best, k]) ** 2
         if b > a:
-            found[t, 0] = mix_row(mean[t], covariance[t], boxes[a:b], variances[a:b], weights[a:b], missed[t])
-            found[t, 1] = max(moved, 0.0)
-            found[t, 6] = math.exp(log[best])
-        found[t, 2], found[t, 3] = 1.0 / squares, points
+            found[t, LOG_EVIDENCE] = mix_row(
+                mean[t], covariance[t], boxes[a:b], variances[a:b], weights[a:b], missed[t]
+            )
+            found[t, NATS] = found[t, STRENGTH] = max(moved, 0.0)
+            found[t, FIT] = math.exp(log[best])
+        found[t, ESS], found[t, HYPOTHESES] = 1.0 / squares, points
         mean[t, 2], mean[t, 3] = max(mean[t, 2], 1.0), max(mean[t, 3], 1.0)
         sides = 1.0
         for k in range(4):
             if counts[k]:
-                found[t, 5] += covariance[t, k, k]
+                found[t, UD] += covariance[t, k, k]
         for k in range(2):
             sides *= min(mean[t, k + 2], 2.0 * image[k])
-        found[t, 7] = sides
+        found[t, AREA] = sides
     return found

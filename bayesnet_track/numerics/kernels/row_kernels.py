@@ -13,11 +13,14 @@ import numpy as np
 from bayesnet_track.numerics.arrays import (
     AGENT_UD,
     AREA,
+    D2,
     ESS,
     FIT,
     HYPOTHESES,
     LOG_EVIDENCE,
+    MEASURES,
     NATS,
+    STRENGTH,
     UD,
     Bools,
     Floats,
@@ -150,61 +153,69 @@ def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Float
 
 
 @compiled
+def innovation_d2(covariance: Floats, away: Floats, variances: Floats) -> float:
+    """Squared Mahalanobis distance of what was measured, `away` (4,) from the mean, of a box."""
+    spread, lower, d2 = np.empty((4, 4)), np.zeros((4, 4)), 0.0
+    for i in range(4):
+        for j in range(4):
+            spread[i, j] = covariance[i, j]
+        spread[i, i] += variances[i]
+    factor(spread, lower, 4)
+    seen = np.empty(4)
+    for i in range(4):
+        value = away[i]
+        for j in range(i):
+            value -= lower[i, j] * seen[j]
+        seen[i] = value / lower[i, i]
+        d2 += seen[i] * seen[i]
+    return d2
+
+
+@compiled
 def update_rows(
-    mean: Floats,
-    covariance: Floats,
+    moments: tuple[Floats, Floats],
     own: Floats,
     seen: Bools,
     variances: Floats,
-    floor: float,
+    drawn: Floats,
+    limits: tuple[float, float, float],
     image: Floats,
     counts: Bools,
-    alone: float,
 ) -> Floats:
-    """Update rows (T, D), (T, D, D) in place by the boxes `own` (T, 4) of those `seen`; (T, 8) of each.
+    """Update rows (T, D), (T, D, D) in place by the boxes `own` (T, 4) of those `seen`; (T, 10) of each.
 
     The columns: `LOG_EVIDENCE`; `NATS`, KL of the hypotheses' posterior from their prior; `ESS`, effective
     sample size; how many `HYPOTHESES`; `AGENT_UD`; `UD`, both px^2; `FIT`, the best likelihood (0 where not
-    seen); `AREA` of the mean box, px^2. The hypotheses are the sigma points; `counts` (4,) are the fields of
-    UD.
+    seen); `AREA` of the mean box, px^2; `STRENGTH`, KL of what the agent says from the prior; `D2` of a box
+    that is not used, 0 of others. The hypotheses are the boxes `drawn` (T, N, 4), or the sigma points where
+    there are none; `counts` (4,) are the fields of UD. `limits` are the floor of a likelihood, the largest
+    squared distance of a box that is used, and the share of its sd below which a field is known from others.
     """
+    mean, covariance = moments
+    floor, farthest, alone = limits
     count, size = mean.shape
-    found = np.zeros((count, 8))
+    found = np.zeros((count, MEASURES))
     lower, rest, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
-    boxes, work = np.empty((2 * size + 1, 4)), np.empty((3, size, size))
-    log, prior, away = np.empty(2 * size + 1), np.empty(2 * size + 1), np.empty(4)
+    most = max(2 * size + 1, drawn.shape[1])
+    boxes, work = np.empty((most, 4)), np.empty((3, size, size))
+    log, prior, away = np.empty(most), np.empty(most), np.empty(4)
     for t in range(count):
-        width = root_of(covariance[t], lower, rest, scale, alone)
-        points = 2 * width + 1
-        far = math.sqrt(width + 1.0)
-        log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
-        for n in range(points):
-            prior[n] = log_first if n == 0 else log_other
-            d2 = 0.0
-            for k in range(4):
-                value = mean[t, k]
-                if n > 0:
-                    step = far * lower[k, (n - 1) % width]
-                    value = value + step if n <= width else value - step
-                extent = image[k % 2]
-                least = 0.0 if extent < np.inf else -np.inf
-                low, high = (least, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
-                value = min(max(value, low), high)
-                boxes[n, k] = value
-                if seen[t]:
-                    d2 += (value - own[t, k]) ** 2 / variances[t, k]
-            log[n] = 0.0
-            if seen[t]:
-                log[n] = min(math.log(floor + (1.0 - floor) * math.exp(-0.5 * d2)), 0.0)
-        # The covariance as its root has it, as where agents' likelihoods are fitted.
-        for i in range(size):
-            for k in range(i + 1):
-                value = 0.0
-                for j in range(width):
-                    value += lower[i, j] * lower[k, j]
-                covariance[t, i, k], covariance[t, k, i] = value, value
+        points = drawn.shape[1]
+        if points == 0:
+            points = place_row(mean[t], covariance[t], image, alone, (boxes, prior), (lower, rest, scale))
+        else:
+            for n in range(points):
+                prior[n] = -math.log(points)
+                for k in range(4):
+                    boxes[n, k] = drawn[t, n, k]
         best, top = 0, -np.inf
         for n in range(points):
+            log[n] = 0.0
+            if seen[t]:
+                d2 = 0.0
+                for k in range(4):
+                    d2 += (boxes[n, k] - own[t, k]) ** 2 / variances[t, k]
+                log[n] = min(math.log(floor + (1.0 - floor) * math.exp(-0.5 * d2)), 0.0)
             if log[n] > log[best]:
                 best = n
             top = max(top, prior[n] + log[n])
@@ -226,9 +237,15 @@ def update_rows(
         if seen[t]:
             for k in range(4):
                 away[k] = own[t, k] - mean[t, k]
-            found[t, LOG_EVIDENCE] = correct_row(mean[t], covariance[t], away, variances[t], work)
-            found[t, NATS] = max(moved, 0.0)
-            found[t, FIT] = math.exp(log[best])
+            found[t, FIT], found[t, STRENGTH] = math.exp(log[best]), max(moved, 0.0)
+            d2 = innovation_d2(covariance[t], away, variances[t]) if farthest < np.inf else 0.0
+            if d2 > farthest:
+                found[t, D2], squares = d2, 0.0
+                for n in range(points):
+                    squares += math.exp(2.0 * prior[n])
+            else:
+                found[t, LOG_EVIDENCE] = correct_row(mean[t], covariance[t], away, variances[t], work)
+                found[t, NATS] = max(moved, 0.0)
         found[t, ESS], found[t, HYPOTHESES], found[t, AGENT_UD] = 1.0 / squares, points, agent_ud
         for k in range(4):
             if counts[k]:
@@ -239,6 +256,46 @@ def update_rows(
             sides *= min(max(mean[t, k + 2], 1.0), 2.0 * image[k])
         found[t, AREA] = sides
     return found
+
+
+@compiled
+def place_row(
+    mean: Floats,
+    covariance: Floats,
+    image: Floats,
+    alone: float,
+    points: tuple[Floats, Floats],
+    rooms: tuple[Floats, Floats, Floats],
+) -> int:
+    """Fill in the boxes of a row's sigma points, inside the image, and their log-weights; how many they are.
+
+    The covariance becomes what its root has of it, as where agents' likelihoods are fitted. `rooms` are of
+    `root_of`.
+    """
+    boxes, prior = points
+    lower, rest, scale = rooms
+    size = mean.shape[0]
+    width = root_of(covariance, lower, rest, scale, alone)
+    far = math.sqrt(width + 1.0)
+    log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
+    for n in range(2 * width + 1):
+        prior[n] = log_first if n == 0 else log_other
+        for k in range(4):
+            value = mean[k]
+            if n > 0:
+                step = far * lower[k, (n - 1) % width]
+                value = value + step if n <= width else value - step
+            extent = image[k % 2]
+            least = 0.0 if extent < np.inf else -np.inf
+            low, high = (least, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+            boxes[n, k] = min(max(value, low), high)
+    for i in range(size):
+        for k in range(i + 1):
+            value = 0.0
+            for j in range(width):
+                value += lower[i, j] * lower[k, j]
+            covariance[i, k], covariance[k, i] = value, value
+    return 2 * width + 1
 
 
 @compiled
