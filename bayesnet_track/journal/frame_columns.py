@@ -1,7 +1,8 @@
 """The lines of one frame as columns, and back: what a record of ``frames.npy.gz`` holds.
 
 A column has a number per target, in the order of the targets; one of boxes has four rows of them. Numbers
-are single precision (seven digits), but for a column with a value that this cannot hold. What a target does
+are single precision (seven digits), but for a column with a value that this cannot hold; in a crowd, widths
+and measures of information (`WIDTHS`) are half precision (three digits). What a target does
 not have is `ABSENT`, a NaN of its own, and a column of which no target has anything is left out. So are
 regions that are those of a Gaussian with the column `sd` about `map`.
 """
@@ -23,8 +24,8 @@ from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetric
 Columns = Mapping[str, NDArray[Any]]
 """Name -> its values: ``frame`` and ``time_s`` (), boxes (4, T), all others (T,)."""
 
-_ABSENT_BITS = {4: 0x7FE0_0000, 8: 0x7FFC_0000_0000_0000}
-"""By the bytes of a number: the same NaN in single and double precision."""
+_ABSENT_BITS = {2: 0x7F00, 4: 0x7FE0_0000, 8: 0x7FFC_0000_0000_0000}
+"""By the bytes of a number: the same NaN in half, single and double precision."""
 ABSENT = float(struct.unpack("<d", struct.pack("<Q", _ABSENT_BITS[8]))[0])
 """In place of a value that a target does not have."""
 
@@ -40,14 +41,24 @@ PER_NODE = (
 """Fields of a number per node, mode, feature or query, besides `ud_nodes`: a column ``FIELD/NAME`` each."""
 NUMBERS = ("score", "log_evidence", "surprise", "ess", "learn_rate")
 OPTIONAL = ("quiet_px2", "existence", "hidden", "e_value")
+WIDTHS = frozenset(
+    {"sd", "ud_px2", "ud_nodes", "quiet_px2", "surprise", "ess", "learn_rate", "kl", "contribution"}
+    | {"agent_ud_px2", "strength", "p_values"}
+)
+"""Columns, by what stands before a slash, that say how sure the belief is and what told it so; beside them
+the sd of each field of the state. Places, scores and evidence are none of them."""
 _LARGEST, _LEAST = 3e38, 1.2e-38
+_LARGEST_HALF, _LEAST_HALF = 65_000.0, 6.2e-5
 _BETWEEN = 1e-4
 """Of a region, px and parts of its sd: as far as it may be from a Gaussian's to count as that."""
 
 
 def columns_of(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[str, NDArray[Any]]:
-    """The columns of the lines of one frame, at least one; their `cloud` only with `hypotheses`."""
-    return narrowed(all_columns(lines, hypotheses))
+    """The columns of the lines of one frame, at least one.
+
+    Without `hypotheses`, as of a crowd, there is no `cloud`, and `WIDTHS` have three digits.
+    """
+    return narrowed(all_columns(lines, hypotheses), hypotheses)
 
 
 def all_columns(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[str, NDArray[Any]]:
@@ -83,14 +94,19 @@ def all_columns(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[
     return columns
 
 
-def narrowed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Without the columns that say nothing, floats in single precision where that holds them."""
+def narrowed(columns: dict[str, NDArray[Any]], precise: bool = True) -> dict[str, NDArray[Any]]:
+    """Without the columns that say nothing, floats in single precision where that holds them.
+
+    Unless `precise`, `WIDTHS` are in half precision where that holds them.
+    """
     floats = [name for name, column in columns.items() if column.dtype.kind == "f" and column.ndim]
     rows = [columns[name].reshape(-1, columns[name].shape[-1]) for name in floats]
     doubles = np.concatenate(rows, axis=0, dtype=np.float64)
     size = np.abs(doubles)
     beyond = ((size > _LARGEST) & (size < np.inf)) | ((size < _LEAST) & (size > 0.0))
     is_wide: list[bool] = np.any(beyond, axis=1).tolist()
+    finest = ((size > _LARGEST_HALF) & (size < np.inf)) | ((size < _LEAST_HALF) & (size > 0.0))
+    is_fine: list[bool] = np.any(finest, axis=1).tolist()
     is_empty: list[bool] = np.all(is_absent(doubles), axis=1).tolist()
     with np.errstate(over="ignore"):
         single = doubles.astype("<f4")
@@ -99,8 +115,10 @@ def narrowed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     for name, row in zip(floats, rows, strict=True):
         end = start + len(row)
         if not all(is_empty[start:end]) and (name != "angle" or row.any()):
-            numbers = doubles if any(is_wide[start:end]) else single
-            narrow[name] = numbers[start:end].reshape(columns[name].shape)
+            numbers = (doubles if any(is_wide[start:end]) else single)[start:end]
+            if not precise and _is_width(name) and not any(is_fine[start:end]):
+                numbers = numbers.astype("<f2")
+            narrow[name] = numbers.reshape(columns[name].shape)
         start = end
     for name in ("silent", "join"):
         if name in narrow and not any(narrow[name].tolist()):
@@ -183,6 +201,11 @@ def _gaussian(centre: NDArray[Any], sd: NDArray[Any], share: float) -> NDArray[n
 def _is_gaussian(region: NDArray[Any], centre: NDArray[Any], sd: NDArray[Any], share: float) -> bool:
     distance = np.abs(region - _gaussian(centre, sd, share))
     return bool((distance <= _BETWEEN * (1.0 + np.repeat(sd[:2], 2, axis=0))).all())
+
+
+def _is_width(name: str) -> bool:
+    first = name.partition("/")[0]
+    return first in WIDTHS or (first == "state" and name.endswith("_sd"))
 
 
 def _optional(values: Sequence[float | None]) -> NDArray[np.float64]:

@@ -97,6 +97,7 @@ def track(
     video_side: int | None = None,
     keep_beliefs: bool = False,
     all_hypotheses: bool = False,
+    tracks_csv: bool = False,
     horizon: int = 0,
     executor: str | Executing = "serial",
     workers: int | None = None,
@@ -133,6 +134,8 @@ def track(
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
         all_hypotheses: write some hypotheses of each target into `out` in every frame, not only in those of
             at most eight targets.
+        tracks_csv: write tracks.csv into `out` too, where the graph's targets have boxes and it asks no
+            queries; `export --format csv` makes it of any run.
         horizon: frames ahead for which forecasts of every target are written into `out`; 0 for none.
         executor: how agents are asked, which changes no result: serial, processes, or what
             `make_executor` made.
@@ -246,7 +249,8 @@ def track(
             stack.enter_context(lock_run(directory))
             settle(directory)
             directory.refuse(overwrite)  # before the lock was taken, another process could have written here
-            asked = {"beliefs": keep_beliefs, "hypotheses": all_hypotheses, "mp4": video == "mp4"}
+            asked = {"beliefs": keep_beliefs, "hypotheses": all_hypotheses, "csv": tracks_csv}
+            asked["mp4"] = video == "mp4"
             recipe = make_recipe(
                 checked,
                 opened,

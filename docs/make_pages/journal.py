@@ -163,9 +163,11 @@ with gzip.open("runs/mine/frames.npy.gz") as file:
   `time_s` are of the whole frame.
 - What is measured of nodes has a column each: `kl/NODE`, `parts/PART/box`. `active` and `silent` are names
   separated by spaces, `join` is JSON.
-- Numbers are single precision (seven digits), double where that cannot hold them; `time_s` is double.
-- Where a target has no value, there is a NaN with the bits 0x7FE00000. A column without any value is left
-  out, and so is a region that is a Gaussian's: `map` ± 0.674 `sd` or ± 1.645 `sd`.
+- Numbers are single precision (seven digits), double where that cannot hold them; `time_s` is double. In
+  frames of more than 8 targets, widths and measures of information (`sd`, `ud_px2`, `kl/NODE` and others)
+  are half precision (three digits), unless `run --all-hypotheses` asks for all.
+- Where a target has no value, there is a NaN with the bits 0x7FE00000 (0x7F00 in half precision). A column
+  without any value is left out, and so is a region that is a Gaussian's: `map` ± 0.674 `sd` or ± 1.645 `sd`.
 - `cloud` (4, M) has some of the hypotheses of all targets in a row, `cloud_count` (T,) how many are of
   each. They are written in frames of at most 8 targets, and in every frame with `run --all-hypotheses`.
 - A header says how long each record is and which frame it holds (extra field `BT`: bytes and targets, 32

@@ -16,7 +16,7 @@ from bayesnet_track.sources.scenes.library import SceneSource
 pytestmark = pytest.mark.slow
 
 DESKTOP, PHONE = (1440, 960, 1), (375, 800, 2)
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "inputs.jsonl")
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_from_a_dragged_box_to_a_run_that_is_held_switched_stopped_and_repeated(
 
     inputs = list(read_inputs(run / "inputs.jsonl"))
     assert [(type(one).__name__, one.frame) for one in inputs] == [("Toggled", at + 2), ("Released", at + 4)]
-    tracked = len((run / "tracks.csv").read_text().splitlines()) - 1
+    tracked = len((run / "tracks.txt").read_text().splitlines())
     again = tmp_path / "again"
     given = [
         "--init",

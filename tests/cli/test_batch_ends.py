@@ -166,7 +166,7 @@ def test_a_cluster_that_does_not_start_in_time_is_a_clear_error(tmp_path, monkey
 
 def outputs(folder):
     """What is a function of graph, source, start and seed: file -> bytes."""
-    names = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "graph.yaml")
+    names = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "graph.yaml")
     return {name: (folder / name).read_bytes() for name in names}
 
 

@@ -34,6 +34,7 @@ from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.checkpoints.standing import standing
+from bayesnet_track.runtime.recording.exports import as_csv
 from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.sources.scenes import make_scene, scene_names
 
@@ -43,7 +44,6 @@ RUN_FILES = {
     "journal.jsonl",
     "frames.npy.gz",
     "tracks.txt",
-    "tracks.csv",
     "timings.jsonl",
     "graph.yaml",
     "run.json",
@@ -127,7 +127,7 @@ def lines_of(path):
 
 
 def column(path, name):
-    head, *rows = (line.split(",") for line in lines_of(path / "tracks.csv"))
+    head, *rows = (line.split(",") for line in as_csv(open_run(path)).splitlines())
     return [row[head.index(name)] for row in rows]
 
 

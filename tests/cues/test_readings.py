@@ -138,7 +138,7 @@ def test_a_file_that_is_written_anew_is_read_anew(tmp_path):
     os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
     second = run_with(graph, tmp_path / "second")
     assert first.sha256 != second.sha256 == file_sha256(path)
-    assert (tmp_path / "first" / "tracks.csv").read_text() != (tmp_path / "second" / "tracks.csv").read_text()
+    assert (tmp_path / "first" / "tracks.txt").read_text() != (tmp_path / "second" / "tracks.txt").read_text()
 
 
 def run_with(graph, out):

@@ -10,7 +10,7 @@ from bayesnet_track.cli.main import main
 
 pytestmark = pytest.mark.reliability
 
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "graph.yaml", "truth.txt")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "graph.yaml", "truth.txt")
 WAYS = [("serial", 1), ("processes", 1), ("processes", 2)]
 SCENES = {"two_squares": 60, "person_parts": 25, "crowd": 30}
 

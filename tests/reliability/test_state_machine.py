@@ -38,7 +38,7 @@ from bayesnet_track.sources.sources import open_source
 FRAMES = 8
 SEEDS = (0, 1)
 """A run that overwrites another has the other seed."""
-OUTPUTS = ("frames.npy.gz", "graph.yaml", "journal.jsonl", "run.json", "tracks.csv", "tracks.txt")
+OUTPUTS = ("frames.npy.gz", "graph.yaml", "journal.jsonl", "run.json", "tracks.txt")
 OUTPUTS += ("timings.jsonl", "video.mkv", "manifest.json", "inputs.jsonl")
 
 Switches = dict[int, tuple[Toggled | Released, ...]]

@@ -19,7 +19,7 @@ from bayesnet_track.runtime.pace import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "inputs.jsonl")
 SHORT = Net({"1": TargetNet("plate", frozenset("a"), shed=("b",))})
 
 

@@ -13,7 +13,7 @@ from bayesnet_track.runtime.results import Switchboard
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "inputs.jsonl")
 
 
 def written(path):

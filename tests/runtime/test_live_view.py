@@ -15,7 +15,7 @@ from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.view.page_data import read_timings
 
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "inputs.jsonl")
 FRAMES = 12
 
 

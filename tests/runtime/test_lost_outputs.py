@@ -22,7 +22,7 @@ from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 
-OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "timings.jsonl", "video.mkv")
+OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "timings.jsonl", "video.mkv")
 
 
 def renamed(path: Path) -> None:
@@ -89,8 +89,8 @@ def test_it_is_told_with_the_next_line(
 
 
 def test_bytes_that_were_edited_in_place_are_found_in_the_end(graph: CheckedGraph, tmp_path: Path) -> None:
-    path = tmp_path / "run" / "tracks.csv"
-    with pytest.raises(OutputError, match=r"tracks\.csv: something else changed it"):
+    path = tmp_path / "run" / "tracks.txt"
+    with pytest.raises(OutputError, match=r"tracks\.txt: something else changed it"):
         tracked(graph, tmp_path / "run", lambda: edited(path))
 
 

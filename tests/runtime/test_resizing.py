@@ -40,7 +40,7 @@ TWICE, FRAMES = 2, 12
 SCENE = make_scene("two_squares", 0)
 HEIGHT, WIDTH = SCENE.frames[0].shape[:2]
 LARGE = tuple(TWICE * value for value in SCENE.start_box)
-OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "forecasts.jsonl", "run.json")
+OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "forecasts.jsonl", "run.json")
 OPTIONS = {"keep_beliefs": True, "horizon": 2}
 
 

@@ -183,7 +183,7 @@ def test_a_budget_stays_and_what_was_late_is_not_measured_twice(tmp_path: Path) 
     late = [json.loads(line)["frame"] for line in after.splitlines()]
     assert late == list(range(late[0], 24)), "each once, from the first that is measured to the last"
     list(on(tmp_path / "again", inputs=run / "inputs.jsonl"))
-    for name in ("journal.jsonl", "frames.npy.gz", "tracks.csv", "inputs.jsonl"):
+    for name in ("journal.jsonl", "frames.npy.gz", "inputs.jsonl"):
         assert (run / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
@@ -204,7 +204,7 @@ def edited(run: Path) -> None:
 
 
 def gone(run: Path) -> None:
-    (run / "tracks.csv").unlink()
+    (run / "tracks.txt").unlink()
 
 
 def other_seed(run: Path) -> None:
@@ -224,7 +224,7 @@ def damaged(run: Path) -> None:
     [
         (cut, ResumeError, "frames.npy.gz: cut off"),
         (edited, ResumeError, "journal.jsonl: changed"),
-        (gone, ResumeError, "tracks.csv"),
+        (gone, ResumeError, "tracks.txt"),
         (other_seed, CheckpointError, "another recipe"),
         (damaged, CheckpointError, "damaged"),
     ],

@@ -30,7 +30,7 @@ from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 from bayesnet_track.sources.sources import open_source
 
-REPRODUCIBLE = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "graph.yaml")
+REPRODUCIBLE = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "graph.yaml")
 SQUARE = (0, 5, 10, 10)
 """Corner box of the bright square in the first picture of this folder's videos; it moves 2 px a frame."""
 

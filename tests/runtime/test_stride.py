@@ -21,7 +21,7 @@ from bayesnet_track.sources.scenes import make_scene
 
 STRIDE, FRAMES = 3, 20
 TRACKED = list(range(0, FRAMES, STRIDE))
-OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "run.json", "video.mkv")
+OUTPUTS = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "run.json", "video.mkv")
 
 
 @pytest.fixture(scope="module")

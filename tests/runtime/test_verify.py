@@ -28,7 +28,6 @@ OUTPUTS = {
     "journal.jsonl",
     "run.json",
     "timings.jsonl",
-    "tracks.csv",
     "tracks.txt",
     "truth.txt",
     "video.mkv",
@@ -56,7 +55,7 @@ def run(finished: Path, tmp_path: Path) -> Path:
 
 def test_the_manifest_lists_every_output(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(run)]) == 0
-    assert f"{run}: verified: 9 files, result " in capsys.readouterr().out
+    assert f"{run}: verified: 8 files, result " in capsys.readouterr().out
     assert main(["verify", str(run), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["status"] == "verified" and answer["outputs"] == dict.fromkeys(sorted(OUTPUTS), "ok")
@@ -121,7 +120,7 @@ def test_every_edit_of_every_output_is_found(
     edit(run / name)
     assert main(["verify", str(run)]) == 4
     said = capsys.readouterr().out
-    assert f"{run}/{name}: " in said and "1 of 9 files are not as the run left them" in said
+    assert f"{run}/{name}: " in said and "1 of 8 files are not as the run left them" in said
     assert verify(run).outputs == {**dict.fromkeys(OUTPUTS, "ok"), name: finding}
 
 

@@ -345,6 +345,7 @@ def _track_again(
                 inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
                 max_side=recipe.max_side,
                 all_hypotheses="hypotheses" in recipe.optional,
+                tracks_csv="csv" in recipe.optional,
                 overwrite=options.overwrite,
                 sinks=[Narrator()] if options.verbose else [],
                 summary=summary,

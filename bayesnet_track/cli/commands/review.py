@@ -22,6 +22,7 @@ from bayesnet_track.cli.arguments import (
     users_mistake,
     whole_number,
 )
+from bayesnet_track.sources.entrances.notices import notice
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.event import Event
@@ -151,9 +152,16 @@ def score(options: argparse.Namespace) -> int:
     """Score a run, or a file of tracks, against ground truth."""
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.evaluate.truth import is_mot
-    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 
     given = Path(options.run)
+    if given.name == FILES["csv"] and not given.exists() and (given.parent / FILES["journal"]).is_file():
+        boxes = given.with_name(FILES["mot"])
+        notice(
+            f"{given}: not written (`run --tracks-csv`, or `export {given.parent} --format csv`); "
+            f"read {boxes}, which has the same boxes"
+        )
+        given = boxes
     if os.path.isfile(given):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)
         if not options.truth:
             raise UsageError(f"{given}: a file of tracks brings no ground truth; name one with --truth FILE")

@@ -289,6 +289,7 @@ def track_source(
                 video_side=getattr(options, "video_side", None),
                 keep_beliefs=getattr(options, "keep_beliefs", False),
                 all_hypotheses=getattr(options, "all_hypotheses", False),
+                tracks_csv=getattr(options, "tracks_csv", False),
                 horizon=getattr(options, "horizon", 0),
                 executor=executor_of(options),
                 sinks=[
@@ -407,7 +408,14 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument(
         "--all-hypotheses",
         action="store_true",
-        help="write some hypotheses of each target in every frame, not only in those of at most 8 targets",
+        help="write some hypotheses of each target, and all digits, in every frame, not only in those of at "
+        "most 8 targets",
+    )
+    run.add_argument(
+        "--tracks-csv",
+        action="store_true",
+        help="write tracks.csv, too: a row per target and frame with status, score and UD; `export --format "
+        "csv` makes it of any run",
     )
     add_seeds_options(run)
     run.add_argument(

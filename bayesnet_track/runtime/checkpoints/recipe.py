@@ -74,6 +74,9 @@ KEEPS_BELIEFS = "keep_beliefs"
 ALL_HYPOTHESES = "all_hypotheses"
 """The option by which a recipe says that hypotheses are written however many targets a frame has."""
 
+TRACKS_CSV = "tracks_csv"
+"""The option by which a recipe says that tracks.csv is written whatever the graph."""
+
 HORIZON = "horizon"
 """The option by which a recipe says how many frames ahead targets are forecast."""
 
@@ -97,7 +100,7 @@ def options_of(
 ) -> dict[str, bool | int | float | str]:
     """Further options of the recipe: the budget, and what of other packages is at work.
 
-    `written` is what the run writes besides what every run has: `beliefs`, `hypotheses`, `mp4`.
+    `written` is what the run writes besides what every run has: `beliefs`, `hypotheses`, `csv`, `mp4`.
     """
     options: dict[str, bool | int | float | str] = {}
     if budget_ms is not None:
@@ -106,6 +109,8 @@ def options_of(
         options[KEEPS_BELIEFS] = True
     if "hypotheses" in written:
         options[ALL_HYPOTHESES] = True
+    if "csv" in written:
+        options[TRACKS_CSV] = True
     if horizon:
         options[HORIZON] = horizon
     if max_side is not None:
@@ -152,7 +157,7 @@ class Recipe:
         models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
-            `keep_beliefs`; `all_hypotheses`; `horizon`; `max_side`; `video`.
+            `keep_beliefs`; `all_hypotheses`; `tracks_csv`; `horizon`; `max_side`; `video`.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -194,6 +199,7 @@ class Recipe:
         kind = str(self.options.get(VIDEO_FORMAT, "video"))
         asked = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
         asked["hypotheses"] = bool(self.options.get(ALL_HYPOTHESES))
+        asked["csv"] = bool(self.options.get(TRACKS_CSV))
         return tuple(name for name, is_asked in asked.items() if is_asked)
 
     @property

@@ -23,7 +23,7 @@ def measured(
 
     Args:
         targets: what was measured.
-        hypotheses: whether to write those of all targets, not only of `FEW` in a frame.
+        hypotheses: whether to write those of all targets, and all digits, not only of `FEW` in a frame.
     """
     hypotheses |= len(targets) <= FEW
     lines = Lines.of(targets)
@@ -33,7 +33,7 @@ def measured(
     if columns is None:
         without = lines.without_hypotheses()
         return columns_of(without, hypotheses), Tracked.of(without)
-    return narrowed(dict(columns)), Tracked(
+    return narrowed(dict(columns), precise=False), Tracked(
         int(columns["frame"]),
         float(columns["time_s"]),
         lines.ids,

@@ -37,7 +37,14 @@ from bayesnet_track.runtime.recording.beliefs import BeliefWriter
 from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
 from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter, QueryWriter
+from bayesnet_track.runtime.recording.tracks import (
+    NO_IDS,
+    CsvWriter,
+    MotWriter,
+    QueryWriter,
+    has_csv,
+    has_only_points,
+)
 from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
 from bayesnet_track.runtime.results import Result
 
@@ -68,8 +75,8 @@ class Recorder:
         directory: where the files go.
         graph: what is tracked with.
         frame_interval_s: nominal seconds between frames, for the video.
-        optional: which of `video` or `mp4` (annotated), `beliefs` (for smoothing) and `hypotheses` (of all
-            targets of every frame) to write as well.
+        optional: which of `video` or `mp4` (annotated), `beliefs` (for smoothing), `hypotheses` (of all
+            targets of every frame) and `csv` (see `has_csv`) to write as well.
         after: how far the files of a run are written that goes on here; what follows is cut off. The video
             begins anew: see `redraw`.
         before_first: called before the first frame is written; until then no file is opened, and events wait.
@@ -93,7 +100,8 @@ class Recorder:
         self._directory, self._interval, self._optional = directory, frame_interval_s, optional
         self._asked = graph.spec.queries
         self._has_ids, self._hypotheses = not has_births(graph), "hypotheses" in optional
-        self._points = all(one.spec.state == "point" for one in graph.targets.values())
+        self._points = has_only_points(graph.spec)
+        self._has_csv = "csv" in optional or has_csv(graph.spec)
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self.longest_side = LONGEST_SIDE
@@ -114,9 +122,10 @@ class Recorder:
             self._frames = files.enter_context(FrameWriter(directory.frames, at.get("frames")))
             mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids, self._points)
             self._mot = files.enter_context(mot)
-            self._csv = files.enter_context(
-                CsvWriter(directory.csv, at.get("csv"), query_columns(self._asked), self._points)
-            )
+            self._csv: CsvWriter | None = None
+            if self._has_csv or "csv" in at:
+                csv = CsvWriter(directory.csv, at.get("csv"), query_columns(self._asked), self._points)
+                self._csv = files.enter_context(csv)
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
             self._queries: QueryWriter | None = None
             if self._asked:
@@ -188,8 +197,9 @@ class Recorder:
 
     def _lines(self) -> dict[str, LineFile]:
         files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames, "mot": self._mot}
-        files |= {"csv": self._csv, "timings": self._timings}
+        files["timings"] = self._timings
         more = {
+            "csv": self._csv,
             "queries": self._queries,
             "inputs": self._inputs,
             "beliefs": self._beliefs,
@@ -218,7 +228,8 @@ class Recorder:
             columns, tracked = measured(result.targets, self._hypotheses)
             self._frames.write_columns(columns)
             self._mot.write(tracked)
-            self._csv.write(tracked)
+            if self._csv is not None:
+                self._csv.write(tracked)
             if self._beliefs is not None:
                 for target in tracked.targets:
                     if target in result.states:

@@ -16,7 +16,7 @@ from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.recording.tracks import CsvWriter, MotWriter
+from bayesnet_track.runtime.recording.tracks import CsvWriter, MotWriter, has_csv, has_only_points
 from bayesnet_track.runtime.smoothing import SmoothedRun
 
 COPIED = ("graph", "recipe", "truth", "inputs", "timings")
@@ -40,16 +40,24 @@ def write_smoothed(run: Run, smoothed: SmoothedRun, out: Path, overwrite: bool =
         held = {key: path.read_bytes() for key, path in files.items() if path.is_file()}
         # Empty, a journal makes the folder a run, which may be overwritten.
         replace_run(directory, {"journal": b"", **held})
-        finish(directory, _write_lines(directory, smoothed, run.spec), held)
+        with_csv = run.directory.csv.is_file()
+        finish(directory, _write_lines(directory, smoothed, run.spec, with_csv), held)
 
 
-def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpec) -> dict[str, Position]:
+def _write_lines(
+    directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpec, with_csv: bool
+) -> dict[str, Position]:
     has_births = any(plate.birth is not None for plate in graph.targets.values())
     with ExitStack() as files:
         journal = files.enter_context(JournalWriter(directory.journal))
         frames = files.enter_context(FrameWriter(directory.frames))
-        mot = files.enter_context(MotWriter(directory.mot, not has_births))
-        csv = files.enter_context(CsvWriter(directory.csv, queries=query_columns(graph.queries)))
+        points = has_only_points(graph)
+        mot = files.enter_context(MotWriter(directory.mot, not has_births, points=points))
+        written: dict[str, LineFile] = {"journal": journal, "frames": frames, "mot": mot}
+        csv: CsvWriter | None = None
+        if with_csv or has_csv(graph):
+            csv = CsvWriter(directory.csv, queries=query_columns(graph.queries), points=points)
+            written["csv"] = files.enter_context(csv)
         for event in smoothed.events:
             journal.write(event)
         for _, group in groupby(smoothed.metrics, key=lambda line: line.frame):
@@ -57,8 +65,8 @@ def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpe
             columns, tracked = measured(lines)
             frames.write_columns(columns)
             mot.write(tracked)
-            csv.write(tracked)
-        written: dict[str, LineFile] = {"journal": journal, "frames": frames, "mot": mot, "csv": csv}
+            if csv is not None:
+                csv.write(tracked)
         for file in written.values():
             file.flush()
             file.sync()

@@ -13,10 +13,23 @@ from typing import Any, Self
 
 import numpy as np
 
+from bayesnet_track.graph.settings.queries import query_columns
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
+
+
+def has_only_points(graph: GraphSpec) -> bool:
+    """True if targets are points: they have no box, so no line in MOT."""
+    return all(plate.state == "point" for plate in graph.targets.values())
+
+
+def has_csv(graph: GraphSpec) -> bool:
+    """True if ``tracks.csv`` is written without being asked for: it holds what ``tracks.txt`` cannot."""
+    return has_only_points(graph) or bool(query_columns(graph.queries))
+
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")

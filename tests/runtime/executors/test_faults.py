@@ -20,7 +20,7 @@ from bayesnet_track.runtime.results import replay_inputs
 
 pytestmark = pytest.mark.slow
 
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv", "inputs.jsonl")
+FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "inputs.jsonl")
 TWO = {"a": ("placed", {}), "b": ("placed_measurer", {})}
 SEEN_S, BACK_S = 0.05, 1.0
 ATTEMPTS = 3

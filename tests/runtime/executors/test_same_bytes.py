@@ -15,7 +15,11 @@ from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 
-FILES = ("journal.jsonl", "frames.npy.gz", "tracks.txt", "tracks.csv")
+FILES = (
+    "journal.jsonl",
+    "frames.npy.gz",
+    "tracks.txt",
+)
 EXECUTORS = [("processes", 1), ("processes", 2)]
 SCENES = {"two_squares": 45, "person_color_stereo": 25, "crowd": 20, "flying_ball": 30, "person_parts": 10}
 
