@@ -18,6 +18,7 @@ from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_
 from bayesnet_track.belief.motion.formulas import FormulaMotion, make_formula_motion
 from bayesnet_track.belief.motion.models import KinematicMotion, make_motion
 from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
+from bayesnet_track.belief.motion.start_prior import StartPrior, make_start_prior
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.lifecycle.measuring import make_sensor
 from bayesnet_track.engine.lifecycle.sensing import Sensor
@@ -290,8 +291,8 @@ def make_plate_motion(
     assert root.motion is not None
     settings = root.motion.settings
 
-    def composed(chosen: spec.Motion) -> MotionModel:
-        motion = _moves(chosen, constants)
+    def composed(chosen: spec.Motion, prior: StartPrior | None = None) -> MotionModel:
+        motion: MotionModel = replace(_moves(chosen, constants), prior=prior)
         if leaves_image and isinstance(motion, KinematicMotion | FormulaMotion):
             motion = replace(motion, leaves_image=True)
         if settings.sd_angle_deg > 0:
@@ -300,14 +301,17 @@ def make_plate_motion(
             motion = Nested(motion, deviations)
         return Reflecting(motion) if settings.borders == "reflect" else motion
 
-    usual = composed(root.motion)
+    prior = make_start_prior(root, constants)
     if root.modes is None:
-        return usual
+        return composed(root.motion, prior)
+    usual = composed(root.motion)
     own = (usual if mode.motion is None else composed(mode.motion) for mode in root.modes.values())
-    return Modal(make_modes(root.modes), tuple(own))
+    return Modal(make_modes(root.modes), tuple(own), prior=prior)
 
 
-def _moves(chosen: spec.Motion, constants: Mapping[str, float]) -> MotionModel:
+def _moves(
+    chosen: spec.Motion, constants: Mapping[str, float]
+) -> KinematicMotion | FormulaMotion | BoxVelocityMotion:
     if chosen.expressions is not None:
         return make_formula_motion(chosen.expressions, constants)
     return make_motion(chosen) if chosen.box_velocity is None else BoxVelocityMotion(chosen.box_velocity)

@@ -6,11 +6,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+import numpy as np
+
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import RuleInputs
 from bayesnet_track.adapt.status import next_try, quarantine
-from bayesnet_track.belief.contract import Posterior
+from bayesnet_track.belief.contract import BOX_FIELDS, Posterior
 from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.start_prior import make_start_prior
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.modes import ModeState, with_modes
@@ -30,6 +33,7 @@ from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Reference
 from bayesnet_track.observation.planes import Frame, PlaneCache
+from bayesnet_track.sources.entrances.notices import notice
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +95,44 @@ def start(
         existence=compiled.first_existence,
         started=frame.index,
     )
-    metrics = _first_frame_metrics(frame, target, len(born.belief), working, box, parts)
+    metrics = _first_frame_metrics(frame, target, born.belief, working, box, parts)
+    if compiled.plate.inference(compiled.plate.root).start_texts:
+        metrics = _with_start_prior(metrics, compiled, born.belief, box)
+        _say_undefined(compiled, target, box)
     if compiled.modes is not None:
         states = ModeState.of(compiled.modes, born.belief, born.belief, 1.0)
         metrics = with_modes(metrics, states, calibrated=True)
     return Born(born, tuple(decisions), metrics)
+
+
+def _with_start_prior(
+    metrics: FrameMetrics, compiled: CompiledPlate, belief: Posterior, box: Floats
+) -> FrameMetrics:
+    """The first frame's record, where and as wide as the belief starts."""
+    where = tuple(compiled.motion.start_moments(box)[0][:4].tolist())
+    variances = np.diagonal(belief.covariance)[:4]
+    counted = [BOX_FIELDS.index(name) for name in compiled.plate.inference(compiled.plate.root).ud_fields]
+    region50, region90 = belief.regions((0.5, 0.9))
+    return replace(
+        metrics,
+        centre_box=where,
+        map=where,
+        sd=tuple(np.sqrt(variances).tolist()),
+        ud_px2=float(variances[counted].sum()),
+        region50=tuple(map(float, region50)),
+        region90=tuple(map(float, region90)),
+    )
+
+
+def _say_undefined(compiled: CompiledPlate, target: str, box: Floats) -> None:
+    """Say so where a start prior has no distribution for a target's first box."""
+    prior = make_start_prior(compiled.plate.inference(compiled.plate.root), compiled.plate.constants)
+    for field in () if prior is None else prior.undefined(box):
+        x, y, w, h = box.tolist()
+        notice(
+            f"target {target}: start of {field} has no value in the start box x {x:g}, y {y:g}, w {w:g}, "
+            f"h {h:g}; it starts as without it"
+        )
 
 
 def start_late(
@@ -170,7 +207,7 @@ def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: 
 def _first_frame_metrics(
     frame: Frame,
     target: str,
-    size: int,
+    belief: Posterior,
     active: tuple[str, ...],
     box: Floats,
     parts: Mapping[str, Floats],
@@ -192,8 +229,8 @@ def _first_frame_metrics(
         score=1.0,
         log_evidence=0.0,
         surprise=0.0,
-        ess=float(size),
-        particles=size,
+        ess=float(len(belief)),
+        particles=len(belief),
         active=active,
         kl={},
         contribution={},

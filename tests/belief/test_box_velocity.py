@@ -6,7 +6,8 @@ import pytest
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
-from bayesnet_track.graph.spec import BoxVelocity, Gaussian, PixelSd
+from bayesnet_track.belief.motion.start_prior import make_start_prior
+from bayesnet_track.graph.spec import BoxVelocity, Gaussian, InferenceNode, Motion, PixelSd
 
 SETTINGS = BoxVelocity(
     sd_px=PixelSd(x=1, y=2, w=3, h=4),
@@ -17,8 +18,13 @@ SETTINGS = BoxVelocity(
 BOX = np.array([50.0, 40.0, 20.0, 30.0])
 
 
+def motion_of(settings):
+    root = InferenceNode(motion=Motion(box_velocity=settings))
+    return BoxVelocityMotion(settings, make_start_prior(root, {}))
+
+
 def test_moments_of_the_first_frame_and_after_a_step():
-    motion = BoxVelocityMotion(SETTINGS)
+    motion = motion_of(SETTINGS)
     mean, covariance = motion.start_moments(BOX)
     assert mean.tolist() == [*BOX, 0, 0, 0, 0]
     assert np.diag(covariance).tolist() == [25, 25, 25, 25, 36, 36, 49, 49]
@@ -32,7 +38,7 @@ def test_moments_of_the_first_frame_and_after_a_step():
 
 
 def test_drawn_states_have_these_moments():
-    motion, rng = BoxVelocityMotion(SETTINGS), np.random.default_rng(1)
+    motion, rng = motion_of(SETTINGS), np.random.default_rng(1)
     states = motion.propagate(motion.start(BOX, 40_000, rng), 1.0, rng)
     assert states[:, 2:4].min() >= 1.0
     spread = motion.linearise(states[0], 1.0)

@@ -73,6 +73,12 @@ RUNS = {
         COLOUR,
         'f: {parent: a, factor: "lognormal(h * z, 5, 0.3)"}',
     ),
+    "a start prior of the place": model(
+        "{motion: {expressions: {fields: {x: {sd: 5}}, sd: {x: 2, y: 2}}}}", COLOUR
+    ),
+    "a start prior of a walk": model(
+        "{motion: {random_walk: {sd_px: {x: 2, y: 2}, start_sd_px: {x: 20, y: 20}}}}", COLOUR
+    ),
     "a formation": HEAD
     + "joins: [{between: [a, a], factor: 'normal(hypot(a.x - b.x, a.y - b.y), 50, 5)', when: {overlap: 0}}]\n"
     + model(f"{{belief: {{particles: {{size: 300}}}}, {CV}}}", COLOUR, head=ONE.removeprefix(HEAD)),
@@ -143,14 +149,6 @@ REFUSED = {
     "the time": (
         model("{motion: {expressions: {drift: {x: x + frame * dt}, sd: {x: 2, y: 2}}}}", COLOUR),
         "unknown name 'frame'; allowed: x, y, w, h,",
-    ),
-    "a start prior of the place": (
-        model("{motion: {expressions: {fields: {x: {sd: 5}}, sd: {x: 2, y: 2}}}}", COLOUR),
-        "field 'x', which is a word of the language; allowed: another name",
-    ),
-    "a start prior of a walk": (
-        model("{motion: {random_walk: {sd_px: {x: 2}, start_sd_px: {x: 20}}}}", COLOUR),
-        "unknown key 'start_sd_px'; allowed: sd_px,",
     ),
     "a factor of three": (
         HEAD

@@ -8,6 +8,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph.settings.motion import BoxVelocity, PixelSd
 from bayesnet_track.numerics.arrays import Floats
 
@@ -21,6 +22,7 @@ class BoxVelocityMotion:
     """
 
     settings: BoxVelocity
+    prior: StartPrior | None = None
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -34,15 +36,15 @@ class BoxVelocityMotion:
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """(size, 8) states around the centre box (4,)."""
-        mean, covariance = self.start_moments(box)
-        states = mean + rng.standard_normal((size, 8)) * np.sqrt(np.diagonal(covariance))
-        np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
-        return np.asarray(states)
+        sds = np.concatenate([np.zeros(4), _sds(self.settings.start_velocity_sd_px)])
+        states = np.asarray(np.append(box, np.zeros(4)) + rng.standard_normal((size, 8)) * sds)
+        return states if self.prior is None else self.prior.applied_to(self.fields, states, box, rng)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(8,) mean and (8, 8) covariance of what `start` draws."""
-        sds = np.concatenate([_sds(self.settings.start_sd_px), _sds(self.settings.start_velocity_sd_px)])
-        return np.concatenate([box, np.zeros(4)]).astype(np.float64), np.diag(sds**2)
+        sds = np.concatenate([np.zeros(4), _sds(self.settings.start_velocity_sd_px)])
+        mean, spread = np.concatenate([box, np.zeros(4)]).astype(np.float64), np.diag(sds**2)
+        return (mean, spread) if self.prior is None else self.prior.moments_of(self.fields, mean, spread, box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import Number, Term, Variable, names_in
@@ -259,6 +259,7 @@ class FormulaMotion:
         frame: columns and rows of the frame; None before one is known.
         static_discount: of kernels that keep hypotheses about unknown constants; None without kernels.
         leaves_image: whether targets go on beyond the frame.
+        prior: distributions of fields at the start in place of these; None without any.
         undefined: ``drift x`` or ``sd x`` -> what was found; of this object alone, which is made for a frame.
     """
 
@@ -271,17 +272,20 @@ class FormulaMotion:
     frame: tuple[int, int] | None = None
     static_discount: float | None = None
     leaves_image: bool = False
+    prior: StartPrior | None = None
     undefined: dict[str, Undefined] = field(default_factory=dict, init=False)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D,) mean and (D, D) covariance of a target first seen in the centre box (4,)."""
         mean = np.concatenate([box, self.start_mean]).astype(np.float64)
-        return mean, np.diag(np.concatenate([np.zeros(4), self.start_sd]) ** 2)
+        spread = np.diag(np.concatenate([np.zeros(4), self.start_sd]) ** 2)
+        return (mean, spread) if self.prior is None else self.prior.moments_of(self.fields, mean, spread, box)
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """(size, D) states in the centre box (4,), the further fields drawn around `start_mean`."""
-        mean, covariance = self.start_moments(box)
-        return np.asarray(mean + rng.standard_normal((size, len(mean))) * np.sqrt(np.diagonal(covariance)))
+        mean, sds = np.concatenate([box, self.start_mean]), np.concatenate([np.zeros(4), self.start_sd])
+        states = np.asarray(mean + rng.standard_normal((size, len(mean))) * sds)
+        return states if self.prior is None else self.prior.applied_to(self.fields, states, box, rng)
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) f of the states.
@@ -349,11 +353,16 @@ class FormulaMotion:
             states_at,
         )
 
-    @cached_property
-    def static(self) -> tuple[str, ...]:
-        """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise."""
+    def static(self, prior: StartPrior | None = None) -> tuple[str, ...]:
+        """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise.
+
+        `prior` is that of a motion in modes around this one.
+        """
+        prior = self.prior if prior is None else prior
         still = {name for name in self.fields[4:] if self.drifts.get(name, Variable(name)) == Variable(name)}
-        uncertain = (name for name, sd in zip(self.fields[4:], self.start_sd, strict=True) if sd > 0)
+        drawn = () if prior is None else tuple(filter(prior.is_uncertain, self.fields[4:]))
+        sds = zip(self.fields[4:], self.start_sd, strict=True)
+        uncertain = (name for name, sd in sds if sd > 0 or name in drawn)
         return tuple(name for name in uncertain if name in still and self.sds.get(name, ZERO) == ZERO)
 
     @property
@@ -385,7 +394,7 @@ def make_formula_motion(settings: ByExpressions, constants: Mapping[str, float])
     drifts = {name: parse(str(text)) for name, text in settings.drift.items()}
     sds = {name: parse(str(text)) for name, text in settings.sd.items()}
     used = {name for term in (*drifts.values(), *sds.values()) for name in names_in(term)}
-    further = settings.fields
+    further = settings.own
     return FormulaMotion(
         (*BOX_FIELDS, *further),
         drifts,

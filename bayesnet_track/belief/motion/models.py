@@ -28,6 +28,7 @@ from bayesnet_track.belief.motion.noise import (
     is_same_everywhere,
     noisy,
 )
+from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import read_only
@@ -146,6 +147,7 @@ class KinematicMotion:
         diffusion: variance per frame interval of the white noise in the last derivative.
         start_sd: sds of the unknown first velocity and acceleration, (n - 1).
         leaves_image: whether targets go on beyond the frame.
+        prior: distributions of fields at the start in place of these; None without any.
     """
 
     noise: spec.Noise
@@ -153,6 +155,7 @@ class KinematicMotion:
     diffusion: float = 0.0
     start_sd: tuple[float, ...] = ()
     leaves_image: bool = False
+    prior: StartPrior | None = None
 
     def __hash__(self) -> int:
         return self._hash
@@ -183,12 +186,14 @@ class KinematicMotion:
         """(size, D) states in the centre box (4,), the derivatives drawn around 0."""
         boxes = np.tile(np.asarray(box, dtype=np.float64), (size, 1))
         derivatives = rng.standard_normal((size, 2 * len(self.start_sd))) * np.repeat(self.start_sd, 2)
-        return np.concatenate([boxes, derivatives], axis=1)
+        states = np.concatenate([boxes, derivatives], axis=1)
+        return states if self.prior is None else self.prior.applied_to(self.fields, states, box, rng)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D,) mean and (D, D) covariance of what `start` draws: the box, and derivatives around 0."""
         sds = np.concatenate([np.zeros(4), np.repeat(self.start_sd, 2)])
-        return np.concatenate([box, np.zeros(len(sds) - 4)]).astype(np.float64), np.diag(sds**2)
+        mean, spread = np.concatenate([box, np.zeros(len(sds) - 4)]).astype(np.float64), np.diag(sds**2)
+        return (mean, spread) if self.prior is None else self.prior.moments_of(self.fields, mean, spread, box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel, Posterior
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph.settings.motion import Hidden, Mode
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import Chain
@@ -259,11 +260,13 @@ class Modal:
         modes: the modes.
         parts: how the target moves in each; they may have different fields.
         settled: the modes of the states that are moved are those after the move already.
+        prior: distributions of fields at the start in place of those of the motions; None without any.
     """
 
     modes: Modes
     parts: tuple[MotionModel, ...]
     settled: bool = False
+    prior: StartPrior | None = None
 
     @cached_property
     def motions(self) -> tuple[MotionModel, ...]:
@@ -298,12 +301,17 @@ class Modal:
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """(size, D) states in the centre box (4,), in modes in which it is seen."""
         states = self._first.start(box, size, rng)
+        if self.prior is not None:
+            states = self.prior.applied_to(self._first.fields, states, box, rng)
         points = (rng.permutation(size) + rng.random(size)) / size
         return _with(states, draw(np.tile(self.modes.start(), (size, 1)), points))
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D - 1,) mean and covariance without the mode."""
-        return self._first.start_moments(box)
+        mean, spread = self._first.start_moments(box)
+        if self.prior is None:
+            return mean, spread
+        return self.prior.moments_of(self._first.fields, mean, spread, box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None

@@ -21,6 +21,7 @@ import numpy as np
 from bayesnet_track.belief.contract import MotionModel, Stream
 from bayesnet_track.belief.motion.formulas import FormulaMotion
 from bayesnet_track.belief.motion.modes import FIELD
+from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.numerics.gaussian import root, weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -63,8 +64,16 @@ def shrink_constants(prior: ParticleSet, motion: MotionModel, stream: Stream) ->
 def static_fields(motion: MotionModel) -> tuple[str, ...]:
     """Fields that are uncertain when the target starts and that no motion changes, in any mode."""
     motions = list(formulas_in(motion))
-    names = dict.fromkeys(name for one in motions for name in one.static)
-    return tuple(name for name in names if all(name in one.static for one in motions))
+    constants = [one.static(_prior_in(motion)) for one in motions]
+    names = dict.fromkeys(name for own in constants for name in own)
+    return tuple(name for name in names if all(name in own for own in constants))
+
+
+def _prior_in(motion: object) -> StartPrior | None:
+    """The start prior of a motion, confined or not."""
+    while motion is not None and getattr(motion, "prior", None) is None:
+        motion = getattr(motion, "motion", None)
+    return getattr(motion, "prior", None)
 
 
 def formulas_in(motion: object) -> Iterator[FormulaMotion]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.start_prior import start_moments_of_each
 from bayesnet_track.engine.lifecycle.sensing import LOG_TURN, Begun, BoxSensor, Found, Mixed, Sensor
 from bayesnet_track.graph.checked import ANCHORED, CheckedTarget, Inverse, MeasuredAs
 from bayesnet_track.graph.expressions.evaluate import values_of
@@ -204,17 +205,20 @@ class FunctionSensor:
             way = self._seen.less(found.values, anchor.values)
             less, place = self._seen.less, anchor.place
             states[:, columns] = follow(at, less, place, anchor.values, way, self.variances)
-        return self._spread(states, spread, columns, found)
+        means, spreads = start_moments_of_each(motion, states[:, :4])
+        others = [column for column in range(states.shape[1]) if column not in columns]
+        states[:, others] = means[:, others]
+        return self._spread(states, spreads, columns, found)
 
     def _spread(self, states: Floats, spread: Floats, columns: list[int], found: Found) -> Begun:
         expected = self._of(states)
         slopes = derivatives(lambda near: self._near(near, expected), states)
-        prior = np.diagonal(spread).copy()
-        prior[columns] = math.inf
-        free = np.flatnonzero(prior > 0.0)
+        prior = np.diagonal(spread, axis1=1, axis2=2).copy()
+        prior[:, columns] = math.inf
+        free = np.flatnonzero(prior.max(axis=0) > 0.0)
         heights = slopes[:, :, free]
         weighted = np.swapaxes(heights / self.variances[:, None], 1, 2)
-        information = weighted @ heights + np.diag(1.0 / prior[free])
+        information = weighted @ heights + (1.0 / prior[:, free])[:, :, None] * np.eye(len(free))
         usable = np.isfinite(states).all(axis=1) & np.isfinite(information).all(axis=(1, 2))
         usable &= np.isfinite(expected).all(axis=1)
         information[~usable] = np.eye(len(free))
@@ -223,7 +227,7 @@ class FunctionSensor:
         own = np.linalg.inv(information)
         away = self._seen.less(found.values, expected)
         states[:, free] += np.einsum("nij,njk,nk->ni", own, weighted, np.where(usable[:, None], away, 0.0))
-        covariance = np.zeros((len(states), *spread.shape))
+        covariance = np.zeros_like(spread)
         covariance[np.ix_(np.arange(len(states)), free, free)] = (own + np.swapaxes(own, 1, 2)) / 2
         which = np.flatnonzero(usable)
         return Begun(which, states[which], covariance[which])

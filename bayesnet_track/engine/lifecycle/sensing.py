@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.start_prior import start_moments_of_each
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.records import evolve
@@ -186,7 +186,7 @@ class BoxSensor:
     def begin(self, motion: MotionModel, found: Found) -> Begun:
         """The box itself, with the detection's error."""
         boxes = found.values
-        mean, covariance = _start_moments(motion, boxes)
+        mean, covariance = start_moments_of_each(motion, boxes)
         diagonal = np.arange(4)
         covariance[:, diagonal, diagonal] += self.association.variances(boxes)
         return Begun(np.arange(len(boxes)), mean, covariance)
@@ -220,14 +220,3 @@ def with_looks(
         own = pairs.rows == row
         values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
     return evolve(pairs, values=values)
-
-
-def _start_moments(motion: MotionModel, boxes: Floats) -> tuple[Floats, Floats]:
-    """(N, D) means and (N, D, D) covariances of targets first seen in boxes (N, 4), at least one."""
-    if isinstance(motion, KinematicMotion):  # every box the same but for its place and size
-        mean, spread = motion.start_moments(boxes[0])
-        means = np.tile(mean, (len(boxes), 1))
-        means[:, :4] = boxes
-        return means, np.tile(spread, (len(boxes), 1, 1))
-    moments = [motion.start_moments(box) for box in boxes]
-    return np.array([mean for mean, _ in moments]), np.array([spread for _, spread in moments])

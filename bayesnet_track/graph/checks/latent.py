@@ -273,7 +273,7 @@ def _keeps_size(target: CheckedTarget, node: str) -> bool:
 
 MAX_LEVELS = 32
 ROOT_ONLY = (
-    *("motion", "modes", "estimate", "learn", "lost", "score", "localization_error", "distractors"),
+    *("motion", "start", "modes", "estimate", "learn", "lost", "score", "localization_error", "distractors"),
     *("guarantee", "alarm"),
 )
 
@@ -358,7 +358,7 @@ def root_keys_at_the_root(plate: Plate) -> Iterator[GraphMessage]:
     """Motion, estimate, learning and loss belong to the root; a latent node may have a motion of its own."""
     for name, node in plate.inference.items():
         for key in ROOT_ONLY if node.parent is not None else ():
-            if getattr(node, key) is not None and not (key == "motion" and has_a_state(node)):
+            if getattr(node, key) not in (None, {}) and not (key == "motion" and has_a_state(node)):
                 where = f"only at the root, {plate.roots[0]}" if plate.roots else "only at the root"
                 where += ", or with fuse: latent" if key == "motion" else ""
                 yield plate.message(name, f"key {key!r} below the root", where, key=(key,), on_key=True)

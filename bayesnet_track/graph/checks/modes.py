@@ -107,7 +107,7 @@ def _expressions_move_alone(plate: Plate, name: str, mode: str, motion: Motion) 
             allowed = f"no {word}; or a motion of {mode!r} without expressions"
             yield plate.message(name, found, allowed, key=("motion", motion.kind, word), on_key=True)
     mode_motion = (plate.inference[name].modes or {})[mode].motion
-    fields = () if mode_motion is None or mode_motion.expressions is None else mode_motion.expressions.fields
+    fields = () if mode_motion is None or mode_motion.expressions is None else mode_motion.expressions.own
     strange = [one for one in fields if one not in ("vx", "vy", "ax", "ay")]
     if motion.settings.borders is not None and strange:
         found = f"borders: reflect, and mode {mode!r} has field {strange[0]!r}, which it cannot turn round"
@@ -177,7 +177,7 @@ def _length(motion: Motion) -> int:
 def _starts(motion: Motion) -> Iterator[tuple[str, float]]:
     """The fields beside the box, with their sds when the target starts."""
     if motion.expressions is not None:
-        yield from ((name, own.sd) for name, own in motion.expressions.fields.items())
+        yield from ((name, own.sd) for name, own in motion.expressions.own.items())
         return
     sds = {"v": "start_velocity_sd_px", "a": "start_acceleration_sd_px"}
     for name in fields_of_motion(motion):

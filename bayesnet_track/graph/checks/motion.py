@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 from pydantic import ValidationError
@@ -108,7 +108,7 @@ def box_velocities_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
         if belief is None or belief.gaussian is None:
             found = f"box_velocity beside {'particles' if belief is None else belief.kind}"
             yield plate.message(name, found, "belief: {gaussian: {filter: kalman}}", key=key, on_key=True)
-        own = {"sd_px", *BoxVelocity.model_fields.keys() - Moving.model_fields.keys()}
+        own = {"sd_px", "start_sd_px", *BoxVelocity.model_fields.keys() - Moving.model_fields.keys()}
         for word in sorted(settings.model_fields_set - own):
             found = f"{word} has no effect on box_velocity"
             yield plate.message(name, found, sorted(own), key=(*key, word), on_key=True)
@@ -215,7 +215,7 @@ VELOCITIES = ("vx", "vy", "ax", "ay")
 def fields_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
     """Fields of a motion by expressions have names of their own."""
     for node, path, motion in _formulas(plate):
-        for name in motion.fields:
+        for name in motion.own:
             here = (*path, "fields", name)
             if (name in WORDS and name not in MAY_BE_FIELDS) or name == "carried":
                 found, allowed = f"field {name!r}, which is a word of the language", "another name"
@@ -229,7 +229,7 @@ def fields_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
 def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """A motion's expressions are of its fields, the frame, `dt` and constants."""
     for node, path, motion in _formulas(plate):
-        fields = (*BOX, *motion.fields)
+        fields = (*BOX, *motion.own)
         names = (*fields, *FRAME_NAMES, *plate.constants)
         for what, formulas in _parts(motion):
             for name, text in formulas.items():
@@ -244,7 +244,7 @@ def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                     if error.word:
                         message = replace(message, nearest=nearest(error.word, error.near))
                     yield plate.at.inside(message, error.at)
-        strange = [one for one in motion.fields if one not in VELOCITIES]
+        strange = [one for one in motion.own if one not in VELOCITIES]
         if motion.borders is not None and strange:
             found = f"borders: reflect beside field {strange[0]!r}, which it cannot turn round"
             allowed = f"fields {', '.join(VELOCITIES)}, or no borders"
@@ -273,18 +273,21 @@ def constants_have_particles(plate: Plate) -> Iterator[GraphMessage]:
         if belief is not None and belief.particles is None:
             found = f"static_discount beside {belief.kind}, which keeps a constant's uncertainty by itself"
             yield plate.message(node, found, "no static_discount, or particles", key=key, on_key=True)
-        elif not static_fields(motion):
+        elif not static_fields(motion, plate.inference[node].start):
             found = "static_discount, and every field that is uncertain drifts or has noise"
             allowed = "a field with an sd at the start, no drift and no sd; or no static_discount"
             yield plate.message(node, found, allowed, key=key, on_key=True)
 
 
-def static_fields(motion: ByExpressions) -> list[str]:
-    """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise."""
+def static_fields(motion: ByExpressions, starts: Collection[str] = ()) -> list[str]:
+    """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise.
+
+    `starts` are fields with a start prior beside the motion's.
+    """
     return [
         name
-        for name, own in motion.fields.items()
-        if own.sd > 0
+        for name, own in motion.own.items()
+        if (own.sd > 0 or name in starts)
         and str(motion.drift.get(name, name)).strip() == name
         and float_of(motion.sd.get(name, 0.0)) == 0.0
     ]
@@ -300,10 +303,10 @@ def float_of(value: float | str) -> float:
 
 def _fits_grid(plate: Plate, at: tuple[str, KeyPath], motion: ByExpressions) -> Iterator[GraphMessage]:
     node, path = at
-    if tuple(motion.fields) not in ((), ("vx", "vy")):
-        found = f"a grid has no cells for {', '.join(motion.fields)}"
+    if tuple(motion.own) not in ((), ("vx", "vy")):
+        found = f"a grid has no cells for {', '.join(motion.own)}"
         yield plate.message(node, found, "fields vx, vy, in this order, or none", key=(*path, "fields"))
-    for name, own in motion.fields.items():
+    for name, own in motion.own.items():
         if own.start != 0:
             here = (*path, "fields", name, "start")
             yield plate.message(
@@ -315,7 +318,7 @@ def _fits_grid(plate: Plate, at: tuple[str, KeyPath], motion: ByExpressions) -> 
             if name in ("w", "h"):
                 found = f"{what} of {name}, and the sizes of a grid's cells do not move by expressions"
                 yield plate.message(node, found, "x, y, vx, vy", key=here, on_key=True)
-            elif what == "sd" and (read := _reads(str(text), (*BOX, *motion.fields))):
+            elif what == "sd" and (read := _reads(str(text), (*BOX, *motion.own))):
                 found = f"sd that depends on {read}; on a grid the noise is the same everywhere"
                 yield plate.message(node, found, "numbers, constants, dt, the frame's size", key=here)
 

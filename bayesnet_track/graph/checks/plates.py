@@ -135,7 +135,7 @@ FURTHER = {
 def fields_of_motion(motion: Motion) -> tuple[str, ...]:
     """Fields of the state beside the box, of one motion."""
     if motion.expressions is not None:
-        return tuple(motion.expressions.fields)
+        return tuple(motion.expressions.own)
     angle = ("angle",) if motion.settings.sd_angle_deg > 0 else ()
     return (*FURTHER.get(motion.kind, ()), *angle)
 

@@ -42,6 +42,7 @@ from bayesnet_track.graph.checks.motion import (
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
 from bayesnet_track.graph.checks.sensors import SENSOR_CHECKS, read_inverses
+from bayesnet_track.graph.checks.starts import START_CHECKS
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
@@ -208,6 +209,7 @@ VALUE_CHECKS: tuple[Check, ...] = (
     *MOTION_CHECKS,
     *FORMULA_CHECKS,
     *MODE_CHECKS,
+    *START_CHECKS,
     *PLACE_CHECKS,
 )
 """These need no sound tree."""

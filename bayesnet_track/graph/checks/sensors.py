@@ -202,7 +202,7 @@ def _function(plate: Plate, name: str, parameters: Any) -> tuple[Any, Less]:
 def _others(plate: Plate, node: AgentNode) -> Mapping[str, float]:
     """The other fields of a state that starts."""
     root = plate.inference[plate.roots[0]]
-    fields = {} if root.motion is None or root.motion.expressions is None else root.motion.expressions.fields
+    fields = {} if root.motion is None or root.motion.expressions is None else root.motion.expressions.own
     starts = {name: float(one.start) for name, one in fields.items()}
     return {name: starts.get(name, 1.0 if name in BOX else 0.0) for name in _state(plate, node)}
 

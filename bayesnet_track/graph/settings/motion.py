@@ -195,6 +195,16 @@ class Moving(Noise):
         " centre stops there",
     )
 
+    start_sd_px: PixelSd = Field(
+        default=PixelSd(), description="error of the first box; `start` of the root says other distributions"
+    )
+
+    @property
+    def start_texts(self) -> dict[str, str]:
+        """Field of the box -> its distribution when the target starts, as an expression."""
+        sds = {name: getattr(self.start_sd_px, name) for name in ("x", "y", "w", "h")}
+        return {name: f"normal({name}, {sd!r})" for name, sd in sds.items() if sd > 0}
+
     @property
     def is_plain(self) -> bool:
         """True if it is noise and kinematics alone."""
@@ -255,7 +265,9 @@ Expression = Annotated[
 class OwnField(Model):
     """A field of the state beside the box, such as a speed or a heading."""
 
-    start: Number = Field(default=0.0, description="its mean when the target starts")
+    start: Number = Field(
+        default=0.0, description="its mean when the target starts; of x, y, w, h always the start box"
+    )
     sd: NotNegative = Field(default=0.0, description="its sd when the target starts")
 
 
@@ -271,7 +283,9 @@ class ByExpressions(Model):
     """
 
     fields: dict[Name, OwnField] = Field(
-        default={}, max_length=8, description="fields of the state beside x, y, w, h"
+        default={},
+        max_length=12,
+        description="fields of the state beside x, y, w, h, at most 8; of x, y, w, h an sd at the start",
     )
     drift: dict[Name, Expression] = Field(
         default={}, description="field: its value after `dt`; a field that is not named stays"
@@ -289,6 +303,17 @@ class ByExpressions(Model):
         description="of fields that neither drift nor have noise, beside particles: their hypotheses are "
         "spread anew before each frame, by kernels of this discount (Liu and West 2001); .98 is usual",
     )
+
+    @property
+    def own(self) -> dict[str, OwnField]:
+        """The fields beside x, y, w, h."""
+        return {name: one for name, one in self.fields.items() if name not in ("x", "y", "w", "h")}
+
+    @property
+    def start_texts(self) -> dict[str, str]:
+        """Field of the box -> its distribution when the target starts, as an expression."""
+        sds = {name: self.fields[name].sd for name in ("x", "y", "w", "h") if name in self.fields}
+        return {name: f"normal({name}, {sd!r})" for name, sd in sds.items() if sd > 0}
 
     @property
     def is_plain(self) -> bool:
@@ -311,7 +336,6 @@ class BoxVelocity(Moving):
     """
 
     sd_velocity_px: PixelSd = Field(default=PixelSd(), description="noise of the velocities, px per frame")
-    start_sd_px: PixelSd = Field(default=PixelSd(), description="error of the first box")
     start_velocity_sd_px: PixelSd = Field(
         default=PixelSd(x=5.0, y=5.0), description="of the unknown first velocities, px per frame"
     )

@@ -235,6 +235,13 @@ class InferenceNode(Model):
         description="required at the root; or at a node with `fuse: latent`: its deviation from its place in "
         "its parent's box is remembered, and changes by this random walk in px",
     )
+    start: dict[Name, Expression] = Field(
+        default={},
+        max_length=16,
+        description="root only; field of the state: its distribution when the target starts, by an "
+        "[expression](expressions.md#start-priors) of the start box, such as `normal(x, 5)`, or its value. "
+        "Default: in the start box, other fields as the motion says",
+    )
     modes: Modes | None = Field(
         default=None,
         description="root only; hidden discrete states with memory: ways to move, and whether it is seen. "
@@ -270,6 +277,12 @@ class InferenceNode(Model):
     alarm: Alarm | None = Field(
         default=None, description="root only; an alarm that is seldom false in a whole video; needs `score`"
     )
+
+    @property
+    def start_texts(self) -> dict[str, str]:
+        """Field of a root's state -> its distribution when a target starts, as an expression."""
+        written = {name: str(text) for name, text in self.start.items()}
+        return written if self.motion is None else {**self.motion.settings.start_texts, **written}
 
     @property
     def adapts(self) -> bool:

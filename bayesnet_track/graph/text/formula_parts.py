@@ -171,7 +171,7 @@ def _equations(motion: Motion | None) -> Iterator[tuple[str, Term, Term | None]]
     if motion is None or motion.expressions is None:
         return
     drifts, sds = drift_of(motion.expressions), sds_of(motion.expressions)
-    for name in ("x", "y", "w", "h", *motion.expressions.fields):
+    for name in ("x", "y", "w", "h", *motion.expressions.own):
         if name in drifts or name in sds:
             yield name, drifts.get(name, Variable(name)), sds.get(name)
 
