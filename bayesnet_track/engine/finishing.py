@@ -107,7 +107,15 @@ class FinishedGroup(Generic[Table]):
         """Decisions about the targets of the table, in order."""
         if not self.filtered.keeps_status:
             return ()
-        return tuple(decision for of in self.judged.chosen.values() for decision in of)
+        return tuple(chain(*(self._decided_on(row) for row in self._rows_decided_on())))
+
+    def _rows_decided_on(self) -> Sequence[int]:
+        return sorted(self.judged.chosen.keys() | self.learnt.beside.keys())
+
+    def _decided_on(self, row: int) -> tuple[Decision, ...]:
+        """Decisions about one target that stand."""
+        beside = self.learnt.beside.get(row)
+        return self.judged.chosen.get(row, ()) if beside is None else beside.decisions
 
     @property
     def table_events(self) -> tuple[Event, ...]:
@@ -115,9 +123,8 @@ class FinishedGroup(Generic[Table]):
         reports = self.filtered.reports(self.work.frame.index)
         if not reports:
             return self.decided
-        chosen = self.judged.chosen
-        rows = sorted({*reports, *chosen})
-        return tuple(chain(*((*reports.get(row, ()), *chosen.get(row, ())) for row in rows)))
+        rows = sorted({*reports, *self._rows_decided_on()})
+        return tuple(chain(*((*reports.get(row, ()), *self._decided_on(row)) for row in rows)))
 
     def state(self, row: int) -> TargetState:
         """The state of one target after the frame, still with the plan that the frame began with."""
@@ -192,7 +199,10 @@ class FinishedGroup(Generic[Table]):
 
     def columns(self) -> Mapping[str, NDArray[Any]] | None:
         """The columns of their lines without hypotheses; None where lines have to be made."""
-        return self.filtered.line_columns(self.work, self.judged.boxes, self.is_lost, self.judged.levels_px2)
+        judged = self.judged
+        return self.filtered.line_columns(
+            self.work, judged.boxes, self.is_lost, judged.levels_px2, self.learnt.rates
+        )
 
 
 @dataclass(frozen=True, eq=False)

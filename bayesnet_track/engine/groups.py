@@ -155,11 +155,17 @@ class FilteredGroup(Protocol[Table]):
         """Row -> events of its update, of targets that are in a table after the frame."""
 
     def line_columns(
-        self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats
+        self,
+        work: FrameContext,
+        boxes: Floats,
+        is_lost: Bools,
+        levels_px2: Floats,
+        rates: Sequence[float],
     ) -> Mapping[str, NDArray[Any]] | None:
         """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made.
 
-        Of the estimates (T, 4) px, whether each was lost, and the baselines of UD, NaN while unknown.
+        Of the estimates (T, 4) px, whether each was lost, the baselines of UD, NaN while unknown, and the
+        shares of the largest learning rate.
         """
 
 
@@ -286,7 +292,7 @@ class FilteredEach:
         """No target is in a table after the frame."""
         return {}
 
-    def line_columns(self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
+    def line_columns(self, *_: Any) -> None:
         """Lines have to be made."""
 
 

@@ -220,7 +220,9 @@ def move_references(
     }
     for agent, rows in learning.items():
         if len(rows) and not is_elsewhere(cues[agent]):
-            own, known = np.array(rates[agent])[rows], _taken(references[agent], rows)
+            own, known = np.array(rates[agent])[rows], references[agent]
+            if len(rows) < len(known):
+                known = ReferenceRows.some(known, rows)
             found, outcomes[agent] = _follow(work, group, agent, rows, (known, own, angles))
             references[agent] = _replaced(references[agent], rows, found)
     for (agent, row), wait in waits.items():
@@ -284,15 +286,6 @@ def _follow(
 def _planes(work: FrameContext, cue: AnyCue, boxes: Floats) -> list[Planes]:
     starts, share = np.arange(len(boxes) + 1), hasattr(cue, "follow_each")
     return planes_of_each(work, cue.needs, boxes, starts, context_of(cue), share)
-
-
-def _taken(references: Sequence[Reference], rows: Ints) -> Sequence[Reference]:
-    """The references of some rows."""
-    if len(rows) == len(references):
-        return references
-    if isinstance(references, ReferenceRows):
-        return references.take(rows)
-    return [references[row] for row in rows.tolist()]
 
 
 def _replaced(known: Sequence[Reference], rows: Ints, found: Sequence[Reference]) -> Sequence[Reference]:

@@ -129,6 +129,19 @@ class ReferenceRows(Sequence[Reference]):
         more = others.columns
         return ReferenceRows({name: np.concatenate([one, more[name]]) for name, one in self.columns.items()})
 
+    @staticmethod
+    def joined(first: Sequence[Reference], others: Sequence[Reference]) -> Sequence[Reference]:
+        """References, then others."""
+        together = first.extended(others) if isinstance(first, ReferenceRows) else None
+        return ReferenceRows.of([*first, *others]) if together is None else together
+
+    @staticmethod
+    def some(references: Sequence[Reference], rows: NDArray[np.intp]) -> Sequence[Reference]:
+        """The references of some rows."""
+        if isinstance(references, ReferenceRows):
+            return references.take(rows)
+        return [references[row] for row in rows.tolist()]
+
     def _is_like(self, others: ReferenceRows) -> bool:
         own, new = self.columns, others.columns
         return own.keys() == new.keys() and all(

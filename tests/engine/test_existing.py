@@ -244,8 +244,9 @@ def test_looks_say_whose_a_detection_is_where_the_agent_asks_for_them(monkeypatc
     own = load_graph(written)
     asked = []
 
-    def looks(work, target, state, boxes):
-        asked.append(target)
+    def looks(work, compiled, targets, known, boxes, starts):
+        asked.extend(targets)
+        assert {*known} >= {"color", "shade"} and starts[-1] == len(boxes)
         return np.zeros(len(boxes))
 
     monkeypatch.setattr(association, "score_looks", looks)

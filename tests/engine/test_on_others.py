@@ -22,8 +22,8 @@ def work_and_targets():
     return work, Together(filter_rows(work, state.targets), {}, [*alone]), Together([], alone, [*alone])
 
 
-def _fail(work, table, hypotheses, starts, rows):
-    return {"color": np.zeros(len(hypotheses))}, {row: {} for row in range(len(rows))}
+def _fail(work, group, hypotheses, starts):
+    return {"color": np.zeros(len(hypotheses))}, {row: {} for row in range(len(starts) - 1)}
 
 
 def test_they_are_asked_together_with_the_answers_of_each_alone(work_and_targets, monkeypatch):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,12 +22,15 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.sensing import Found, gate_boxes, with_looks
 from bayesnet_track.engine.lifecycle.sharing import Tracks, update_tentative
-from bayesnet_track.engine.state import TargetState
-from bayesnet_track.inference.compile import compile_plan
-from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.engine.rows.shared_planes import ask_together
+from bayesnet_track.engine.state import TargetState, plan_for
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.executor import is_elsewhere
+from bayesnet_track.inference.measure_rows import is_flat
+from bayesnet_track.inference.messages import Observer, evaluate, join_plain
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule, Hypotheses
+from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule, Hypotheses, Reference
 
 TENTATIVE = ""
 """Stands for any tentative track where it is said whose a detection is."""
@@ -37,11 +40,12 @@ LEAST_LOG = -50.0
 
 
 def assign_detections(
-    rule: AssociationRule, expected: Tracks, seen: Found, log_looks: Callable[[int, Floats], Floats]
+    rule: AssociationRule, expected: Tracks, seen: Found, log_looks: Callable[[Ints, Floats], Floats]
 ) -> Owners:
     """(T,) the detection of each track, or `UNASSIGNED`; see `adapt.association` and `adapt.association`.
 
-    `log_looks` takes a row and boxes (M, 4) and gives (M,) log-likelihoods by what the target looks like.
+    `log_looks` takes rows (M,) in order and boxes (M, 4), and gives (M,) log-likelihoods by what the targets
+    look like.
     """
     mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
     if rule.similarity == "iou":
@@ -52,8 +56,8 @@ def assign_detections(
         return _assign_by_density(rule, mean, covariance, boxes, log_looks)
 
     def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
-        def own(row: int, at: Floats) -> Floats:
-            return log_looks(int(rows[row]), at)
+        def own(some: Ints, at: Floats) -> Floats:
+            return log_looks(rows[some], at)
 
         return _assign_by_density(rule, mean[rows], covariance[rows], boxes[columns], own)
 
@@ -65,7 +69,7 @@ def _assign_by_density(
     mean: Floats,
     covariance: Floats,
     boxes: Floats,
-    log_looks: Callable[[int, Floats], Floats],
+    log_looks: Callable[[Ints, Floats], Floats],
 ) -> Owners:
     pairs = gate_boxes(rule, mean, covariance, boxes)
     if rule.appearance > 0.0 and len(pairs.rows):
@@ -78,7 +82,7 @@ def _gate_looks(
     pairs: Pairs,
     mean: Floats,
     covariance: Floats,
-    seen: tuple[Floats, Callable[[int, Floats], Floats]],
+    seen: tuple[Floats, Callable[[Ints, Floats], Floats]],
 ) -> Pairs:
     """The pairs that are left when looks count: d^2 - 2 appearance log L is within the gate as well."""
     boxes, log_looks = seen
@@ -132,25 +136,54 @@ def remember_detections(
     return replace(state, references={**state.references, agent: reference})
 
 
-def score_looks(work: FrameContext, target: str, state: TargetState, boxes: Floats) -> Floats:
-    """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
-    compiled = work.plate_of(target)
-    agents = [a for a in compiled.plate.agents if a in compiled.looks and a in state.references]
+def score_looks(
+    work: FrameContext,
+    compiled: CompiledPlate,
+    targets: Sequence[str],
+    known: Mapping[str, Sequence[Reference]],
+    boxes: Floats,
+    starts: Ints,
+) -> Floats:
+    """(N,) log-likelihoods of boxes (N, 4) by all agents that know the targets' looks, switched on or not.
+
+    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes, one at least. `known` has what each
+    agent remembers of each target.
+    """
+    agents = [agent for agent in compiled.plate.agents if agent in compiled.looks and agent in known]
     if not work.frame.has_color:
         agents = [agent for agent in agents if agent not in compiled.color_agents]
-    if not agents:
+    if not (agents and len(targets)):
         return np.zeros(len(boxes))
+    plan = replace(plan_for(compiled, frozenset(agents)), factors=())
+    apart: Iterable[int] = range(len(targets))
+    log = np.zeros(len(boxes))
+    if is_flat(compiled.plate) and not (
+        work.availability.known or any(is_elsewhere(compiled.cues[agent]) for agent in agents)
+    ):
+        messages, apart = ask_together(work, (compiled, plan, known), Hypotheses(boxes), starts)
+        log = join_plain(plan, messages, (len(boxes),))[plan.root]
+    for row in apart:
+        own = {agent: of[row] for agent, of in known.items()}
+        its = slice(*starts[row : row + 2].tolist())
+        log[its] = _score_looks_of(work, plan, targets[row], own, boxes[its])
+    return np.clip(log, LEAST_LOG, 0.0)
+
+
+def _score_looks_of(
+    work: FrameContext, plan: Plan, target: str, references: Mapping[str, Reference], boxes: Floats
+) -> Floats:
+    """(N,) the same of one target."""
+    compiled = work.plate_of(target)
     stream = work.stream(target, compiled.plate.root)
     observer = Observer(
         work.cache,
         compiled.cues,
-        state.references,
+        references,
         lambda what: stream(f"claim {what}"),
         availability=work.availability_of(target, "claiming"),
     )
     prior = np.full(len(boxes), -np.log(len(boxes)))
-    plan = replace(compile_plan(compiled.plate, agents, compiled.cues), factors=())
-    return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
+    return evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood
 
 
 def give_detections(state: TargetState, own: Mapping[str, Floats | None]) -> TargetState:

@@ -52,8 +52,9 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
-from bayesnet_track.numerics.arrays import Bools, Floats
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
+from bayesnet_track.observation.likelihoods import ReferenceRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,13 +364,31 @@ class Several:
         beliefs = enumerate((one.belief for one in self.others.values()), self.count)
         return {row: expect(belief, motion, elapsed, by) for row, belief in beliefs}
 
-    def _log_looks(self, row: int, boxes: Floats) -> Floats:
-        """(M,) log-likelihood of boxes (M, 4) by what a target looks like; 0 of one that nobody knows."""
-        at = row - self.count
-        if not 0 <= at < len(self.others):
-            return np.zeros(len(boxes))
-        target = [*self.others][at]
-        return score_looks(self.work, target, self.others[target], boxes)
+    def _log_looks(self, rows: Ints, boxes: Floats) -> Floats:
+        """(M,) log-likelihoods of boxes (M, 4) by what targets look like; 0 of tracks that nobody knows.
+
+        Whose they are is in `rows` (M,), in order.
+        """
+        names, log = self.names, np.zeros(len(boxes))
+        own, firsts = np.unique(rows[rows < len(names)], return_index=True)
+        starts = np.append(firsts, np.count_nonzero(rows < len(names)))
+        states = [*self.others.values()]
+        by_kind: dict[tuple[str, ...], list[int]] = {}
+        for place, row in enumerate(own.tolist()):
+            kind: tuple[str, ...] = () if row < self.count else tuple(states[row - self.count].references)
+            by_kind.setdefault(kind, []).append(place)
+        for kind, places in by_kind.items():
+            chosen = own[places]
+            if self.rows is not None and chosen[0] < self.count:
+                known = {agent: ReferenceRows.some(of, chosen) for agent, of in self.rows.references.items()}
+            else:
+                references = [states[row - self.count].references for row in chosen.tolist()]
+                known = {agent: ReferenceRows.of([one[agent] for one in references]) for agent in kind}
+            at = np.concatenate([np.arange(starts[place], starts[place + 1]) for place in places])
+            sizes = np.cumsum([0, *(starts[place + 1] - starts[place] for place in places)])
+            several = [names[row] for row in chosen.tolist()]
+            log[at] = score_looks(self.work, self.compiled, several, known, boxes[at], sizes)
+        return log
 
 
 def predictor(work: FrameContext, compiled: CompiledPlate) -> Predict:

@@ -40,7 +40,7 @@ class Crowd:
         covariance: (T, D, D).
         existence: (T,) probability that each exists, as of the last frame.
         names: of the targets.
-        log_looks: row, boxes (M, 4) -> (M,) log-likelihood by what the target looks like.
+        log_looks: rows (M,) in order, boxes (M, 4) -> (M,) log-likelihoods by what the targets look like.
         modes: row -> what is expected of a target in each of its modes.
     """
 
@@ -48,7 +48,7 @@ class Crowd:
     covariance: Floats
     existence: Floats
     names: Sequence[str]
-    log_looks: Callable[[int, Floats], Floats] | None = None
+    log_looks: Callable[[Ints, Floats], Floats] | None = None
     modes: Mapping[int, ExpectedInModes] = field(default_factory=dict)
 
 

@@ -212,11 +212,9 @@ def gate_boxes(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: F
 
 
 def with_looks(
-    rule: AssociationRule, pairs: Pairs, log_looks: Callable[[int, Floats], Floats], boxes: Floats
+    rule: AssociationRule, pairs: Pairs, log_looks: Callable[[Ints, Floats], Floats], boxes: Floats
 ) -> Pairs:
     """The pairs with what their targets look like: their values and appearance log L."""
-    values = pairs.values.copy()
-    for row in np.unique(pairs.rows).tolist():
-        own = pairs.rows == row
-        values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
+    values, order = pairs.values.copy(), np.argsort(pairs.rows, kind="stable")
+    values[order] += rule.appearance * log_looks(pairs.rows[order], boxes[pairs.columns[order]])
     return evolve(pairs, values=values)

@@ -199,7 +199,7 @@ class LiveTable:
             rows = self.tables[plate]
             unseen = rows.columns.unseen_frames.copy()
             unseen[seen] = 0
-            self.tables[plate] = rows.with_columns(rows.columns.changed(unseen_frames=unseen), rows.time)
+            self.tables[plate] = rows.changed(columns=rows.columns.changed(unseen_frames=unseen))
 
     def add(self, target: str, state: TargetState, record: TrackRecord, metrics: FrameMetrics) -> None:
         """A target starts."""
@@ -259,7 +259,7 @@ class LiveTable:
                 tables[plate] = tables[plate].extended(rows) if plate in tables else rows
                 for target in rows.ids:
                     del self.states[target], self.records[target]
-        gaussians = [rows.with_nets(nets) for rows in tables.values()]
+        gaussians = [rows.changed(checked=nets) for rows in tables.values()]
         targets: Mapping[str, TargetState] = self.states
         records: Mapping[str, TrackRecord] = self.records
         if gaussians:

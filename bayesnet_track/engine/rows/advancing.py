@@ -24,6 +24,7 @@ from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.lifecycle.association import Given, image_of
 from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
+from bayesnet_track.engine.rows.fitting import net_fits
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
@@ -78,8 +79,8 @@ class FilteredGaussians:
 
     @property
     def references(self) -> Mapping[str, Sequence[Reference]]:
-        """Agent -> its reference of each target: columns have them."""
-        return {}
+        """Agent -> its reference of each target, but for detections, which are columns."""
+        return self.before.references
 
     @property
     def memory(self) -> RuleMemory:
@@ -185,11 +186,15 @@ class FilteredGaussians:
         nets: Mapping[str, TargetNet],
     ) -> Rows:
         """The table after the frame: targets about which something was `decided` are lost, or found."""
-        is_lost = self.before.columns.is_lost
+        is_lost, checked = self.before.columns.is_lost, nets
         if decided:
+            live = [nets[self.ids[row]] for row in decided]
             is_lost = is_lost.copy()
-            is_lost[[*decided]] = [nets[self.ids[row]].status == "lost" for row in decided]
-        return self.before.after(self.columns.changed(memory=memory, is_lost=is_lost), time, nets)
+            is_lost[[*decided]] = [net.status == "lost" for net in live]
+            if not all(net_fits(self.before.rule, net) for net in live):
+                checked = {}
+        columns = self.columns.changed(memory=memory, is_lost=is_lost)
+        return self.before.changed(columns=columns, references=references, time=time, checked=checked)
 
     # -------------------------------------------------------------------------------- lines
 
@@ -249,7 +254,12 @@ class FilteredGaussians:
         return found
 
     def line_columns(
-        self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats
+        self,
+        work: FrameContext,
+        boxes: Floats,
+        is_lost: Bools,
+        levels_px2: Floats,
+        rates: Sequence[float],
     ) -> dict[str, NDArray[Any]]:
         """The columns of `journal.frame_columns`, without hypotheses."""
         now, rule = self.columns, self.before.rule
@@ -272,7 +282,7 @@ class FilteredGaussians:
             "log_evidence": log_evidence,
             "surprise": nats,
             "ess": ess,
-            "learn_rate": nothing,
+            "learn_rate": np.array(rates),
             "particles": size.astype("<i4"),
             "active": np.full(len(nothing), rule.agent.encode()),
             "silent": np.where(now.given == GIVEN, b"", rule.agent.encode()),

@@ -19,7 +19,9 @@ from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.rows.stacks import stack
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION
+from bayesnet_track.numerics.records import evolve
+from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, Reference
+from bayesnet_track.observation.likelihoods import ReferenceRows
 
 NEVER_ASKED, GIVEN_NONE, GIVEN = 0, 1, 2
 """What a row's agent was given of its last frame's detections."""
@@ -45,6 +47,7 @@ class Columns:
         lost_frames: (T,) consecutive frames in which it is lost.
         unseen_frames: (T,) consecutive frames without a detection of its own.
         existence: (T,) probability that it exists; 1 where the plate has no `existence`.
+        started: (T,) number of the frame in which it started.
     """
 
     mean: Floats
@@ -62,6 +65,7 @@ class Columns:
     lost_frames: Ints
     unseen_frames: Ints
     existence: Floats
+    started: Ints
 
     def changed(self, **columns: NDArray[Any] | RuleMemory) -> Self:
         """With some columns in place of its own; `dataclasses.replace` takes ten times as long."""
@@ -92,6 +96,7 @@ class Rows:
         rule: what they have in common.
         ids: target ids, in the order of their births.
         columns: what is known of them.
+        references: agent -> what it remembers of each, but for detections.
         time: time of the last frame, frame intervals.
         checked: the live nets as they were when they were last found to fit.
     """
@@ -99,6 +104,7 @@ class Rows:
     rule: RowRule
     ids: tuple[str, ...]
     columns: Columns
+    references: Mapping[str, Sequence[Reference]]
     time: float
     checked: Mapping[str, Any] | None = None
 
@@ -107,33 +113,24 @@ class Rows:
         """Target -> its row."""
         return {target: row for row, target in enumerate(self.ids)}
 
-    def with_columns(self, columns: Columns, time: float) -> Rows:
+    def changed(self, **fields: Any) -> Rows:
         """The same targets, later."""
-        after = Rows(self.rule, self.ids, columns, time)
-        after.__dict__["index"] = self.index
-        return after
-
-    def after(self, columns: Columns, time: float, nets: Mapping[str, Any]) -> Rows:
-        """The same targets, later, with the live nets found to fit."""
-        after = Rows(self.rule, self.ids, columns, time, nets)
-        after.__dict__["index"] = self.index
-        return after
-
-    def with_nets(self, nets: Mapping[str, Any]) -> Rows:
-        """The same, with the live nets found to fit."""
-        after = Rows(self.rule, self.ids, self.columns, self.time, nets)
+        after = evolve(self, **fields)
         after.__dict__["index"] = self.index
         return after
 
     def take(self, keep: Bools) -> Rows:
         """The targets for which (T,) `keep` is true."""
+        rows = np.flatnonzero(keep)
+        references = {agent: ReferenceRows.some(of, rows) for agent, of in self.references.items()}
         ids = tuple(compress(self.ids, keep.tolist()))
-        return Rows(self.rule, ids, self.columns.take(keep), self.time, self.checked)
+        return evolve(self, ids=ids, columns=self.columns.take(keep), references=references)
 
     def extended(self, others: Rows) -> Rows:
         """These targets, then others of the same time."""
-        columns = self.columns.extend(others.columns)
-        return Rows(self.rule, (*self.ids, *others.ids), columns, self.time)
+        columns, more = self.columns.extend(others.columns), others.references
+        references = {agent: ReferenceRows.joined(of, more[agent]) for agent, of in self.references.items()}
+        return Rows(self.rule, (*self.ids, *others.ids), columns, references, self.time)
 
     def counted(self, frame: int, time: float) -> Rows:
         """The rows with one more frame counted of each."""
@@ -151,7 +148,7 @@ class Rows:
             lost_frames=lost,
             unseen_frames=unseen,
         )
-        return self.with_columns(columns, self.time)
+        return self.changed(columns=columns)
 
     def state(self, row: int) -> TargetState:
         """What is known of one target."""
@@ -163,9 +160,15 @@ class Rows:
             reference[OBSERVED] = now.observed[row]
         belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
         existence = None if rule.crowd is None else float(now.existence[row])
-        references = {rule.agent: reference}
+        references = {rule.agent: reference, **{agent: of[row] for agent, of in self.references.items()}}
         return TargetState(
-            belief, references, now.memory.take([row]), rule.plan, self.time, existence=existence
+            belief,
+            references,
+            now.memory.take([row]),
+            rule.plan,
+            self.time,
+            existence=existence,
+            started=int(now.started[row]),
         )
 
     def record(self, row: int) -> TrackRecord:
@@ -211,8 +214,12 @@ def make_rows(
         lost_frames=np.array([one.lost_frames for one in known], dtype=np.int64),
         unseen_frames=np.array([one.unseen_frames for one in known], dtype=np.int64),
         existence=np.array([1.0 if one.existence is None else one.existence for one in several]),
+        started=np.array([one.started for one in several], dtype=np.int64),
     )
-    return Rows(rule, tuple(states), columns, time)
+    references = {
+        agent: ReferenceRows.of([one.references[agent] for one in several]) for agent in rule.others
+    }
+    return Rows(rule, tuple(states), columns, references, time)
 
 
 def observed_of(rule: RowRule, state: TargetState) -> Floats:

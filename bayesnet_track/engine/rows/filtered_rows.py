@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -220,7 +221,7 @@ class FilteredRows(Mapping[str, Filtered]):
         """Nothing is left out of an update."""
         return {}
 
-    def line_columns(self, work: FrameContext, boxes: Floats, is_lost: Bools, levels_px2: Floats) -> None:
+    def line_columns(self, *_: Any) -> None:
         """Lines have to be made."""
 
     @cached_property

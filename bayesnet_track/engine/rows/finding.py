@@ -45,7 +45,7 @@ def arrange(work: FrameContext, state: State) -> tuple[Targets, Mapping[str, Tra
         able = {target: one for target, one in others.items() if target not in odd}
         for plate, rows in rows_of(work.engine, nets, able, known, state.previous.time).items():
             tables[plate] = tables[plate].extended(rows) if plate in tables else rows
-    gaussians = [rows if rows.checked is nets else rows.with_nets(nets) for rows in tables.values()]
+    gaussians = [rows if rows.checked is nets else rows.changed(checked=nets) for rows in tables.values()]
     if not others:
         return Targets(gaussians, before.particles, {}, before.order), Records(gaussians, {})
     placed = {target for rows in gaussians for target in rows.ids}
@@ -58,7 +58,7 @@ def arrange(work: FrameContext, state: State) -> tuple[Targets, Mapping[str, Tra
 def _kept(rows: Rows, nets: Mapping[str, TargetNet], odd: Collection[str]) -> Rows:
     """The rows that still fit."""
     keep = [target not in odd and net_fits(rows.rule, nets[target]) for target in rows.ids]
-    return rows.with_nets(nets) if all(keep) else rows.take(np.array(keep, dtype=np.bool_))
+    return rows.changed(checked=nets) if all(keep) else rows.take(np.array(keep, dtype=np.bool_))
 
 
 def rows_of(

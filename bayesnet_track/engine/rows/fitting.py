@@ -23,6 +23,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.executor import is_elsewhere
+from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule
@@ -36,7 +37,8 @@ class RowRule:
 
     Attributes:
         compiled: the plate.
-        agent: its only agent.
+        agent: its only agent that is switched on.
+        others: its other agents.
         motion: how all of them move.
         association: which detection is whose, and how far off detections are.
         floor: of the agent's likelihood, the temperature taken in.
@@ -51,6 +53,7 @@ class RowRule:
 
     compiled: CompiledPlate
     agent: str
+    others: tuple[str, ...]
     motion: LinearMotion
     association: AssociationRule
     floor: float
@@ -90,20 +93,21 @@ def row_rule(engine: Engine, plate: str) -> RowRule | None:
 
 @lru_cache(maxsize=64)
 def _rule_of(compiled: CompiledPlate) -> RowRule | None:
-    agents, motion = compiled.plate.agents, compiled.motion
-    if len(compiled.association_rules) != 1:
-        return None
-    if compiled.plate.factors:
-        return None
-    if len(agents) != 1 or len(compiled.plate.order) != 2 or is_elsewhere(compiled.cues[agents[0]]):
+    plate, motion = compiled.plate, compiled.motion
+    if len(compiled.association_rules) != 1 or plate.factors or not is_flat(plate):
         return None
     agent, association = next(iter(compiled.association_rules.items()))
+    others = tuple(one for one in plate.agents if one != agent)
+    is_usual = plate.agent(agent).active and not any(plate.agent(one).active for one in others)
+    if not is_usual or any(map(is_elsewhere, compiled.cues.values())):
+        return None
     node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
     lost = compiled.plate.lost
     if lost.existence_below is not None and lost.uncertain_below is not None:
         return None
-    is_plain = association.floor is not None and association.appearance == 0.0
-    if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
+    if association.floor is None:
+        return None
+    if not (_root_fits(root) and compiled.guard is None and compiled.moving is None):
         return None
     if not (
         isinstance(compiled.belief, GaussianFilter)
@@ -114,6 +118,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     return RowRule(
         compiled,
         agent,
+        others,
         motion,
         association,
         float(association.floor or 0.0) ** (1.0 / node.temperature),
@@ -131,7 +136,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
 
 def _root_fits(root: InferenceNode) -> bool:
     estimate = "map" if root.estimate is None else root.estimate.kind
-    further = (root.adapt, root.learn, root.score, root.localization_error, root.distractors)
+    further = (root.adapt, root.score, root.localization_error, root.distractors)
     is_product = root.fuse is None or root.fuse.kind == "product"
     return estimate in ("map", "mean") and is_product and all(one is None for one in further)
 
@@ -163,6 +168,6 @@ def state_fits(rule: RowRule, state: TargetState, time: float) -> bool:
         and state.motion_context is None
         and not (state.watched.slow or state.watched.parted or state.watched.frames)
         and state.scored == ScoreState()
-        and state.references.keys() <= {rule.agent}
+        and state.references.keys() - {rule.agent} == {*rule.others}
         and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION, OBSERVED}
     )

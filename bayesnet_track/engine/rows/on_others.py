@@ -15,10 +15,11 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
-from bayesnet_track.engine.rows.particle_rows import ask_together
+from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.likelihoods import ReferenceRows
 
 ON_SIZE = 8
 """Boxes at which a target's agents are asked what they say of the one in front."""
@@ -67,7 +68,9 @@ def _ask_together(
         ON_SIZE,
     )
     hypotheses = hypotheses_of(places, group.clouds.fields)
-    messages, failed = ask_together(work, group.before, hypotheses, firsts * ON_SIZE, rows)
+    asked = [one.agent for one in group.plan.observations]
+    known = {agent: ReferenceRows.some(group.references[agent], rows) for agent in asked}
+    messages, failed = ask_together(work, (group.compiled, group.plan, known), hypotheses, firsts * ON_SIZE)
     log = join_plain(group.plan, messages, (len(places),))[group.plan.root]
     means = _means(log)
     return {

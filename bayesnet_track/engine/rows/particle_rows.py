@@ -24,18 +24,16 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.rows.particle_table import ParticleTable
-from bayesnet_track.engine.rows.shared_planes import planes_of_each
+from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.engine.targets import Targets
-from bayesnet_track.inference.asking import Fault, score
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.observation.cue import FAULTS, Hypotheses
 
 
 def filter_rows(work: FrameContext, before: Mapping[str, TargetState]) -> list[FilteredRows]:
@@ -117,7 +115,9 @@ def _filter(work: FrameContext, table: ParticleTable) -> FilteredRows:
     moved, parents = _move(work, table)
     count, size, fields = moved.shape
     hypotheses = hypotheses_of(moved.reshape(-1, fields), compiled.motion.fields)
-    answers, failed = ask_together(work, table, hypotheses, np.arange(0, count * size + 1, size))
+    answers, failed = ask_together(
+        work, (compiled, plan, table.references), hypotheses, np.arange(0, count * size + 1, size)
+    )
     messages = {agent: answer.reshape(count, size) for agent, answer in answers.items()}
     total = join_plain(plan, messages, moved.shape[:2])[plan.root]
     log, log_evidence = weigh(LogWeights.uniform(size).log, total)
@@ -150,28 +150,3 @@ def _move(work: FrameContext, table: ParticleTable) -> tuple[Floats, Ints]:
     moved = propagate_rows(motion, table.clouds.states, frame.time - table.time, own, parents)
     confined(motion, frame.width, frame.height).confine(moved.reshape(-1, moved.shape[2]))
     return moved, parents
-
-
-def ask_together(
-    work: FrameContext, table: ParticleTable, hypotheses: Hypotheses, starts: Ints, rows: Ints | None = None
-) -> tuple[dict[str, Floats], dict[int, dict[str, Fault]]]:
-    """Agent -> (N,) its log-likelihoods; target t -> agent -> its fault, where one fails.
-
-    Those of target t, of all or of some `rows`, are `starts[t]` to `starts[t + 1] - 1` of the hypotheses.
-    """
-    messages: dict[str, Floats] = {}
-    failed: dict[int, dict[str, Fault]] = {}
-    for one in table.plan.observations:
-        cue, references = table.compiled.cues[one.agent], table.remembered(one.agent, rows)
-        share = hasattr(cue, "log_likelihood_of_each")
-        try:
-            planes = planes_of_each(work, cue.needs, hypotheses.boxes, starts, share=share)
-        except FAULTS:  # of planes: whose is found out where each target is asked by itself
-            return {**messages, one.agent: np.zeros(len(hypotheses))}, {t: {} for t in range(len(references))}
-        started = work.engine.clock()
-        values, faults = score(cue, planes, hypotheses, starts, references)
-        work.charge(one.agent, started)
-        messages[one.agent] = values if one.temperature == 1.0 else values / one.temperature
-        for t, fault in faults.items():
-            failed.setdefault(t, {})[one.agent] = fault
-    return messages, failed

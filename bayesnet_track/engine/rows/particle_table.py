@@ -88,11 +88,7 @@ class ParticleTable:
     def remembered(self, agent: str, rows: Ints | None = None) -> Sequence[Reference]:
         """What an agent remembers of each, or of some."""
         references = self.references[agent]
-        if rows is None:
-            return references
-        if isinstance(references, ReferenceRows):
-            return references.take(rows)
-        return [references[row] for row in rows.tolist()]
+        return references if rows is None else ReferenceRows.some(references, rows)
 
     def columns(self) -> RuleMemory:
         """What the rules remember of all."""
@@ -132,16 +128,15 @@ class ParticleTable:
 
     def extended(self, others: ParticleTable) -> ParticleTable:
         """These targets, then others that are no columns."""
-        references: dict[str, Sequence[Reference]] = {}
-        for agent in self.references.keys() & others.references.keys():
-            own, more = self.references[agent], others.references[agent]
-            joined = own.extended(more) if isinstance(own, ReferenceRows) else None
-            references[agent] = ReferenceRows.of([*own, *more]) if joined is None else joined
         return replace(
             self,
             ids=self.ids + others.ids,
             base=self.base + others.base,
             clouds=self.clouds.extended(others.clouds),
-            references={agent: references[agent] for agent in self.references if agent in references},
+            references={
+                agent: ReferenceRows.joined(own, others.references[agent])
+                for agent, own in self.references.items()
+                if agent in others.references
+            },
             _made={},
         )

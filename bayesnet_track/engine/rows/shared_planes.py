@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.inference.asking import Fault, score
+from bayesnet_track.inference.compile import Plan
 from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.observation.cue import FAULTS, Hypotheses, Reference
 from bayesnet_track.observation.planes import MANY, Plane, Planes, Region
 
 
@@ -38,3 +42,33 @@ def planes_of_each(
         found = [work.cache.planes(needs, Region(*own)) for own in corners.tolist()]
     work.charge("planes", started)
     return found
+
+
+def ask_together(
+    work: FrameContext,
+    group: tuple[CompiledPlate, Plan, Mapping[str, Sequence[Reference]]],
+    hypotheses: Hypotheses,
+    starts: Ints,
+) -> tuple[dict[str, Floats], dict[int, dict[str, Fault]]]:
+    """Agent -> (N,) its log-likelihoods; target t -> agent -> its fault, where one fails.
+
+    Those of target t of the group are `starts[t]` to `starts[t + 1] - 1` of the hypotheses. A group is a
+    plate, the plan whose agents are asked, and what each of them remembers of each target.
+    """
+    compiled, plan, known = group
+    messages: dict[str, Floats] = {}
+    failed: dict[int, dict[str, Fault]] = {}
+    for one in plan.observations:
+        cue, references = compiled.cues[one.agent], known[one.agent]
+        share = hasattr(cue, "log_likelihood_of_each")
+        try:
+            planes = planes_of_each(work, cue.needs, hypotheses.boxes, starts, share=share)
+        except FAULTS:  # of planes: whose is found out where each target is asked by itself
+            return {**messages, one.agent: np.zeros(len(hypotheses))}, {t: {} for t in range(len(references))}
+        started = work.engine.clock()
+        values, faults = score(cue, planes, hypotheses, starts, references)
+        work.charge(one.agent, started)
+        messages[one.agent] = values if one.temperature == 1.0 else values / one.temperature
+        for t, fault in faults.items():
+            failed.setdefault(t, {})[one.agent] = fault
+    return messages, failed
