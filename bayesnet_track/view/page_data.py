@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.settings.queries import Query
 from bayesnet_track.journal.blocks import CLOUD, Block, Blocks
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
@@ -33,6 +34,7 @@ CLOUD_POINTS = 600_000
 READ = (
     *(*NUMBERS, *BOXES, "time_s", "angle", "quiet_px2", "status", "active", "silent", CLOUD, "cloud_count"),
     *("ud_nodes/", "kl/", "contribution/", "agent_ud_px2/", "strength/", "modes/", "features/", "parts/"),
+    "queries/",
 )
 """Columns of ``frames.npy.gz`` that a page shows."""
 
@@ -51,8 +53,9 @@ def run_data(
 
     Columns of target i are called `i/NAME` with a row per frame of that target; names are those of
     `export --format frames`, with `agents/NODE/...`, `nodes/NODE/...` and `parts/NODE/...` for what is
-    measured of nodes, and `modes/MODE` for the probability of a mode. Columns `run/...` have a row per line
-    of the timings. Of a long run only some rows are shown, see `choose`.
+    measured of nodes, `modes/MODE` for the probability of a mode, and `queries/NAME` for the numbers that
+    answer a query. Columns `run/...` have a row per line of the timings. Of a long run only some rows are
+    shown, see `choose`.
 
     Args:
         events: the journal.
@@ -91,6 +94,7 @@ def run_data(
         "version": VERSION,
         "run": {**_description(start, events), "name": name},
         "plates": {} if graph is None else plates(graph, start.costs_ms),
+        "queries": {} if graph is None else _queries(graph),
         "targets": targets,
         "events": event_rows(events),
         "truth_target": about_truth,
@@ -137,6 +141,39 @@ def _description(start: RunStarted, events: Sequence[Event]) -> dict[str, Any]:
     }
 
 
+def _queries(graph: CheckedGraph) -> dict[str, dict[str, Any]]:
+    """Query -> its kind, what it asks, unit, level of its event, and corners [x, y] in px, as plain data."""
+    return {
+        name: {
+            "kind": query.kind,
+            "of": list(query.kinds),
+            "asks": _question(query),
+            "unit": query.unit or "",
+            "interval": query.interval,
+            "level": query.event_above,
+            "corners": _corners(query),
+        }
+        for name, query in graph.spec.queries.items()
+    }
+
+
+def _question(query: Query) -> str:
+    if query.crosses is not None:
+        side = query.crosses.side
+        return "crosses the line" + ("" if side == "either" else f" from the {side}")
+    if query.count is not None:
+        return query.count.condition or f"{query.count.point} is in the polygon"
+    return query.probability or query.value or ""
+
+
+def _corners(query: Query) -> list[list[float]]:
+    if query.crosses is not None:
+        return [list(point) for point in query.crosses.line]
+    if query.count is not None and isinstance(query.count.polygon, tuple):
+        return [list(point) for point in query.count.polygon]
+    return []
+
+
 def _names(rows: Block, blocks: Blocks) -> dict[str, Any]:
     """The nodes of which anything is measured, in the order in which they appear."""
     codes, first = np.unique(rows.codes("active"), return_index=True)
@@ -148,6 +185,7 @@ def _names(rows: Block, blocks: Blocks) -> dict[str, Any]:
         "nodes": _measured(rows, "ud_nodes"),
         "parts": parts,
         "modes": _measured(rows, "modes"),
+        "queries": _measured(rows, "queries"),
         "calibrated": bool(_measured(rows, "features")),
     }
 
@@ -189,7 +227,8 @@ def _target(rows: Block, names: Mapping[str, Any], blocks: Blocks, points: int) 
         columns[f"parts/{part}/status"] = np.where(is_watched, status, STATUSES.index("unwatched")).astype(
             np.uint8
         )
-    columns |= {f"modes/{mode}": _number(rows, f"modes/{mode}") for mode in names["modes"]}
+    for field in ("modes", "queries"):
+        columns |= {f"{field}/{name}": _number(rows, f"{field}/{name}") for name in names[field]}
     return columns | _clouds(rows, points)
 
 

@@ -6,7 +6,7 @@ import type { RunData, Track } from "./data/run";
 import type { EventRow } from "./data/types";
 import type { Pictures } from "./pictures";
 
-export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others";
+export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others" | "shapes";
 
 export class State {
   readonly frame = signal(0);
@@ -18,7 +18,7 @@ export class State {
   /** First and last frame of the timelines. */
   readonly stretch = signal<[number, number]>([0, 0]);
   readonly layers = signal<ReadonlySet<Layer>>(
-    new Set<Layer>(["cloud", "regions", "map", "parts", "truth", "others"]),
+    new Set<Layer>(["cloud", "regions", "map", "parts", "truth", "others", "shapes"]),
   );
   readonly close = signal(false);
   readonly help = signal(false);

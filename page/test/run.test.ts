@@ -6,6 +6,7 @@ import { RunData } from "../src/data/run";
 import { costs, frameCounts, sum, totals } from "../src/data/totals";
 import type { EventRow, FrameLine, Header } from "../src/data/types";
 import { State } from "../src/state";
+import { answers } from "../src/view/answers";
 import { drawnOf } from "../src/view/panels";
 
 const header = {
@@ -61,6 +62,29 @@ test("frames with a target are counted once, and those without one, too", () => 
   for (const [frame, target] of [[1, "1"], [2, "1"], [2, "2"], [3, "2"]] as const) run.append(line(frame, { target }));
   assert.deepEqual(frameCounts(run), { withTarget: 3, all: 6 });
   assert.deepEqual(frameCounts(new RunData(header)), { withTarget: 0, all: 0 });
+});
+
+// Colours come from the style sheet, which there is none of here.
+Object.assign(globalThis, { document: {}, getComputedStyle: () => ({ getPropertyValue: () => "#000" }) });
+
+test("answers to queries are panels: probabilities together, each number with its band", () => {
+  const asked = { of: ["box"], asks: "x > 3", unit: "", interval: 0.9, level: null, corners: [] as [number, number][] };
+  const queries = {
+    inside: { ...asked, kind: "count" as const },
+    right: { ...asked, kind: "probability" as const, level: 0.8 },
+    speed: { ...asked, kind: "value" as const, unit: "m/s" },
+    gap: { ...asked, kind: "value" as const, of: ["box", "box"] },
+  };
+  const run = new RunData({ ...header, queries });
+  run.append(line(0));
+  const numbers = { speed: 2, speed_low: 1, speed_high: 4, "gap/2": 9, "gap_low/2": 8, "gap_high/2": 11 };
+  run.append(line(1, { queries: { right: 0.7, inside: 1, inside_count: 3, inside_count_low: 2, inside_count_high: 5, ...numbers } }));
+  const panels = answers(run, run.tracks.get("1")!);
+  assert.deepEqual(panels.map((panel) => panel.name), ["Asked", "inside_count", "speed", "gap/2"]);
+  assert.deepEqual(panels[0]!.lines.map((one) => [one.name, one.values]), [["inside", [null, 1]], ["right", [null, Math.fround(0.7)]], ["right ≥ 0.8", [0.8, 0.8]]]);
+  const edges = panels.slice(1).map((panel) => panel.band!.map((place) => panel.lines[place]!.values[1]));
+  assert.deepEqual(edges, [[5, 2], [4, 1], [11, 8]]);
+  assert.deepEqual(answers(new RunData(header), run.tracks.get("1")!), []);
 });
 
 test("probabilities of modes are kept by name, also of frames before a mode was known", () => {

@@ -261,3 +261,17 @@ def test_probabilities_of_modes_are_columns_and_the_graph_says_which_hide(make_m
     assert header["targets"][0]["modes"] == ["behind", "seen"]
     assert header["plates"]["ball"]["hidden_modes"] == ["behind"]
     np.testing.assert_array_equal(columns["0/modes/behind"], [np.nan, 0.75])
+
+
+def test_answers_to_queries_are_columns_and_the_header_says_what_was_asked(make_metrics):
+    lines = [make_metrics(frame=0), make_metrics(frame=1, queries={"crossed": 0.25, "speed_low": 3.0})]
+    header, columns = run_data([STARTED], lines, graph=load_graph("people_counted"))
+    assert set(header["targets"][0]["queries"]) == {"crossed", "speed_low"}
+    np.testing.assert_array_equal(columns["0/queries/crossed"], [np.nan, 0.25])
+    np.testing.assert_array_equal(columns["0/queries/speed_low"], [np.nan, 3])
+    assert list(header["queries"]) == ["crossed", "on_grass", "speed"]
+    crossed, grass, speed = header["queries"].values()
+    assert (crossed["kind"], crossed["level"]) == ("crosses", 0.9)
+    assert crossed["corners"] == [[300, 150], [300, 575]]
+    assert (grass["asks"], len(grass["corners"])) == ("foot is in the polygon", 5)
+    assert (speed["asks"], speed["unit"], speed["interval"]) == ("hypot(vx, vy) / frame_s", "px/s", 0.9)

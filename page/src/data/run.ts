@@ -5,7 +5,7 @@
  */
 
 import { Column, type Kind } from "./column";
-import type { About, Counted, EventRow, FrameLine, Header, Plate, Thinned, TimingLine, Written } from "./types";
+import type { About, Counted, EventRow, FrameLine, Header, Plate, Query, Thinned, TimingLine, Written } from "./types";
 
 export const STATUSES = ["tracking", "uncertain", "lost", "seen", "hidden", "unwatched"] as const;
 const NUMBERS = ["ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate"] as const;
@@ -23,6 +23,8 @@ export class Track {
   nodes: string[] = [];
   parts: string[] = [];
   modes: string[] = [];
+  /** Columns of answers: a query, with `_sd`, `_low`, `_high` for a number, `_count` for all targets, `/ID` for a pair. */
+  queries: string[] = [];
   calibrated = false;
   /** Frames for which a row stands: 1, but in the page of a long run, which holds some rows only. */
   gap = 1;
@@ -118,6 +120,8 @@ export class Track {
     }
     this.modes = union(this.modes, Object.keys(line.modes ?? {}));
     for (const mode of this.modes) this.put(`modes/${mode}`, row, "f4", number(line.modes?.[mode]));
+    this.queries = union(this.queries, Object.keys(line.queries ?? {}));
+    for (const name of this.queries) this.put(`queries/${name}`, row, "f4", number(line.queries?.[name]));
     for (const box of line.cloud) this.put("cloud", -1, "i2", ...box.slice(0, 4));
     this.put("cloud_end", row, "i4", this.columns.get("cloud")?.length ?? 0);
     this.calibrated ||= Object.keys(line.features ?? {}).length > 0;
@@ -144,6 +148,7 @@ export class RunData {
     ["frame", Column.empty("i4")],
     ["ms", Column.empty("f4")],
   ]);
+  readonly queries: Record<string, Query>;
   truth: Column | null = null;
   truthTarget: string | null = null;
   thinned: Thinned | null = null;
@@ -151,9 +156,10 @@ export class RunData {
   last = 0;
   private readonly listeners = new Set<() => void>();
 
-  constructor(header: Pick<Header, "run" | "plates">) {
+  constructor(header: Pick<Header, "run" | "plates" | "queries">) {
     this.about = header.run;
     this.plates = header.plates;
+    this.queries = header.queries ?? {};
   }
 
   /** Call with the measurements of a frame; frames come in order. */

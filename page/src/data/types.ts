@@ -91,11 +91,25 @@ export interface Thinned {
   decisions: number;
 }
 
+/** A query of the graph. */
+export interface Query {
+  kind: "probability" | "value" | "count" | "crosses";
+  of: string[];
+  asks: string;
+  unit: string;
+  /** Share of the belief in the interval of a number. */
+  interval: number;
+  level: number | null;
+  /** Two ends of a line, or the corners of a polygon, px. */
+  corners: [number, number][];
+}
+
 export interface Header {
   version: number;
   run: About;
   plates: Record<string, Plate>;
-  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; calibrated: boolean; counted?: Counted }[];
+  queries?: Record<string, Query>;
+  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; queries: string[]; calibrated: boolean; counted?: Counted }[];
   events: EventRow[];
   stages: string[];
   truth_target?: string | null;
@@ -137,6 +151,7 @@ export interface FrameLine {
   parts?: Record<string, { box: Written[]; status: string }>;
   angle?: Written;
   modes?: Record<string, Written>;
+  queries?: Record<string, Written>;
 }
 
 /** A line of timings.jsonl. */

@@ -6,7 +6,8 @@ import uPlot from "uplot";
 import type { EventRow } from "../data/types";
 import type { State } from "../state";
 import { Icon } from "./transport";
-import { framesOf, panelsOf, type Panel } from "./panels";
+import { framesOf, panelsOf } from "./panels";
+import type { Panel } from "./series";
 import { lanes, marks, people, shade, stack, stems } from "./plot_ink";
 import { colour } from "./theme";
 import { nameOf, short } from "./words";
@@ -197,6 +198,7 @@ function draw(
         points: { show: false },
       })),
     ],
+    ...(panel.band ? { bands: [{ series: [panel.band[0] + 1, panel.band[1] + 1], fill: colour("wash") }] } : {}),
     hooks: {
       drawClear: [(u) => panel.targets ?? shade(u, state)],
       draw: [

@@ -10,7 +10,7 @@ export function inkOf(track: { calibrated: boolean }, status: string): string {
   return INK[status as "tracking"] ?? INK.tracking;
 }
 
-export const INK = { followed: "#b9c7d8", tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", hidden: "#b79cff", cloud: "#6fd3ff", truth: "#ffffff" };
+export const INK = { followed: "#b9c7d8", tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", hidden: "#b79cff", cloud: "#6fd3ff", truth: "#ffffff", shape: "#ffd9a0" };
 const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4], hidden: [2, 4] };
 const HALO = "rgba(10,14,20,.75)";
 
@@ -58,6 +58,27 @@ export class Painter {
     g.font = "600 13px system-ui, sans-serif";
     const word = `${nameOf(track)} ${status} · UD ${short(track.value("ud_px2", row))} px²`;
     this.label(word, box, ink);
+  }
+
+  /** The line or the polygon of a query, with its name at the first corner. */
+  shape(name: string, corners: [number, number][]): void {
+    if (corners.length === 0) return;
+    const { g } = this;
+    g.save();
+    g.beginPath();
+    for (const [x, y] of corners) g.lineTo(this.x(x), this.y(y));
+    if (corners.length > 2) g.closePath();
+    for (const [style, width] of [
+      [HALO, 4],
+      [INK.shape, 2],
+    ] as const) {
+      g.strokeStyle = style;
+      g.lineWidth = width;
+      g.stroke();
+    }
+    g.restore();
+    g.font = "600 11px system-ui, sans-serif";
+    this.label(name, [...corners[0]!, 0, 0], INK.shape);
   }
 
   /** A target that is not selected. */

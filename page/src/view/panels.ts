@@ -3,42 +3,10 @@
 import type { RunData, Track } from "../data/run";
 import { agentsOf } from "../data/totals";
 import type { Rule } from "../data/types";
+import { answers } from "./answers";
+import { column, finite, greatest, known, rows, type Line, type Panel } from "./series";
 import { AGENTS, agentColour, colour } from "./theme";
 import { RULES, UNITS, short } from "./words";
-
-export interface Line {
-  name: string;
-  title?: string;
-  colour: string;
-  width: number;
-  dash?: number[];
-  steps?: boolean;
-  values: (number | null)[];
-}
-
-export interface Panel {
-  key: string;
-  name: string;
-  unit: string;
-  about: string;
-  height: number;
-  lines: Line[];
-  log?: boolean;
-  /** Lowest and highest value that is shown. */
-  range: [number, number];
-  lanes?: Lane[];
-  /** Lines are shares of one whole: areas on each other, the first at the bottom. */
-  stacked?: boolean;
-  /** A row per target: its status over time. */
-  targets?: { track: Track; chosen: boolean }[];
-}
-
-export interface Lane {
-  agent: string;
-  colour: string;
-  on: boolean[];
-  kl: number[];
-}
 
 export function framesOf(track: Track): number[] {
   return Array.from({ length: track.length }, (_, row) => track.value("frame", row));
@@ -46,7 +14,7 @@ export function framesOf(track: Track): number[] {
 
 export function panelsOf(run: RunData, track: Track): Panel[] {
   const shares = track.modes.length > 0 ? [modes(run, track)] : [];
-  const panels = [uncertainty(run, track), ...shares, lanes(run, track), belief(run, track), evidence(track), sample(track)];
+  const panels = [uncertainty(run, track), ...shares, ...answers(run, track), lanes(run, track), belief(run, track), evidence(track), sample(track)];
   const clock = times(run, track);
   if (clock !== null) panels.push(clock);
   return run.tracks.size > 1 ? [everyone(run, track), ...panels] : panels;
@@ -206,25 +174,4 @@ function times(run: RunData, track: Track): Panel | null {
   const top = Math.max(sorted[Math.floor(sorted.length * 0.97)] ?? 1, 0.1) * 1.3;
   const several = run.tracks.size > 1 ? " All targets together." : "";
   return { key: "ms", name: "Time", unit: "ms per frame", about: `Wall-clock time of the whole step and of each agent.${several}`, height: 110, lines, range: [0, top] };
-}
-
-function rows(track: Track): number[] {
-  return Array.from({ length: track.length }, (_, row) => row);
-}
-
-function column(track: Track, name: string): (number | null)[] {
-  return rows(track).map((row) => finite(track.value(name, row)));
-}
-
-function finite(value: number): number | null {
-  return Number.isFinite(value) ? value : null;
-}
-
-function known(values: (number | null)[]): number[] {
-  return values.filter((v): v is number => v !== null);
-}
-
-/** Not by Math.max(...): a long run has more values than a call may have arguments. */
-function greatest(values: (number | null)[]): number {
-  return values.reduce<number>((top, value) => (value !== null && value > top ? value : top), -Infinity);
 }

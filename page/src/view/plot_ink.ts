@@ -3,7 +3,7 @@
 import uPlot from "uplot";
 import type { EventRow } from "../data/types";
 import type { State } from "../state";
-import type { Panel } from "./panels";
+import type { Panel } from "./series";
 import { colour, statusColour } from "./theme";
 
 /** Frames in which the target was lost or uncertain, behind everything. */

@@ -12,6 +12,7 @@ const LAYERS: [Layer, string, string][] = [
   ["map", "most probable", "centre of the most probable box"],
   ["parts", "parts", "parts of the target; dashed where they are not seen"],
   ["truth", "truth", "the true box, dotted white"],
+  ["shapes", "lines, areas", "lines and polygons that queries ask about"],
   ["others", "other targets", "the other targets' estimates"],
 ];
 
@@ -67,6 +68,7 @@ export function Stage({ state }: { state: State }) {
     parts: [...run.tracks.values()].some((track) => track.parts.length > 0),
     truth: run.truth !== null && run.truthTarget !== null,
     others: run.tracks.size > 1,
+    shapes: Object.values(run.queries).some((query) => query.corners.length > 0),
   };
   const pictures = state.pictures.value;
   return (
@@ -165,6 +167,9 @@ function paint(canvas: HTMLCanvasElement, state: State, picture: Picture | null)
   }
   const painter = new Painter(g, view);
   const frame = state.frame.value;
+  if (state.layers.value.has("shapes")) {
+    for (const [name, query] of Object.entries(run.queries)) painter.shape(name, query.corners);
+  }
   if (state.layers.value.has("others")) {
     for (const track of run.tracks.values()) {
       const row = track.rowOf(frame);
