@@ -19,8 +19,7 @@ from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.frame_columns import is_absent
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.view.page_rows import choose
-from bayesnet_track.view.page_tables import event_rows, plates, short_floats
+from bayesnet_track.view.page_tables import choose, event_rows, plates, short_floats
 
 VERSION = 1
 STATUSES = ("tracking", "uncertain", "lost", "seen", "hidden", "unwatched")

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.view import page_rows
+from bayesnet_track.view import page_tables
 from bayesnet_track.view.page_data import run_data
 
 STARTED = RunStarted(1, "g", "0" * 64, 0, "video.mp4", 64, 48, True, 3, 0.04)
@@ -16,7 +16,7 @@ STARTED = RunStarted(1, "g", "0" * 64, 0, "video.mp4", 64, 48, True, 3, 0.04)
 @pytest.fixture
 def long_run(metrics, monkeypatch):
     """400 frames of two targets with a peak of UD each, of which a page may hold about 80 rows."""
-    monkeypatch.setattr(page_rows, "MOST_ROWS", 80)
+    monkeypatch.setattr(page_tables, "MOST_ROWS", 80)
     lines = [
         replace(
             metrics,
@@ -54,7 +54,7 @@ def test_a_long_run_keeps_peaks_decisions_and_exact_counts(long_run):
 
 
 def test_a_run_that_fits_is_shown_whole(long_run, monkeypatch):
-    monkeypatch.setattr(page_rows, "MOST_ROWS", 800)
+    monkeypatch.setattr(page_tables, "MOST_ROWS", 800)
     header, columns = run_data(*long_run)
     assert header["thinned"] is None and len(columns["0/frame"]) == 400
     assert "counted" not in header["targets"][0]
