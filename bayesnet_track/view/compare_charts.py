@@ -22,7 +22,7 @@ from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.compare_text import whose_text
 from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.view.histories import History
+from bayesnet_track.view.page_data import History
 from bayesnet_track.view.svg import Points, decades, element, text_of, thin, ticks
 
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0

@@ -24,7 +24,7 @@ from bayesnet_track.journal.text.compare_text import (
 from bayesnet_track.journal.text.sentences import name_targets
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
-from bayesnet_track.view.histories import histories
+from bayesnet_track.view.page_data import histories
 from bayesnet_track.view.svg import element, text_of
 
 OPEN_CHARTS = 3

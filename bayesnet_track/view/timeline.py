@@ -17,7 +17,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch, turns_on
 from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.view.histories import History, histories
+from bayesnet_track.view.page_data import History, histories
 from bayesnet_track.view.svg import decades, document, element, text_of, thin, ticks
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesnet_track.view.histories import histories
+from bayesnet_track.view.page_data import histories
 
 
 def test_each_target_has_its_own_frames_and_agents(metrics):
