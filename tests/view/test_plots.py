@@ -12,7 +12,7 @@ from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed, TakenBack
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.target_net import Cause
-from bayesnet_track.view import plots
+from bayesnet_track.view import notebook
 
 
 class Axis:
@@ -55,7 +55,7 @@ def run(metrics):
 
 def test_uncertainty_with_switches_levels_and_loss(run):
     ax = Axis()
-    assert plots.plot_uncertainty(ax, run) is ax
+    assert notebook.plot_uncertainty(ax, run) is ax
     ((frames, uds), _) = ax.called["semilogy"][0]
     assert frames == list(range(20)) and set(uds) == {212.4}
     (((at, values, mark), look),) = ax.called["plot"]
@@ -71,11 +71,11 @@ def test_a_level_in_other_units_is_drawn_in_px2(run):
         for at, scale in scales
     ]
     ax = Axis()
-    plots.plot_uncertainty(ax, run)
+    notebook.plot_uncertainty(ax, run)
     assert [values for values, _ in ax.called["step"]] == [([0, 15, 19], [200.0, 160.0, 160.0])]
     ax = Axis()
     del run.events[2]
-    plots.plot_uncertainty(ax, run)
+    notebook.plot_uncertainty(ax, run)
     assert [values for values, _ in ax.called["axhline"]] == [(200.0,)]
 
 
@@ -85,20 +85,20 @@ def test_switches_that_no_rule_made_are_drawn_too(run):
         TakenBack(9, "1", "motion", 20.0, 30.0, 40.0, 50),
     ]
     ax = Axis()
-    plots.plot_uncertainty(ax, run)
+    notebook.plot_uncertainty(ax, run)
     assert [(values[0], values[2]) for values, _ in ax.called["plot"]] == [([9], "^"), ([4], "v")]
 
 
 def test_kl_has_gaps_where_an_agent_said_nothing(run):
     ax = Axis()
-    plots.plot_kl(ax, run)
+    notebook.plot_kl(ax, run)
     named = {look["label"]: values[1] for values, look in ax.called["plot"]}
     assert named["color"] == [0.1] * 20 and all(math.isnan(value) for value in named["motion"])
 
 
 def test_bars_of_active_agents(run):
     ax = Axis()
-    plots.plot_active(ax, run)
+    notebook.plot_active(ax, run)
     bars = [values[0] for values, _ in ax.called["broken_barh"]]
     assert bars == [[(-0.5, 20.0)], [(9.5, 5.0)]]
 
@@ -106,7 +106,7 @@ def test_bars_of_active_agents(run):
 def test_tracks_go_through_the_centres_with_a_gap_where_lost(run):
     ax = Axis()
     truth = np.array([[8.5 + frame, 7.5, 4.0, 4.0] for frame in range(20)])
-    plots.plot_tracks(ax, run, image=np.zeros((20, 30, 3), np.uint8), truth=truth)
+    notebook.plot_tracks(ax, run, image=np.zeros((20, 30, 3), np.uint8), truth=truth)
     seen, lost, box, true = [values for values, _ in ax.called["plot"]]
     assert np.isnan(seen[0][5:7]).all() and seen[0][4] == 14.0
     assert list(lost[0][5:7]) == [15.0, 16.0] and np.isnan(lost[0][:5]).all()
@@ -117,11 +117,13 @@ def test_tracks_go_through_the_centres_with_a_gap_where_lost(run):
 
 def test_score(run):
     ax = Axis()
-    plots.plot_score(ax, run)
+    notebook.plot_score(ax, run)
     assert ax.called["set"][0][1]["ylabel"] == "score, uncalibrated"
 
 
-@pytest.mark.parametrize("plot", [plots.plot_uncertainty, plots.plot_kl, plots.plot_active, plots.plot_score])
+@pytest.mark.parametrize(
+    "plot", [notebook.plot_uncertainty, notebook.plot_kl, notebook.plot_active, notebook.plot_score]
+)
 def test_a_target_that_is_not_there(plot, run):
     with pytest.raises(ValueError, match=r"no target '7'.*there are 1"):
         plot(Axis(), run, "7")
@@ -134,11 +136,11 @@ def test_all_of_them_with_matplotlib_itself(run):
     nothing = SimpleNamespace(name="a", events=[], metrics=[], seconds={}, costs_ms={})
     run.metrics[3] = replace(run.metrics[3], ud_px2=math.inf)
     for plot in (
-        plots.plot_uncertainty,
-        plots.plot_kl,
-        plots.plot_active,
-        plots.plot_score,
-        plots.plot_tracks,
+        notebook.plot_uncertainty,
+        notebook.plot_kl,
+        notebook.plot_active,
+        notebook.plot_score,
+        notebook.plot_tracks,
     ):
         axes = figure.Figure().subplots()
         plot(axes, run)
@@ -147,9 +149,9 @@ def test_all_of_them_with_matplotlib_itself(run):
         **{**vars(run), "metrics": [replace(one, active=(), kl={}) for one in run.metrics]}
     )
     for plot, empty in (
-        (plots.plot_kl, silent),
-        (plots.plot_active, silent),
-        (plots.plot_tracks, nothing),
+        (notebook.plot_kl, silent),
+        (notebook.plot_active, silent),
+        (notebook.plot_tracks, nothing),
     ):
         axes = figure.Figure().subplots()
         plot(axes, empty)
