@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import Outcome, State, make_engine, step
 from bayesnet_track.evaluate.gospa import gospa
-from bayesnet_track.evaluate.mot_pairs import Tracks, pair
+from bayesnet_track.evaluate.truth import Tracks, pair
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import corner_from_centre

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.evaluate.mot import score_mot
-from bayesnet_track.evaluate.mot_pairs import Tracks, read_mot_truth
+from bayesnet_track.evaluate.truth import Tracks, read_mot_truth
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.mot_pairs import EPSILON, FramePairs, Pairs, assign
+from bayesnet_track.evaluate.truth import EPSILON, FramePairs, Pairs, assign
 from bayesnet_track.numerics.arrays import Floats, Ints
 
 LEAST_IOU = 0.5

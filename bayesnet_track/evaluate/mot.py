@@ -12,8 +12,8 @@ import numpy as np
 
 from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa, ospa2, trajectory_gospa
 from bayesnet_track.evaluate.identity import ALPHAS, LEAST_IOU, clear_mot, hota
-from bayesnet_track.evaluate.mot_pairs import EPSILON, Pairs, Tracks, assign, pair, read_pair
 from bayesnet_track.evaluate.scores import meanings
+from bayesnet_track.evaluate.truth import EPSILON, Pairs, Tracks, assign, pair, read_pair
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 

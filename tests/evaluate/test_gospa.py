@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.evaluate.gospa import gospa, ospa2, track_distances, trajectory_gospa
-from bayesnet_track.evaluate.mot_pairs import Tracks, pair
+from bayesnet_track.evaluate.truth import Tracks, pair
 
 C = 10.0
 

@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track.evaluate.identity import clear_mot
 from bayesnet_track.evaluate.mot import identity
-from bayesnet_track.evaluate.mot_pairs import Tracks, pair
+from bayesnet_track.evaluate.truth import Tracks, pair
 
 
 def tracks(*rows):

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.evaluate.mot import MotScore, score_mot
-from bayesnet_track.evaluate.mot_pairs import Tracks
 from bayesnet_track.evaluate.scores import meanings
+from bayesnet_track.evaluate.truth import Tracks
 
 
 def tracks(*rows):

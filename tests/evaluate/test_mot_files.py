@@ -5,8 +5,7 @@ import json
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.evaluate.mot_pairs import read_mot_tracks, read_mot_truth
-from bayesnet_track.evaluate.truth import is_mot
+from bayesnet_track.evaluate.truth import is_mot, read_mot_tracks, read_mot_truth
 
 TRUTH = "1,1,0,0,10,10,1,1,1.0\n1,2,50,0,10,10,1,1,0.5\n1,3,90,0,10,10,0,8,1\n2,1,2,0,10,10,1,1,1\n"
 TRACKS = "1,7,0,0,10,10,0.9,-1,-1,-1\n2,8,2,0,10,10,0.1,-1,-1,-1\n2,7,70,0,10,10,0,-1,-1,-1\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.evaluate.mot_pairs import read_mot_truth
+from bayesnet_track.evaluate.truth import read_mot_truth
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.detection_files import parse_detections
 from simulated.crowd_detector import DetectorSettings, detect_crowd, detections_text

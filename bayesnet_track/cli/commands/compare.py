@@ -160,9 +160,8 @@ def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
 def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Namespace) -> list[Total]:
     """Figures against the truth: of all targets where it is MOT, else of the first one."""
     from bayesnet_track.evaluate.mot import score_mot
-    from bayesnet_track.evaluate.mot_pairs import read_pair
     from bayesnet_track.evaluate.runs import frames_of_run, score_run
-    from bayesnet_track.evaluate.truth import is_mot
+    from bayesnet_track.evaluate.truth import is_mot, read_pair
     from bayesnet_track.journal.compare_measures import Total
 
     given, form = options.truth, options.truth_format

@@ -188,8 +188,8 @@ def _score_several(
 ) -> int:
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
     from bayesnet_track.evaluate.mot import class_names, class_table, of_classes, score_classes, score_mot
-    from bayesnet_track.evaluate.mot_pairs import read_pair
     from bayesnet_track.evaluate.runs import frames_of_run, say_misplaced
+    from bayesnet_track.evaluate.truth import read_pair
 
     if options.target is not None:
         raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")

@@ -174,9 +174,8 @@ def row_of_run(graph: str, seed: int, out: str, truth: str | None, form: TruthFo
     from bayesnet_track.cli.batch.jobs import Job, Video
     from bayesnet_track.cli.batch.work import row_of
     from bayesnet_track.evaluate.mot import score_mot
-    from bayesnet_track.evaluate.mot_pairs import read_pair
     from bayesnet_track.evaluate.runs import frames_of_run
-    from bayesnet_track.evaluate.truth import is_mot
+    from bayesnet_track.evaluate.truth import is_mot, read_pair
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     several = truth is not None and is_mot(truth, form)

@@ -45,8 +45,7 @@ def tracks_of(options: argparse.Namespace) -> Tracks:
     """(T, 4) centre boxes of each track of `--truth` and `--folder`, up to `--end`."""
     import numpy as np
 
-    from bayesnet_track.evaluate.mot_pairs import read_mot_tracks
-    from bayesnet_track.evaluate.truth import is_mot, read_truth
+    from bayesnet_track.evaluate.truth import is_mot, read_mot_tracks, read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
 
     files = [Path(file) for file in options.truth]

@@ -296,7 +296,7 @@ BOXES = (
     Entrance(
         "ground truth of many targets",
         "`score --truth`, `fit --motion`, `run --seeds --truth`",
-        ("evaluate.mot_pairs: read_mot_truth read_mot_tracks",),
+        ("evaluate.truth: read_mot_truth read_mot_tracks",),
         "boxes without an area or with confidence 0; frames that the run does not have, and boxes of another "
         "size of frame",
         "an identity twice in a frame, no true box, frames from 0",
