@@ -118,7 +118,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _nothing_said_of_compiling() -> Iterator[None]:
     """What a command prints here is the same whether kernels come from the cache or not."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesnet_track.cli.dispatch.notice_compiling", lambda options: lambda: None)
+        patch.setattr("bayesnet_track.cli.main.notice_compiling", lambda options: lambda: None)
         yield
 
 

@@ -24,7 +24,7 @@ import pytest
 import yaml
 
 from bayesnet_track import open_run
-from bayesnet_track.cli import dispatch as commands
+from bayesnet_track.cli import main as commands
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import EXAMPLES, EXIT_CODES, GROUPS, make_parser
 from bayesnet_track.engine.starts import start_targets

@@ -15,7 +15,7 @@ from importlib import import_module
 
 import pytest
 
-from bayesnet_track.cli import dispatch as commands
+from bayesnet_track.cli import main as commands
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
@@ -347,12 +347,12 @@ def test_an_interrupted_import_ends_the_command(answer, number, tmp_path, monkey
 def test_an_import_of_ours_that_is_interrupted_ends_the_command(capsys, monkeypatch):
     class Finder:
         def find_spec(self, name, path=None, target=None):
-            if name == "bayesnet_track.cli.dispatch":
+            if name == "bayesnet_track.cli.main":
                 signal.raise_signal(signal.SIGINT)
 
-    for name in [name for name in sys.modules if name.startswith("bayesnet_track.cli.dispatch")]:
+    for name in [name for name in sys.modules if name.startswith("bayesnet_track.cli.main")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr("bayesnet_track.cli.dispatch")
+    monkeypatch.delattr("bayesnet_track.cli.main")
     monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
     assert main(["list"]) == 130
     assert capsys.readouterr() == ("", "")

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from bayesnet_track import track
-from bayesnet_track.cli import dispatch as commands
 from bayesnet_track.cli import doctor
+from bayesnet_track.cli import main as commands
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime import system
 from bayesnet_track.runtime.executors import PlacingError
