@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.sources.scenes import Scene
-from bayesnet_track.sources.scenes.render import ORANGE, Sprite, gray_cells, shaded_cells
-from bayesnet_track.sources.scenes.scene import assemble
+from bayesnet_track.sources.scenes.scene import ORANGE, Sprite, assemble, gray_cells, shaded_cells
 from bayesnet_track.sources.scenes.shapes import bouncing
 
 Image = NDArray[np.uint8]

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.sources.scenes.render import Movie, Sprite, flat, smooth_background
+from bayesnet_track.sources.scenes.scene import Movie, Sprite, flat, smooth_background
 from bayesnet_track.sources.scenes.shapes import winding
 
 Kind = Literal["crossing", "beside"]

@@ -12,8 +12,7 @@ from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes.library import SceneSource
-from bayesnet_track.sources.scenes.render import ORANGE, Sprite, shaded_cells, smooth_background
-from bayesnet_track.sources.scenes.scene import assemble
+from bayesnet_track.sources.scenes.scene import ORANGE, Sprite, assemble, shaded_cells, smooth_background
 
 
 class EventSink:

@@ -7,7 +7,7 @@ from bayesnet_track.observation.image_headers import PictureError
 from bayesnet_track.sources.mot_lines import parse_mot
 from bayesnet_track.sources.origin import fingerprint
 from bayesnet_track.sources.paths import depth_files
-from bayesnet_track.sources.scenes.render import gray_cells, shaded_cells, smooth_background
+from bayesnet_track.sources.scenes.scene import gray_cells, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.shapes import SIDE, crowd
 from bayesnet_track.sources.stereo_source import read_points
 

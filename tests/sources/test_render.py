@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.sources.scenes.render import Movie, Sprite, Veil, coverage, paint
+from bayesnet_track.sources.scenes.scene import Movie, Sprite, Veil, coverage, paint
 
 FINE = 8  # boxes on a grid of 1/8 px, so that 8 x 8 sub-pixels reproduce area coverage without error
 eighths = st.integers(-40, 200).map(lambda n: n / FINE)

@@ -8,8 +8,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.sources.scenes.people import BODY_PARTS
-from bayesnet_track.sources.scenes.render import Movie, Sprite, flat, shaded_cells
-from bayesnet_track.sources.scenes.scene import Scene, assemble
+from bayesnet_track.sources.scenes.scene import Movie, Scene, Sprite, assemble, flat, shaded_cells
 
 WIDTH, HEIGHT, NOISE_SD = 320, 240, 4.0
 GROUND = (128.0, 140.0, 150.0)

@@ -16,7 +16,7 @@ import pytest
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.sources.scenes.render import Movie, Sprite, flat, smooth_background
+from bayesnet_track.sources.scenes.scene import Movie, Sprite, flat, smooth_background
 from tests.vision.street import street
 
 MARGIN = 0.04

@@ -8,16 +8,19 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.sources.scenes.render import (
+from bayesnet_track.sources.scenes.scene import (
     ORANGE,
     Movie,
+    Scene,
+    ScenePart,
     Sprite,
+    assemble,
     flat,
     gray_cells,
     shaded_cells,
     smooth_background,
+    visible_share,
 )
-from bayesnet_track.sources.scenes.scene import Scene, ScenePart, assemble, visible_share
 
 CARRYING_WIDTH, CARRYING_HEIGHT, FRAMES, NOISE_SD = 320, 240, 180, 4.0
 GREEN = (70.0, 190.0, 60.0)

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.sources.scenes.render import (
+from bayesnet_track.sources.scenes.scene import (
     ORANGE,
+    Scene,
     Sprite,
+    assemble,
     flat,
     gray_cells,
     paint,
     shaded_cells,
     smooth_background,
 )
-from bayesnet_track.sources.scenes.scene import Scene, assemble
 
 Point = tuple[float, float]
 

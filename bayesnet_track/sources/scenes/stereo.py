@@ -11,8 +11,16 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import StereoGeometry
 from bayesnet_track.sources.scenes.people import BODY_PARTS, dress
-from bayesnet_track.sources.scenes.render import Movie, Sprite, Veil, gray_cells, shaded_cells
-from bayesnet_track.sources.scenes.scene import Scene, StereoView, assemble
+from bayesnet_track.sources.scenes.scene import (
+    Movie,
+    Scene,
+    Sprite,
+    StereoView,
+    Veil,
+    assemble,
+    gray_cells,
+    shaded_cells,
+)
 
 FINER = 2
 """Rays per pixel and direction."""
