@@ -32,8 +32,8 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import HALF_OVERLAP, share_inside
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.networks import check_apart, read_onnx, reason_of
 from bayesnet_track.vision.planes import WholeFrame
+from bayesnet_track.vision.siamese_networks import check_apart, read_onnx, reason_of
 
 Embed = Callable[[Bytes], Floats]
 """(n, height, width, 3) uint8 BGR crops -> (n, D) vectors."""

@@ -29,9 +29,9 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
-from bayesnet_track.vision.networks import check_apart, reason_of
 from bayesnet_track.vision.planes import WholeFrame
 from bayesnet_track.vision.points import GRAY, correlations, cut, mix_channels
+from bayesnet_track.vision.siamese_networks import check_apart, reason_of
 
 FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"Nano": ("backbone", "neckhead"), "Vit": ("net",), "DaSiamRPN": ("model", "kernel_cls1", "kernel_r1")}

@@ -11,13 +11,13 @@ import pytest
 from bayesnet_track import Tracker
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.vision import networks
-from bayesnet_track.vision.networks import check_apart
+from bayesnet_track.vision import siamese_networks
+from bayesnet_track.vision.siamese_networks import check_apart
 
 LOADERS = """
 import os, signal, time
 from pathlib import Path
-from bayesnet_track.vision.networks import working_on
+from bayesnet_track.vision.siamese_networks import working_on
 
 def load(path, how, log):
     with Path(log).open("a") as file:
@@ -46,7 +46,7 @@ def loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "loaders_apart.py").write_text(LOADERS)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(networks, "_tried", set())
+    monkeypatch.setattr(siamese_networks, "_tried", set())
     import loaders_apart
 
     log = tmp_path / "log"
@@ -72,7 +72,7 @@ def test_a_crash_names_the_file_and_the_signal_and_is_tried_again(loader) -> Non
 
 
 def test_what_goes_on_for_ever_is_ended(loader, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(networks, "SECONDS", 2.0)
+    monkeypatch.setattr(siamese_networks, "SECONDS", 2.0)
     with pytest.raises(TrialError, match=r"no end after 2 s where the network was tried"):
         loader("hang")
 
@@ -88,7 +88,7 @@ def test_the_same_bytes_are_tried_once_also_by_another_process(
 ) -> None:
     assert loader(how) == 1
     assert loader(how) == 0
-    monkeypatch.setattr(networks, "_tried", set())  # as a new process has it
+    monkeypatch.setattr(siamese_networks, "_tried", set())  # as a new process has it
     assert loader(how) == 0
     assert loader(how, contents=b"2") == 1
     assert loader(how, contents=b"1") == 0
@@ -99,7 +99,7 @@ def test_what_cannot_be_kept_is_tried_by_each_process(
 ) -> None:
     (tmp_path / "cache").write_text("no folder")
     assert loader("well") == 1
-    monkeypatch.setattr(networks, "_tried", set())
+    monkeypatch.setattr(siamese_networks, "_tried", set())
     assert loader("well") == 1
 
 
@@ -121,7 +121,9 @@ def test_a_graph_whose_network_crashes_is_refused_with_its_file(
     (tmp_path / "graph.yaml").write_text(GRAPH.format(model=model))
     Tracker(tmp_path / "graph.yaml")
     monkeypatch.setattr(
-        networks, "CODE", "import os, bayesnet_track.vision.networks as a; a._say(begins=1); os.abort()"
+        siamese_networks,
+        "CODE",
+        "import os, bayesnet_track.vision.siamese_networks as a; a._say(begins=1); os.abort()",
     )
     Path(model).write_bytes(Path(model).read_bytes() + b"\x00")
     with pytest.raises(GraphError, match=r"network\.onnx: a crash \(SIGABRT\) where the network was tried"):

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from bayesnet_track.vision.networks import reason_of
+from bayesnet_track.vision.siamese_networks import reason_of
 
 
 def test_an_error_is_told_without_files_and_lines():

@@ -368,8 +368,8 @@ FILES = (
         "networks",
         "`model`, `backbone` and `head` of agents and detectors: ONNX",
         (
-            "vision.networks: read_onnx",
-            "vision.networks: check_apart",
+            "vision.siamese_networks: read_onnx",
+            "vision.siamese_networks: check_apart",
             "vision.siamese_networks: run_by_opencv run_by_onnxruntime",
             "vision.siamese_networks: try_networks _open",
         ),

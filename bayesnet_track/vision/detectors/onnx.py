@@ -22,7 +22,7 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import select
-from bayesnet_track.vision.networks import check_apart, read_onnx, reason_of
+from bayesnet_track.vision.siamese_networks import check_apart, read_onnx, reason_of
 
 
 class LayoutError(ValueError):
