@@ -1,4 +1,4 @@
-"""The detector contract: declaration, detections, detectors of plug-ins, detections of other libraries.
+"""The detector contract: declaration, detections, detectors of plug-ins, what sensors saw in one frame.
 
 A detector looks at the whole frame and needs no hypotheses: it starts targets and finds lost ones again. Like
 a cue it comes in two halves, a *declaration* that is cheap to import and an *implementation* made from the
@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import real_numbers
-from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.observation.plugins import installed
 from bayesnet_track.observation.settings import setting
 
@@ -264,3 +264,27 @@ def _labels(found: Any, boxes: Any, count: int) -> list[str]:
     names = getattr(found, "names", None)
     known = names if isinstance(names, dict) else dict(enumerate(names or ()))
     return [str(known.get(int(number), int(number))) for number in numbers]
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Detections of one sensor at one time.
+
+    Attributes:
+        values: (N, K) a column for each of the sensor's quantities, in the order of its `sd`.
+        scores: (N,) 0..1.
+    """
+
+    values: Floats
+    scores: Floats
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@runtime_checkable
+class Scanner(Protocol):
+    """Sensors at work: a pure function of the frame."""
+
+    def scans(self, frame: Frame) -> Mapping[str, Scan]:
+        """Agent -> what it saw, of those that looked in this frame; one may have seen nothing."""

@@ -22,9 +22,8 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation.cue import OWN_DETECTION
-from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.observation.detector import GIVEN, Scan
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.scans import Scan
 from bayesnet_track.runtime.arguments import say_unused_by_cues, whole
 from bayesnet_track.runtime.given_scans import read_scans, sensors_of
 from bayesnet_track.runtime.resizing import Resizing

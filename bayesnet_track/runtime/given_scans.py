@@ -13,8 +13,7 @@ from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.expressions.periods import period_of
 from bayesnet_track.graph.expressions.terms import Call, Variable
-from bayesnet_track.observation.detector import GIVEN
-from bayesnet_track.observation.scans import Scan
+from bayesnet_track.observation.detector import GIVEN, Scan
 from bayesnet_track.runtime.arguments import frames_of
 from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.runtime.updates.frame_clock import image_users

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.detector import Scan
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.scans import Scan
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.frames import Picture
 from bayesnet_track.sources.mot_lines import read_text
@@ -81,7 +81,7 @@ class ScanFile:
     by_time: bool = False
 
     def scans(self, frame: Frame) -> Mapping[str, Scan]:
-        """As `observation.scans.Scanner`."""
+        """As `observation.detector.Scanner`."""
         return self.found.get(frame.index, {})
 
 

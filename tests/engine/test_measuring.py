@@ -16,8 +16,8 @@ from bayesnet_track.engine.lifecycle.detecting import scan
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import make_engine, step
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.observation.detector import Scan
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.scans import Scan
 
 BLACK = np.zeros((16, 16, 3), np.uint8)
 RADAR = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.observation.scans import Scan, Scanner
+from bayesnet_track.observation.detector import Scan, Scanner
 
 
 def test_a_scan_is_as_long_as_its_detections():

@@ -21,10 +21,10 @@ from bayesnet_track.observation.detector import (
     Detector,
     DetectorState,
     LearningDetector,
+    Scanner,
     check_detections,
 )
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.observation.scans import Scanner
 
 
 def look(

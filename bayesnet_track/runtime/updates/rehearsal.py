@@ -21,9 +21,8 @@ from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
+from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState, Scan
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.observation.scans import Scan
 
 SIZE = (320, 240)
 """Width and height of the made-up frames, px: neither modules nor kernels depend on them."""
