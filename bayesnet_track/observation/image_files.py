@@ -1,24 +1,322 @@
-"""Image files of one image, decoded after their headers are checked; masks of likelihoods of a place."""
+"""Image files: headers checked before anything is decoded; masks of likelihoods of a place.
+
+A file of a megabyte may declare a billion pixels, which a decoder allocates before it finds out. What is read
+is what the decoder itself goes by; where a file may say it more than once, the largest counts. Of JPEG, PNG,
+BMP, TIFF, WebP, the Netpbm formats and JPEG 2000; no other is decoded.
+
+Of several images in a file decoders give the first one and say nothing of the others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
+from math import prod
 from pathlib import Path
+from struct import Struct, error, unpack_from
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Floats
-from bayesnet_track.observation.image_headers import (
-    MAX_BYTES,
-    PictureError,
-    check_size,
-    declared_size,
-    is_cut_off,
-    refuse_pages,
-)
+
+MAX_PIXELS = 1 << 27
+"""Pixels of a picture, of a video as of an image file: 134 million."""
+MAX_BYTES = 1 << 29
+"""Bytes of an image file: what a picture of so many pixels takes without compression, in colour and more."""
+
+Size = tuple[int, int]
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
+_PNM = re.compile(rb"P[1-6](?:\s+|\s*#[^\n]*\n)+(\d{1,18})(?:\s+|\s*#[^\n]*\n)+(\d{1,18})")
+_PAM = re.compile(rb"^(WIDTH|HEIGHT)\s+(\d{1,18})", re.MULTILINE)
+_TIFF_WIDTHS, _TIFF_HEIGHTS = (256, 322), (257, 323)  # of the image, of a tile
+_TIFF_TYPES = {1: 1, 3: 2, 4: 4, 16: 8}
+
+
+def check_size(name: str, width: int, height: int) -> None:
+    """Refuse a picture of more than `MAX_PIXELS`; raises PictureError."""
+    if width * height > MAX_PIXELS:
+        raise PictureError(
+            f"{name}: {width}x{height} px; allowed: {MAX_PIXELS:,} pixels; scale it down before"
+        )
+
+
+def declared_size(data: bytes | bytearray) -> Size | None:
+    """Width and height of an image in px as its header has it; None where it is none that is known.
+
+    >>> declared_size(b"P5 # a comment" + bytes([10]) + b"640 480 255 ")
+    (640, 480)
+    """
+    try:
+        sizes = list(_sizes(data))
+    except error:  # the header is cut off
+        return None
+    if not sizes:
+        return None
+    return max(width for width, _ in sizes), max(height for _, height in sizes)
+
+
+def is_cut_off(data: bytes) -> bool:
+    """True if the end of a JPEG or PNG is missing, which OpenCV fills with gray or black without a word."""
+    if data.startswith(b"\xff\xd8"):
+        return data.rfind(b"\xff\xd9") < max(data.rfind(b"\xff\xda"), 2)
+    return data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]
+
+
+def _sizes(data: bytes | bytearray) -> Iterable[Size]:
+    head = bytes(data[:16])
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
+        return [unpack_from(">II", data, 16)]
+    if head.startswith(b"\xff\xd8\xff"):
+        return _jpeg(data)
+    if head.startswith(b"BM"):
+        return _bmp(data)
+    if head[:4] in (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+"):
+        return _tiff_sizes(data)
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return _webp(data)
+    if head.startswith(b"P7"):
+        sides = [(name, int(side)) for name, side in _PAM.findall(data[:4096])]
+        widths = [side for name, side in sides if name == b"WIDTH"]
+        heights = [side for name, side in sides if name == b"HEIGHT"]
+        return [(max(widths), max(heights))] if widths and heights else []
+    if head[:1] == b"P":
+        found = _PNM.match(data[:4096])
+        return [(int(found[1]), int(found[2]))] if found else []
+    if head[4:8] == b"jP  " or head.startswith(b"\xff\x4f\xff\x51"):
+        # Right, bottom, left, top of the image on its canvas, in the codestream: what the box says is a copy.
+        grids = [unpack_from(">4I", data, at.start() + 8) for at in re.finditer(b"\xff\x4f\xff\x51", data)]
+        return [(max(right - left, 0), max(bottom - top, 0)) for right, bottom, left, top in grids]
+    return []
+
+
+def _jpeg(data: bytes | bytearray) -> Iterator[Size]:
+    """Of the first frame header: a decoder refuses a second one."""
+    at = 2
+    while (at := data.find(b"\xff", at)) >= 0 and at + 4 <= len(data):
+        marker = data[at + 1]
+        if marker in (0x00, 0xFF) or marker in _JPEG_ALONE:
+            at += 1 if marker == 0xFF else 2
+        elif marker in _JPEG_FRAMES:
+            height, width = unpack_from(">HH", data, at + 5)
+            yield width, height
+            return
+        elif marker in (0xD9, 0xDA):  # the end, or pixels before any header
+            return
+        else:
+            at += 2 + max(unpack_from(">H", data, at + 2)[0], 2)
+
+
+def _bmp(data: bytes | bytearray) -> Iterator[Size]:
+    if unpack_from("<I", data, 14)[0] == 12:
+        yield unpack_from("<HH", data, 18)
+    else:
+        width, height = unpack_from("<ii", data, 18)
+        yield abs(width), abs(height)  # a negative height begins at the top
+
+
+def _tiff_sizes(data: bytes | bytearray) -> Iterator[Size]:
+    """Of the first directory, that of a tile too: a tile is decoded whole, however little of it is seen."""
+    order = "<" if data[:2] == b"II" else ">"
+    big = data[2:4] in (b"+\0", b"\0+")
+    at = unpack_from(f"{order}Q", data, 8)[0] if big else unpack_from(f"{order}I", data, 4)[0]
+    if at >= len(data):
+        return
+    count = unpack_from(f"{order}Q" if big else f"{order}H", data, at)[0]
+    entry = Struct(f"{order}HHQ8s" if big else f"{order}HHI4s")
+    at += 8 if big else 2
+    sides: dict[int, int] = {}
+    for number in range(min(count, 65536)):
+        tag, kind, _, raw = entry.unpack_from(data, at + number * entry.size)
+        length = _TIFF_TYPES.get(kind)
+        if tag in _TIFF_WIDTHS + _TIFF_HEIGHTS and length is not None and length <= len(raw):
+            side = int.from_bytes(raw[:length], "little" if order == "<" else "big")
+            sides[tag] = max(side, sides.get(tag, 0))
+    if 256 in sides and 257 in sides:
+        yield max(sides.get(tag, 0) for tag in _TIFF_WIDTHS), max(sides.get(tag, 0) for tag in _TIFF_HEIGHTS)
+
+
+def _webp(data: bytes | bytearray) -> Iterator[Size]:
+    kind = data[12:16]
+    if kind == b"VP8X":
+        yield 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
+    elif kind == b"VP8L":
+        bits = unpack_from("<I", data, 21)[0]
+        yield 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    elif kind == b"VP8 ":
+        width, height = unpack_from("<HH", data, 26)
+        yield width & 0x3FFF, height & 0x3FFF
+
+
+class PictureError(ValueError):
+    """One picture that cannot be decoded."""
+
+
+Bytes = bytes | bytearray
+_TIFF = (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+")
+_NETPBM_KINDS = (b"P4", b"P5", b"P6")
+MOST_PAGES = 1 << 20
+_SUBFILE_TYPE, _DESCRIPTION, _SUBFILES = 254, 270, 0b101  # a thumbnail or a mask of another page
+_NETPBM = re.compile(rb"(P[456])(?:\s+|\s*#[^\n]*\n)+(\d{1,9})(?:\s+|\s*#[^\n]*\n)+(\d{1,9})")
+_LARGEST_VALUE = re.compile(rb"(?:\s+|\s*#[^\n]*\n)+(\d{1,5})\s")
+_AXES = {
+    "channels": (r"\bchannels=(\d+)", r'\bSizeC="(\d+)"'),
+    "slices": (r"\bslices=(\d+)", r'\bSizeZ="(\d+)"'),
+    "times": (r"\bframes=(\d+)", r'\bSizeT="(\d+)"'),
+}
+
+
+@dataclass(frozen=True)
+class Pages:
+    """The images of a file.
+
+    Attributes:
+        kind: format of the file.
+        places: of each image of a TIFF its directory, of a Netpbm file its header; of others their number.
+    """
+
+    kind: Literal["TIFF", "Netpbm", "PNG", "WebP"]
+    places: tuple[int, ...]
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self.places)
+
+
+def may_hold_several(head: bytes) -> bool:
+    """True if a file that begins so is of a format in which several images are pages or WebP frames."""
+    return head[:4] in _TIFF or head[:2] in _NETPBM_KINDS or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")
+
+
+def pages_of(name: str, data: Bytes) -> Pages | None:
+    """The images in a file where there are several; None where there is one, or it is no such file.
+
+    Raises:
+        PictureError: what the file says of its images fits two readings.
+    """
+    head = bytes(data[:16])
+    try:
+        if head[:4] in _TIFF:
+            pages = Pages("TIFF", _tiff_pages(name, data))
+        elif head.startswith(b"\x89PNG\r\n\x1a\n"):
+            pages = Pages("PNG", tuple(range(_animation_control(data))))
+        elif head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+            pages = Pages("WebP", tuple(range(sum(kind == b"ANMF" for kind in _riff_chunks(data)))))
+        elif head[:2] in _NETPBM_KINDS:
+            pages = Pages("Netpbm", tuple(_netpbm(data)))
+        else:
+            return None
+    except error:  # cut off: the decoder says so
+        return None
+    return pages if len(pages) > 1 else None
+
+
+def refuse_pages(name: str, data: Bytes) -> None:
+    """Refuse a file of several images where one is needed; raises PictureError."""
+    pages = pages_of(name, data)
+    if pages is not None:
+        raise PictureError(
+            f"{name}: {len(pages)} images in one {pages.kind} file; allowed here: one image in a file; "
+            "split it, or give it alone as the source"
+        )
+
+
+def _tiff_pages(name: str, data: Bytes) -> tuple[int, ...]:
+    """Offsets of the directories of whole images; raises PictureError, struct.error."""
+    order = "<" if data[:2] == b"II" else ">"
+    is_big = bytes(data[2:4]) in (b"+\0", b"\0+")
+    pointer = Struct(f"{order}Q" if is_big else f"{order}I")
+    count_of = Struct(f"{order}Q" if is_big else f"{order}H")
+    entry = Struct(f"{order}HHQ8s" if is_big else f"{order}HHI4s")
+    at = pointer.unpack_from(data, 8 if is_big else 4)[0]
+    seen: set[int] = set()
+    found: list[int] = []
+    description = ""
+    while at and at not in seen and at < len(data) and len(seen) < MOST_PAGES:
+        seen.add(at)
+        first = at + count_of.size
+        end = first + min(count_of.unpack_from(data, at)[0], 65536) * entry.size
+        tags = {}
+        for tag, _, length, raw in entry.iter_unpack(data[first:end]):
+            tags[tag] = (length, raw)
+        subfile = tags.get(_SUBFILE_TYPE, (1, b"\0" * 4))[1][:4]
+        if not unpack_from(f"{order}I", subfile)[0] & _SUBFILES:
+            if not found and _DESCRIPTION in tags:
+                length, raw = tags[_DESCRIPTION]
+                start = pointer.unpack_from(raw)[0]
+                description = bytes(data[start : start + length]).decode("utf-8", "replace")
+            found.append(at)
+        at = pointer.unpack_from(data, end)[0] if end + pointer.size <= len(data) else 0
+    _check_axes(name, description, len(found))
+    return tuple(found)
+
+
+def _check_axes(name: str, description: str, pages: int) -> None:
+    """Refuse a stack whose description (ImageJ, OME) has more axes than time, or more images than pages."""
+    axes = {}
+    for axis, patterns in _AXES.items():
+        sizes = (re.search(pattern, description) for pattern in patterns)
+        axes[axis] = next((int(size[1][:9]) for size in sizes if size is not None), 1)
+    images = re.search(r"^ImageJ=.*?^images=(\d+)", description, re.MULTILINE | re.DOTALL)
+    if images is not None and int(images[1][:9]) > pages:
+        raise PictureError(
+            f"{name}: its description says images={images[1]}, and it has {pages} pages; "
+            "allowed: a page for each image; save it anew as an image sequence"
+        )
+    several = {axis: size for axis, size in axes.items() if size > 1}
+    if pages > 1 and prod(several.values()) == pages and (len(several) > 1 or "channels" in several):
+        shape = ", ".join(f"{size} {axis}" for axis, size in several.items())
+        raise PictureError(
+            f"{name}: its {pages} pages are {shape} by its description, and which of them follow each other "
+            "in time is open; allowed: one axis, time; save one channel and one slice as a stack of its own"
+        )
+
+
+def _animation_control(data: Bytes) -> int:
+    """Frames that a PNG says it has in its animation; 1 without one."""
+    at = 8
+    while at + 8 <= len(data):
+        length, kind = unpack_from(">I4s", data, at)
+        if kind == b"acTL":
+            return int(unpack_from(">I", data, at + 8)[0])
+        if kind in (b"IDAT", b"IEND"):
+            break
+        at += 12 + length
+    return 1
+
+
+def _riff_chunks(data: Bytes) -> Iterator[bytes]:
+    at = 12
+    while at + 8 <= len(data):
+        kind, length = unpack_from("<4sI", data, at)
+        yield kind
+        at += 8 + length + length % 2
+
+
+def _netpbm(data: Bytes) -> Iterator[int]:
+    """Offsets at which images begin; an image without a valid header ends the file."""
+    at = 0
+    while at < len(data):
+        head = bytes(data[at : at + 4096])
+        found = _NETPBM.match(head)
+        if found is None:
+            return
+        kind, width, height = found[1], int(found[2]), int(found[3])
+        end, row = found.end() + 1, -(-width // 8)
+        if kind != b"P4":
+            largest = _LARGEST_VALUE.match(head, found.end())
+            if largest is None:
+                return
+            end = largest.end()
+            row = width * (3 if kind == b"P6" else 1) * (2 if int(largest[1]) > 255 else 1)
+        yield at
+        at += end + row * height
+        while at < len(data) and bytes(data[at : at + 1]).isspace():
+            at += 1
 
 
 def read_checked(path: Path) -> bytes:

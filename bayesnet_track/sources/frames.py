@@ -31,7 +31,7 @@ from bayesnet_track.journal.events.runs import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.observation.planes import Depth, Frame, read_only
 from bayesnet_track.sources.entrances.notices import few
 from bayesnet_track.sources.origin import Origin, changed_since, stamps

@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.image_files import decode, read_pixels
-from bayesnet_track.observation.image_headers import (
+from bayesnet_track.observation.image_files import (
     Pages,
     PictureError,
     check_size,
     declared_size,
+    decode,
     may_hold_several,
     pages_of,
+    read_pixels,
 )
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.entrances.notices import few, notice

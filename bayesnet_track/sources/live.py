@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.frames import Damage, Dropped, Picture, Reader, ReaderItem, Stalled
 from bayesnet_track.sources.paths import SourceError

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Image
-from bayesnet_track.observation.image_files import read_checked
-from bayesnet_track.observation.image_headers import PictureError, check_size
+from bayesnet_track.observation.image_files import PictureError, check_size, read_checked
 from bayesnet_track.observation.planes import Depth, PointMap, RightEye
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange

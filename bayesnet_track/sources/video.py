@@ -20,7 +20,7 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.image_headers import MAX_PIXELS, PictureError
+from bayesnet_track.observation.image_files import MAX_PIXELS, PictureError
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.frames import Damage, Picture, Size

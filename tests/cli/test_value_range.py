@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.sources import open_source
 

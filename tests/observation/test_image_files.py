@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.image_files import read_mask, read_pixels
-from bayesnet_track.observation.image_headers import PictureError, pages_of
+from bayesnet_track.observation.image_files import PictureError, pages_of, read_mask, read_pixels
 from bayesnet_track.sources.stereo_source import read_points
 
 GRAY = [np.full((4, 6), value, np.uint8) for value in (10, 20, 30)]

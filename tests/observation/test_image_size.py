@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation.detector import DetectorError, installed_detectors
-from bayesnet_track.observation.image_headers import MAX_BYTES, MAX_PIXELS, PictureError, declared_size
+from bayesnet_track.observation.image_files import MAX_BYTES, MAX_PIXELS, PictureError, declared_size
 from bayesnet_track.sources.images import read_image
 from bayesnet_track.sources.stereo_source import read_points
 

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.image_files import AnyMask, Mask, read_mask
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import AnyMask, Mask, PictureError, read_mask
 
 GREY = np.array([[0, 51, 255], [102, 204, 0]], dtype=np.uint8)
 

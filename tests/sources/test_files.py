@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.sources.mot_lines import parse_mot
 from bayesnet_track.sources.origin import fingerprint
 from bayesnet_track.sources.paths import depth_files

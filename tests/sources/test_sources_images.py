@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.journal.events.runs import FrameSizeChanged, FramesMissing, SourceDamaged
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.levels import to_bgr
 from bayesnet_track.sources.paths import depth_files

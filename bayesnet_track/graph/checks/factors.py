@@ -30,8 +30,7 @@ from bayesnet_track.graph.expressions.terms import (
 from bayesnet_track.graph.spec import AgentNode, FactorNode, Given, GraphSpec
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions, nearest
 from bayesnet_track.graphs import graph_folder
-from bayesnet_track.observation.image_files import Mask, read_mask
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import Mask, PictureError, read_mask
 from bayesnet_track.observation.protocols import BOX
 
 

@@ -27,8 +27,7 @@ from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue, file_of
-from bayesnet_track.observation.image_files import AnyMask, Mask, read_mask
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import AnyMask, Mask, PictureError, read_mask
 from bayesnet_track.runtime.checkpoints.origins import GivenFile, given_cue, given_file, model_files, versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin

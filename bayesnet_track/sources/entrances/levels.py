@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.notices import notice
 

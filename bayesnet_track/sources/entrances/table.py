@@ -66,7 +66,7 @@ FRAMES = (
         "`--source FILE`: TIFF, Netpbm, animated PNG, WebP, GIF",
         (
             "sources.images: stack_of is_animated_png _bytes_of Animation.read",
-            "observation.image_headers: pages_of",
+            "observation.image_files: pages_of",
         ),
         "nothing: every image is a frame; thumbnails and masks of other pages are none",
         "a stack with channels or slices beside time, fewer pages than its description says, more than 2 "

@@ -158,8 +158,7 @@ def _make(parameters: ColorBackprojectionParameters) -> Detector:
     detector = ColorBackprojection(parameters, nothing)
     if parameters.picture is None:
         return detector
-    from bayesnet_track.observation.image_files import read_checked
-    from bayesnet_track.observation.image_headers import PictureError
+    from bayesnet_track.observation.image_files import PictureError, read_checked
 
     try:
         data = np.frombuffer(read_checked(Path(parameters.picture)), np.uint8)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.levels import explain_loss, to_bgr, value_range_of
 from bayesnet_track.sources.entrances.notices import InputNotice

@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import FrameSizeChanged, FramesMissing, SourceDamaged
-from bayesnet_track.observation.image_headers import PictureError
+from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources import images
 from bayesnet_track.sources.entrances.notices import InputNotice
