@@ -125,7 +125,7 @@ def _draw(crowd: Crowd, batch: PairBatch, keys: Keys) -> tuple[Floats, Ints, Int
     In each round of a pair every hypothesis of the hearer has one partner from every stratum of as many:
     shifts say where in its stratum each partner is, turns for which hypothesis.
     """
-    from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each
+    from bayesnet_track.numerics.streams import shuffled_of_each
 
     rounds = np.array([edge.pairings for edge in batch.edges], dtype=np.int64)
     begins = np.cumsum([0, *(rounds * np.diff(crowd.starts)[batch.ends[1]]).tolist()])

@@ -14,8 +14,8 @@ from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Crowd, Edge, Member, bad_shares
 from bayesnet_track.inference.joint_messages import PairBatch
 from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of, pick_in_strata
-from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.streams import shuffled_of_each
 
 
 def member(rng, centre, cells=9, copies=1, on=None):

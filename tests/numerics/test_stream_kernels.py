@@ -4,9 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.kernels.stream_kernels import shuffled_of_each, uniforms_of_each
 from bayesnet_track.numerics.resampling import look_up_even, look_up_even_of_each
-from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.numerics.streams import Streams, shuffled_of_each, uniforms_of_each
 
 WORD = st.integers(0, 2**64 - 1)
 
