@@ -22,7 +22,7 @@ from bayesnet_track.belief.particles.sample_size import (
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import ParticlesResized
 from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.numerics import sample_size
+from bayesnet_track.numerics import resampling
 from bayesnet_track.numerics.log_weights import LogWeights
 
 BOX = np.array([160.0, 120.0, 60.0, 50.0])
@@ -126,7 +126,7 @@ def enlarge(rng, crossed):
     means = []
     for number, half in enumerate(halves):
         asking = halves[1 - number] if crossed else half
-        need = sample_size.likelihood_sum(asking, 4.0)
+        need = resampling.likelihood_sum(asking, 4.0)
         more = int(min(max(need / 2, 50), 350)) - 50 if need > 125 else 0
         added = np.exp(-0.5 * (rng.normal(0, 10, more) - 25) ** 2 / 16)
         means.append(np.mean(np.r_[half, added]))
@@ -249,13 +249,13 @@ def test_the_field_that_asks_for_the_most_counts(kind, rng):
 def test_needs_are_the_formulas(rng):
     states, beta, log = sample(rng)
     w, y = np.exp(log), states[:, 1]
-    bins = sample_size.occupied_bins(y, w, 2.0)
-    worth, simple = sample_size.inflation(y, w), sample_size.simple_inflation(w)
+    bins = resampling.occupied_bins(y, w, 2.0)
+    worth, simple = resampling.inflation(y, w), resampling.simple_inflation(w)
     expected = {
-        "kld": sample_size.kld(bins, 0.1, 0.95),
-        "kld_revised": worth * sample_size.kld(bins, 0.1, 0.95),
-        "kld_revised_simplified": simple * sample_size.kld(bins, 0.1, 0.95),
-        "asymptotic_normal": 1.959964**2 * sample_size.importance_variance(y, w) / 0.25,
+        "kld": resampling.kld(bins, 0.1, 0.95),
+        "kld_revised": worth * resampling.kld(bins, 0.1, 0.95),
+        "kld_revised_simplified": simple * resampling.kld(bins, 0.1, 0.95),
+        "asymptotic_normal": 1.959964**2 * resampling.importance_variance(y, w) / 0.25,
         "likelihood_sum": 40 / w.mean(),
     }
     for kind, particles in expected.items():
@@ -264,7 +264,7 @@ def test_needs_are_the_formulas(rng):
         assert need.ess == pytest.approx(2000 / simple)
     relative = spec.AdaptiveSize.model_validate({"asymptotic_normal": {"error_sd": 0.1}})
     assert find_sample_size(relative, states, FIELDS, beta, log).particles == pytest.approx(
-        1.959964**2 * max(worth, sample_size.inflation(states[:, 0], w)) / 0.01, rel=1e-6
+        1.959964**2 * max(worth, resampling.inflation(states[:, 0], w)) / 0.01, rel=1e-6
     )
 
 

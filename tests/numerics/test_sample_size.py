@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, norm
 
-from bayesnet_track.numerics import sample_size as sizes
+from bayesnet_track.numerics import resampling as sizes
 
 BIN = 0.25
 EDGES = np.arange(-12.0, 26.1, BIN)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.graph.settings.beliefs import AdaptiveSize, BinnedSize, NormalSize
 from bayesnet_track.journal.events.beliefs import ParticlesResized
-from bayesnet_track.numerics import sample_size
+from bayesnet_track.numerics import resampling
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
@@ -75,11 +75,11 @@ def find_sample_size(
     if not np.isfinite(top):
         return SampleSize(0.0, 0.0)
     weights = np.exp(log - top)
-    ess = len(weights) / sample_size.simple_inflation(weights)
+    ess = len(weights) / resampling.simple_inflation(weights)
     if size.likelihood_sum is not None:
         share = prior_log - np.logaddexp.reduce(prior_log)
         weighted = len(log) * np.exp(share + log_likelihood)
-        return SampleSize(sample_size.likelihood_sum(weighted, size.likelihood_sum.threshold), ess)
+        return SampleSize(resampling.likelihood_sum(weighted, size.likelihood_sum.threshold), ess)
     asked = [
         _size_by_field(size, name, states[:, fields.index(name)], weights, ess)
         for name in size.settings.fields
@@ -91,9 +91,9 @@ def _size_by_field(size: AdaptiveSize, field: str, values: Floats, weights: Floa
     if isinstance(size.settings, NormalSize):
         return _normal_size(size, size.settings, field, values, weights, ess)
     wanted: BinnedSize = size.settings
-    bins = sample_size.occupied_bins(values, weights, wanted.bin_px)
+    bins = resampling.occupied_bins(values, weights, wanted.bin_px)
     worth = _WORTH[size.kind](values, weights)
-    particles = sample_size.kld_revised(bins, wanted.error, wanted.confidence, worth)
+    particles = resampling.kld_revised(bins, wanted.error, wanted.confidence, worth)
     return SampleSize(particles, ess, field, bins, worth)
 
 
@@ -101,17 +101,17 @@ def _normal_size(
     size: AdaptiveSize, wanted: NormalSize, field: str, values: Floats, weights: Floats, ess: float
 ) -> SampleSize:
     _, error = size.tolerance
-    sd, worth = np.sqrt(sample_size.variance(values, weights)), sample_size.inflation(values, weights)
+    sd, worth = np.sqrt(resampling.variance(values, weights)), resampling.inflation(values, weights)
     # Relative to the posterior's sd the variance is divided by Var_p, which leaves the worth alone.
-    spread = worth if wanted.error_px is None else sample_size.importance_variance(values, weights)
-    particles = sample_size.asymptotic_normal(spread, error, wanted.confidence)
+    spread = worth if wanted.error_px is None else resampling.importance_variance(values, weights)
+    particles = resampling.asymptotic_normal(spread, error, wanted.confidence)
     return SampleSize(particles, ess, field, None, worth, float(sd))
 
 
 _WORTH: dict[str, Callable[[Floats, Floats], float]] = {
     "kld": lambda values, weights: 1.0,
-    "kld_revised": sample_size.inflation,
-    "kld_revised_simplified": lambda values, weights: sample_size.simple_inflation(weights),
+    "kld_revised": resampling.inflation,
+    "kld_revised_simplified": lambda values, weights: resampling.simple_inflation(weights),
 }
 
 
