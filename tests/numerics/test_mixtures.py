@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from bayesnet_track.numerics.mixtures import mixture_quantiles
+from bayesnet_track.numerics.density import mixture_quantiles
 
 LEVELS = np.array([0.05, 0.25, 0.75, 0.95])
 

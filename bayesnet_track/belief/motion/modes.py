@@ -15,7 +15,7 @@ from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph.settings.motion import Hidden, Mode
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.mixtures import Chain
+from bayesnet_track.numerics.density import Chain
 
 FIELD = "mode"
 """Name of the last column of the states of particles: the number of the mode."""

@@ -17,7 +17,7 @@ from bayesnet_track.graph.settings.scores import confidence_feature
 from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.mixtures import mixture_quantiles
+from bayesnet_track.numerics.density import mixture_quantiles
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
