@@ -19,11 +19,17 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.runtime.arguments import (
     GivenFrames,
+    begin,
     check_video,
     frames_of,
     longest_side,
+    make_checkpointer,
     milliseconds,
+    place_cues,
+    prepare_engine,
+    resizing_of,
     say_unused_by_cues,
+    small_files,
     whole,
 )
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
@@ -32,14 +38,6 @@ from bayesnet_track.runtime.checkpoints.recipe import make_recipe, options_of
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import check_scans, given_detector, source_or_times
 from bayesnet_track.runtime.pace import Deadline
-from bayesnet_track.runtime.preparation import (
-    begin,
-    make_checkpointer,
-    place_cues,
-    prepare_engine,
-    resizing_of,
-    small_files,
-)
 from bayesnet_track.runtime.recording.beliefs import check_kept
 from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run

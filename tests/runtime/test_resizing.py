@@ -28,9 +28,9 @@ from bayesnet_track.journal.events.lives import Recognition, TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.observation.planes import Frame, RightEye
 from bayesnet_track.runtime.annotation.asking import TrackerRuns
+from bayesnet_track.runtime.arguments import resizing_of
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.preparation import resizing_of
 from bayesnet_track.runtime.recording.pictures import pictures_of
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.smoothing import smooth

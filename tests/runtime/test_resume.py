@@ -15,7 +15,7 @@ import pytest
 
 from bayesnet_track import Result, Start, track
 from bayesnet_track.journal.events.load import Toggled
-from bayesnet_track.runtime import preparation
+from bayesnet_track.runtime import arguments
 from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
@@ -355,7 +355,7 @@ def test_where_a_file_system_has_no_locks_a_run_goes_on_without(
 def test_a_run_is_told_when_what_its_agents_keep_cannot_be_stored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, str]
 ) -> None:
-    monkeypatch.setattr(preparation, "opaque_agents", lambda engine: ("mil",))
+    monkeypatch.setattr(arguments, "opaque_agents", lambda engine: ("mil",))
     monkeypatch.setattr("bayesnet_track.runtime.checkpoints.resume.opaque_agents", lambda engine: ("mil",))
     run = begun(tmp_path / "run", 5)
     assert standing(run).frame is None

@@ -84,8 +84,8 @@ def _detect_all(
     from bayesnet_track.journal.writer import LineFile
     from bayesnet_track.observation.detector import LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
+    from bayesnet_track.runtime.arguments import resizing_of
     from bayesnet_track.runtime.pace import Progress
-    from bayesnet_track.runtime.preparation import resizing_of
     from bayesnet_track.runtime.recording.videowriter import VideoWriter
     from bayesnet_track.runtime.results import interval_of
     from bayesnet_track.sources.detection_files import format_frame

@@ -308,7 +308,7 @@ def track_source(
 
 def _say_size(options: argparse.Namespace, source: Source) -> None:
     """Which pixels are meant where, if frames are made smaller; raises UsageError where they cannot be."""
-    from bayesnet_track.runtime.preparation import resizing_of
+    from bayesnet_track.runtime.arguments import resizing_of
 
     with users_mistake():
         resizing = resizing_of(source, options.max_side)

@@ -19,6 +19,14 @@ from bayesnet_track.journal.writer import PART, OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.arguments import (
+    held_files,
+    make_checkpointer,
+    opaque_agents,
+    place_cues,
+    prepare_engine,
+    resizing_of,
+)
 from bayesnet_track.runtime.checkpoints.checkpoint import (
     EVERY_S,
     Checkpoint,
@@ -44,14 +52,6 @@ from bayesnet_track.runtime.checkpoints.standing import (
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import given_detector
 from bayesnet_track.runtime.pace import Deadline
-from bayesnet_track.runtime.preparation import (
-    held_files,
-    make_checkpointer,
-    opaque_agents,
-    place_cues,
-    prepare_engine,
-    resizing_of,
-)
 from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish, tidy

@@ -178,7 +178,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "runtime.checkpoints.recipe.Recipe.read",
             "runtime.checkpoints.standing._ending",
             "runtime.checkpoints.standing._ends_with_newline",
-            "runtime.preparation.held_files",
+            "runtime.arguments.held_files",
             "runtime.recording.beliefs.read_beliefs",
             "runtime.recording.manifest._restore",
             "runtime.recording.manifest.read_manifest",
