@@ -37,7 +37,7 @@ from pathlib import Path
 from bayesnet_track import Start, open_run, track
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
-from bayesnet_track.runtime.system import has_workers
+from bayesnet_track.runtime.stop import has_workers
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.sources import open_source
 def play(video, start, out, executor):
@@ -133,12 +133,12 @@ def check_system() -> Iterator[Finding]:
     """The interpreter and the operating system."""
     import platform
 
-    from bayesnet_track.runtime import system
+    from bayesnet_track.runtime import stop
 
     text = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     if sys.maxsize < 2**32:
         yield Finding("python", "broken", f"{text}, 32 bits", "install a 64-bit Python")
-    elif missing := system.describe_missing():
+    elif missing := stop.describe_missing():
         yield Finding("python", "note", f"{text}: {missing}", "please report what else does not work")
     else:
         yield Finding("python", "ok", text)

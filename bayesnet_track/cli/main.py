@@ -164,10 +164,10 @@ def notice_compiling(options: argparse.Namespace) -> Callable[[], None]:
 
 def _say_what_is_missing(options: argparse.Namespace) -> None:
     """At the start of a run, on a system that is not tested."""
-    from bayesnet_track.runtime import system
+    from bayesnet_track.runtime import stop
 
     if options.command in TRACKING and not options.quiet and not getattr(options, "log_json", False):
-        missing = system.describe_missing()
+        missing = stop.describe_missing()
         if missing:
             complain(missing)
 

@@ -11,7 +11,7 @@ from bayesnet_track import track
 from bayesnet_track.cli import doctor
 from bayesnet_track.cli import main as commands
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime import system
+from bayesnet_track.runtime import stop
 from bayesnet_track.runtime.executors import PlacingError
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
@@ -27,25 +27,25 @@ def on(monkeypatch):
         monkeypatch.setattr(sys, "platform", name)
         monkeypatch.setattr(platform, "system", lambda: words)
         monkeypatch.setattr(platform, "machine", lambda: machine)
-        monkeypatch.setattr(system, "find_spec", lambda module: None if module in ABSENT[name] else module)
+        monkeypatch.setattr(stop, "find_spec", lambda module: None if module in ABSENT[name] else module)
         if name == "win32":
-            monkeypatch.setattr(system, "os", type("os", (), {"name": "nt"}))
+            monkeypatch.setattr(stop, "os", type("os", (), {"name": "nt"}))
 
     return become
 
 
 def test_on_the_tested_system_nothing_is_said(on):
     on("linux", "Linux", "x86_64")
-    assert system.describe_missing() == ""
+    assert stop.describe_missing() == ""
     on("linux", "Linux", "aarch64")
-    assert system.describe_missing() == (
+    assert stop.describe_missing() == (
         "Linux aarch64 is not tested (Linux x86_64 is); missing here: nothing that is known"
     )
 
 
 def test_windows_lacks_workers_and_signals(on):
     on("win32", "Windows", "AMD64")
-    said = system.describe_missing()
+    said = stop.describe_missing()
     assert said.startswith("Windows AMD64 is not tested (Linux x86_64 is); missing here: no worker processes")
     for missing in ("executor='processes'", "SIGTERM", "sync of folders"):
         assert missing in said
@@ -55,8 +55,8 @@ def test_windows_lacks_workers_and_signals(on):
 def test_a_mac_lacks_the_limit_on_memory_alone(on):
     on("darwin", "Darwin", "arm64")
     assert (
-        "missing here: no limit on memory (" in system.describe_missing()
-        and "worker" not in system.describe_missing()
+        "missing here: no limit on memory (" in stop.describe_missing()
+        and "worker" not in stop.describe_missing()
     )
 
 

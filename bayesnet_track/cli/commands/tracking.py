@@ -342,7 +342,7 @@ def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None
 def executor_of(options: argparse.Namespace) -> Executing:
     """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
-    from bayesnet_track.runtime.system import has_workers, no_workers
+    from bayesnet_track.runtime.stop import has_workers, no_workers
 
     if options.executor == "processes" and not has_workers():
         raise UsageError(no_workers())

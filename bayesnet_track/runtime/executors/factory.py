@@ -19,7 +19,7 @@ from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.placing import Place, agent_specs, places_of, with_proxies
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
-from bayesnet_track.runtime.system import has_workers, no_workers
+from bayesnet_track.runtime.stop import has_workers, no_workers
 
 NAMES = ("scipy_openblas_{}64_", "scipy_openblas_{}", "openblas_{}64_", "openblas_{}")
 

@@ -70,7 +70,7 @@ def _lock(handle: int) -> None:
     except ImportError:
         try:
             import msvcrt
-        except ImportError:  # `runtime.system` says so at the start of a run
+        except ImportError:  # `runtime.stop` says so at the start of a run
             return
         os.lseek(handle, AT_BYTE, os.SEEK_SET)
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
