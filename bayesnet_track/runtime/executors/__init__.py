@@ -5,8 +5,13 @@
 
 from __future__ import annotations
 
-from bayesnet_track.runtime.executors.factory import EXECUTORS, RETRIES, Executing, make_executor
-from bayesnet_track.runtime.executors.placing import parse_places
+from bayesnet_track.runtime.executors.placing import (
+    EXECUTORS,
+    RETRIES,
+    Executing,
+    make_executor,
+    parse_places,
+)
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.runtime.executors.workers import Limits
 

@@ -6,7 +6,7 @@ import sys
 import cv2
 import pytest
 
-from bayesnet_track.runtime.executors.factory import one_thread_inside
+from bayesnet_track.runtime.executors.placing import one_thread_inside
 from bayesnet_track.runtime.executors.worker import own_bytes
 
 
