@@ -278,7 +278,7 @@ BOXES = (
     Entrance(
         "detections in Python",
         "`DetectionsTracker.update`",
-        ("runtime.updates.given_detections: read_given", "runtime.given_scans: read_scans"),
+        ("runtime.given_scans: read_given", "runtime.given_scans: read_scans"),
         "boxes without an area, or outside of the frame, with their rows; their id is -1",
         "no `xyxy`, another shape than (n, 4), confidences beyond 0 to 1, no class names where the graph "
         "needs them, not one value for each box",
