@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Never, Self
 
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.step import Engine, State
+from bayesnet_track.engine.outcome import State
+from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import Answers, FrameMetrics
 from bayesnet_track.journal.net.target_net import TargetNet
