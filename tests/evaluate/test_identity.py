@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.evaluate.identity import clear_mot
-from bayesnet_track.evaluate.mot import identity
+from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.truth import Tracks, pair
 
 
