@@ -26,9 +26,17 @@ from bayesnet_track.cli.commands.fit_text import (
     used_features,
     write_fitted,
 )
-from bayesnet_track.cli.fitting.motion import add_motion, fit_motion_text
-from bayesnet_track.cli.fitting.tracking import check_text, fit_fusion, fit_policy, fit_sds
-from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
+from bayesnet_track.cli.fitting import (
+    Video,
+    add_motion,
+    check_text,
+    find_videos,
+    fit_fusion,
+    fit_motion_text,
+    fit_policy,
+    fit_sds,
+    frames_of,
+)
 from bayesnet_track.cli.options import add_range_option
 from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.text.wording import plural

@@ -1,21 +1,132 @@
-"""Estimates of `fit` that change the tracking: sds of cues, activation policy, correlation of pools.
+"""Estimates of `fit`: motion, sds of cues, the activation policy, and the videos that they are from.
 
 They are written into the graph before its score, regions and levels are fitted, which depend on them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.arguments import complain, users_mistake
-from bayesnet_track.cli.fitting.videos import Video, frames_of
+from bayesnet_track.cli.arguments import UsageError, complain, pixels, users_mistake
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from bayesnet_track.evaluate.cue_parameters import FittedSd
+    from bayesnet_track.evaluate.motion_fit import Estimate, FittedMotion
     from bayesnet_track.evaluate.policies import Chosen, Policy, Trial
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.observation.planes import Frame
+
+    Tracks = Sequence[NDArray[np.float64]]
+
+
+def fit_motion_text(text: str, graph: CheckedGraph, options: argparse.Namespace) -> tuple[str, str]:
+    """The graph's text with the fitted motion, and what it was fitted to; prints each estimate.
+
+    Raises:
+        UsageError: options that do not go with it, no boxes, or a motion that cannot be fitted.
+    """
+    from bayesnet_track.evaluate.motion_fit import fit_motion
+
+    for name in ("what", "guarantee", "alarm", "leave_one_out"):
+        if getattr(options, name):
+            raise UsageError(f"--motion fits the motion alone; call --{name.replace('_', '-')} separately")
+    tracks = tracks_of(options)
+    name, plate = next(iter(graph.targets.items()))
+    with users_mistake():
+        fitted = fit_motion(plate.inference(plate.root), tracks, options.box_sd)
+    from_what = f"{plural(fitted.frames, 'frame')} of {plural(len(tracks), 'track')}"
+    for line in describe(fitted):
+        complain(line)
+    return write_motion(text, ("targets", name, "nodes", plate.root), fitted.estimates, from_what), from_what
+
+
+def tracks_of(options: argparse.Namespace) -> Tracks:
+    """(T, 4) centre boxes of each track of `--truth` and `--folder`, up to `--end`."""
+    import numpy as np
+
+    from bayesnet_track.evaluate.truth import is_mot, read_mot_tracks, read_truth
+    from bayesnet_track.numerics.boxes import centre_from_corner
+
+    files = [Path(file) for file in options.truth]
+    if options.folder is not None:
+        files += sorted(Path(options.folder).glob("*/groundtruth.txt"))
+    if not files:
+        raise UsageError("--motion reads boxes and no images: give --truth FILE, or --folder")
+    found = []
+    for file in files:
+        with users_mistake():
+            if not is_mot(file, options.truth_format):
+                found.append(centre_from_corner(read_truth(file, options.truth_format))[: options.end])
+                continue
+            tracks = read_mot_tracks(file)
+        for one in np.unique(tracks.ids):
+            own = tracks.ids == one
+            frames = tracks.frames[own] - tracks.frames[own].min()
+            boxes = np.full((frames.max() + 1, 4), np.nan)
+            boxes[frames] = centre_from_corner(tracks.boxes[own])
+            found.append(boxes[: options.end])
+    return found
+
+
+def describe(fitted: FittedMotion) -> list[str]:
+    """A line for each estimate, and what it gains."""
+    lines = [_line(one) for one in fitted.estimates]
+    gain = fitted.log_evidence - fitted.log_evidence_before
+    lines.append(
+        f"log-evidence {fitted.log_evidence:.1f}, {gain:.1f} above that of the graph's own values, in "
+        f"{plural(fitted.frames, 'frame')}"
+    )
+    return lines
+
+
+def _line(one: Estimate) -> str:
+    name = ".".join(one.path) if one.before == one.before else f"error of the boxes' {one.path[-1]}"
+    if not one.is_known:
+        kept = f"; the graph's {one.before:g} stays" if one.before == one.before else ""
+        return f"{name}: the boxes do not tell; best {one.value:.3g}{kept}"
+    before = f"; before {one.before:g}" if one.before == one.before else ""
+    return f"{name}: {one.value:.3g}, 90 % interval {one.low:.3g} to {one.high:.3g}{before}"
+
+
+def write_motion(text: str, node: tuple[str, ...], estimates: Sequence[Estimate], from_what: str) -> str:
+    """The graph's text with the estimates that the boxes tell, each with its interval as a comment."""
+    from bayesnet_track.graph.text.change import set_value
+
+    for one in estimates:
+        if not one.is_known or one.before != one.before:
+            continue
+        value = float(f"{one.value:.3g}")
+        said = f"{one.path[-1]} {one.low:.3g} to {one.high:.3g} (90 %), by evidence; {from_what}"
+        try:
+            text = set_value(text, (*node, *one.path), value, said)
+        except KeyError:  # `motion: constant_velocity`, all defaults
+            text = set_value(text, (*node, *one.path[:-2]), {one.path[-2]: {one.path[-1]: value}}, said)
+    return text
+
+
+def add_motion(fit: argparse.ArgumentParser) -> None:
+    """`--motion` and `--box-sd`."""
+    fit.add_argument(
+        "--motion",
+        action="store_true",
+        help="fit, instead of --what, the noise and modes of the motion by maximum evidence of the boxes of "
+        "--truth (no video is needed), with 90 %% intervals",
+    )
+    fit.add_argument(
+        "--box-sd",
+        type=pixels,
+        metavar="PX",
+        help="with --motion: sd of the boxes' errors (default: fitted, too)",
+    )
 
 
 def check_text(text: str, name: str) -> CheckedGraph:
@@ -158,3 +269,56 @@ def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
         comment = f"errors at true boxes, {fitted.frames} frames of {plural(len(videos), 'video')}"
         text = set_value(text, ("targets", name, "nodes", pool, "correlation"), value, comment)
     return text
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """A source and its true corner boxes (n, 4)."""
+
+    name: str
+    source: str
+    truth: NDArray[np.float64]
+    value_range: tuple[float, float] | None = None
+
+
+def find_videos(options: argparse.Namespace) -> Iterator[Video]:
+    """Those of `--source` with `--truth`, and of `--folder`."""
+    from bayesnet_track.evaluate.truth import read_truth
+
+    if len(options.source) != len(options.truth):
+        raise UsageError(
+            f"{len(options.source)} --source and {len(options.truth)} --truth: every video needs its truth"
+        )
+    pairs = [(_name(s), s, Path(t)) for s, t in zip(options.source, options.truth, strict=True)]
+    if options.folder is not None:
+        found = sorted(Path(options.folder).glob("*/groundtruth.txt"))
+        pairs += [(f.parent.name, str(f.parent / "img"), f) for f in found if (f.parent / "img").is_dir()]
+        if not found:
+            raise UsageError(f"{options.folder}: no NAME/groundtruth.txt beside NAME/img")
+    if not pairs:
+        raise UsageError("no video: give --source with --truth, or --folder")
+    seen: dict[str, int] = {}
+    for name, source, file in pairs:
+        seen[name] = seen.get(name, 0) + 1
+        with users_mistake():
+            unique = name if seen[name] == 1 else f"{name} {seen[name]}"
+            yield Video(unique, source, read_truth(file, options.truth_format), options.value_range)
+
+
+@contextmanager
+def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
+    """The frames of a video before `end`, all that there are when it is None."""
+    from bayesnet_track.observation.planes import Frame
+    from bayesnet_track.sources.sources import open_source
+
+    with open_source(video.source, 0, end, value_range=video.value_range) as source:
+        expected = source.expected_frames
+        if expected is not None and end is None and expected != len(video.truth):
+            raise UsageError(f"{video.name}: {expected} frames, and {len(video.truth)} boxes of ground truth")
+        yield (item for item in source if isinstance(item, Frame))
+
+
+def _name(source: str) -> str:
+    """What a source is called: a folder of pictures of a sequence is called as the sequence is."""
+    path = Path(source)
+    return (path.parent if path.name in ("img", "img1") else path).name or source
