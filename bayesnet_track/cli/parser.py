@@ -31,8 +31,7 @@ from bayesnet_track.cli.commands.graphs import (
     schema,
     validate,
 )
-from bayesnet_track.cli.commands.learn_shape import add_learn_shape, learn_shape
-from bayesnet_track.cli.commands.learn_stereo import add_learn_stereo, learn_stereo
+from bayesnet_track.cli.commands.learn import add_learn_shape, add_learn_stereo, learn_shape, learn_stereo
 from bayesnet_track.cli.commands.review import add_log, add_score, add_verify, log, score, verify
 from bayesnet_track.cli.commands.runs import (
     add_demo,
