@@ -25,11 +25,17 @@ from bayesnet_track.observation.cue import OWN_DETECTION
 from bayesnet_track.observation.detector import GIVEN, Scan
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.arguments import say_unused_by_cues, whole
+from bayesnet_track.runtime.frame_clock import (
+    Fed,
+    FrameClock,
+    Standing,
+    image_users,
+    refuse_unknown,
+    rehearse_detections,
+)
 from bayesnet_track.runtime.given_scans import read_given, read_scans, sensors_of
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
-from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, image_users, refuse_unknown
-from bayesnet_track.runtime.updates.rehearsal import Fed, rehearse_detections
 from bayesnet_track.runtime.updates.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice

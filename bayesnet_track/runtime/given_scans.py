@@ -19,8 +19,8 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_xyxy, xyxy_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, Scan
 from bayesnet_track.runtime.arguments import frames_of
+from bayesnet_track.runtime.frame_clock import image_users
 from bayesnet_track.runtime.results import FrameSource
-from bayesnet_track.runtime.updates.frame_clock import image_users
 from bayesnet_track.sources.detection_files import FileDetector, file_detector
 from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
 from bayesnet_track.sources.entrances.notices import few, notice

@@ -30,11 +30,10 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Depth, Frame, RightEye
 from bayesnet_track.runtime.arguments import longest_side, say_unused_by_cues, whole
+from bayesnet_track.runtime.frame_clock import FrameClock, Standing, refuse_unknown, rehearse_boxes
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
-from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, refuse_unknown
-from bayesnet_track.runtime.updates.rehearsal import rehearse_boxes
 from bayesnet_track.runtime.updates.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.view.overlay import draw_targets

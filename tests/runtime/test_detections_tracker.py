@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from bayesnet_track import DetectionsTracker, load_graph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.runtime.detections_tracker import NO_TARGET, owners
-from bayesnet_track.runtime.updates.frame_clock import image_users
+from bayesnet_track.runtime.frame_clock import image_users
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from bayesnet_track import DetectionsTracker, Tracker, load_graph, track
-from bayesnet_track.runtime.updates.frame_clock import ASSUMED_FPS, FrameClock
+from bayesnet_track.runtime.frame_clock import ASSUMED_FPS, FrameClock
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.images import IMAGE_INTERVAL_S
 from bayesnet_track.sources.sources import open_source

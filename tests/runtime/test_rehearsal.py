@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker, load_graph
-from bayesnet_track.runtime.updates import rehearsal
+from bayesnet_track.runtime import frame_clock
 
 LATE = """
 import gc, json, sys, warnings
@@ -88,9 +88,9 @@ def test_what_is_made_up_leaves_nothing_behind(monkeypatch):
     """The same results, whether it was rehearsed or not."""
     found = []
     for rehearsed in (True, False):
-        monkeypatch.setattr(rehearsal, "_done", set())
+        monkeypatch.setattr(frame_clock, "_done", set())
         if not rehearsed:
-            monkeypatch.setattr(rehearsal, "_rehearse", lambda *given: iter(()))
+            monkeypatch.setattr(frame_clock, "_rehearse", lambda *given: iter(()))
         tracker = Tracker("two_squares", seed=3)
         image = np.random.default_rng(2).integers(0, 256, (96, 128, 3), dtype=np.uint8)
         tracker.init(image, (30, 30, 24, 24))
@@ -99,18 +99,18 @@ def test_what_is_made_up_leaves_nothing_behind(monkeypatch):
 
 
 def test_it_is_rehearsed_once_for_a_graph_and_never_with_cues_of_the_users_own(monkeypatch):
-    monkeypatch.setattr(rehearsal, "_done", set())
+    monkeypatch.setattr(frame_clock, "_done", set())
     frames = []
     monkeypatch.setattr(
-        rehearsal, "_frame", lambda *given, made=rehearsal._frame: frames.append(1) or made(*given)
+        frame_clock, "_frame", lambda *given, made=frame_clock._frame: frames.append(1) or made(*given)
     )
     for _ in range(2):
         DetectionsTracker("kalman_detections")
-    assert len(frames) == rehearsal.FRAMES
+    assert len(frames) == frame_clock.FRAMES
     engine = Tracker("two_squares")._engine
     (cue,) = [one for plate in engine.plates.values() for name, one in plate.cues.items() if name == "color"]
     monkeypatch.setattr(type(cue), "__module__", "a_cue_of_my_own")
-    rehearsal.rehearse_boxes(
-        load_graph("two_squares"), engine, [], rehearsal._frame(0, rehearsal._Look((64, 48), True))
+    frame_clock.rehearse_boxes(
+        load_graph("two_squares"), engine, [], frame_clock._frame(0, frame_clock._Look((64, 48), True))
     )
-    assert len(frames) == rehearsal.FRAMES + 1
+    assert len(frames) == frame_clock.FRAMES + 1

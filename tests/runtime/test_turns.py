@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker
-from bayesnet_track.runtime.updates.frame_clock import Standing
+from bayesnet_track.runtime.frame_clock import Standing
 from bayesnet_track.runtime.updates.storing import Turns
 
 BOXES = SimpleNamespace(xyxy=[[20, 100, 60, 200]])

@@ -31,9 +31,9 @@ from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.planes import Frame, PointMap, RightEye, StereoGeometry
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, versions
 from bayesnet_track.runtime.checkpoints.state_codec import CLASSES, StateError, decode, encode, state_format
+from bayesnet_track.runtime.frame_clock import FrameClock, Standing, image_users
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
-from bayesnet_track.runtime.updates.frame_clock import FrameClock, Standing, image_users
 from bayesnet_track.sources.entrances.levels import Levels
 
 
