@@ -9,7 +9,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from io import TextIOWrapper
 
-from bayesnet_track.cli.arguments import BAD_GRAPH, BAD_OUTPUT, BAD_SOURCE, USAGE, UsageError, complain, words
+from bayesnet_track.cli.arguments import (
+    BAD_GRAPH,
+    BAD_OUTPUT,
+    BAD_SOURCE,
+    USAGE,
+    UsageError,
+    complain,
+    mute,
+    words,
+)
 from bayesnet_track.cli.commands.compare import as_what_if
 from bayesnet_track.cli.parser import COMMANDS as DECLARED
 from bayesnet_track.cli.parser import Parser, make_parser
@@ -36,8 +45,6 @@ def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
         with _streams():
             return _main(arguments, stop)
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
-        from bayesnet_track.cli.arguments import mute
-
         mute(sys.stdout)
         return 0
 
@@ -68,7 +75,6 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
             with by_command_line():
                 return doctor(options)
         # Inside the guard: what is interrupted while it is imported ends the command, with no word of ours.
-        from bayesnet_track.cli.arguments import complain
         from bayesnet_track.sources.entrances.notices import heard
 
         with heard(complain), by_command_line():

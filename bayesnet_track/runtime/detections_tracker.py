@@ -36,7 +36,7 @@ from bayesnet_track.runtime.frame_clock import (
 from bayesnet_track.runtime.given_scans import read_given, read_scans, sensors_of
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
-from bayesnet_track.runtime.updates.storing import Storable, Turns
+from bayesnet_track.runtime.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
 

@@ -34,7 +34,7 @@ from bayesnet_track.runtime.frame_clock import FrameClock, Standing, refuse_unkn
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
-from bayesnet_track.runtime.updates.storing import Storable, Turns
+from bayesnet_track.runtime.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.view.overlay import draw_targets
 

@@ -18,8 +18,8 @@ from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.runtime.updates import storing
-from bayesnet_track.runtime.updates.storing import Storable, StoredError, stored_classes
+from bayesnet_track.runtime import storing
+from bayesnet_track.runtime.storing import Storable, StoredError, stored_classes
 from bayesnet_track.sources.frames import Frame
 from bayesnet_track.sources.scenes import make_scene, scene_names
 from bayesnet_track.sources.scenes.library import SceneSource

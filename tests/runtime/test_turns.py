@@ -11,7 +11,7 @@ import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker
 from bayesnet_track.runtime.frame_clock import Standing
-from bayesnet_track.runtime.updates.storing import Turns
+from bayesnet_track.runtime.storing import Turns
 
 BOXES = SimpleNamespace(xyxy=[[20, 100, 60, 200]])
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)

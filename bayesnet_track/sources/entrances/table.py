@@ -409,7 +409,7 @@ FILES = (
     Entrance(
         "stored trackers",
         "`Tracker.load`, `DetectionsTracker.load`, `pickle`",
-        ("runtime.updates.storing: Storable.load",),
+        ("runtime.storing: Storable.load",),
         "nothing: all of it is used",
         "a file of another version, of another graph or kind of tracker, or one that is damaged",
         "none: the file names what it holds",

@@ -1,1 +1,0 @@
-"""What the trackers of a program's own loop have in common: times of frames, turns of threads, storing."""
