@@ -1,4 +1,4 @@
-"""Mixtures of Gaussians: log-density, the largest point of a weighted mixture, and Markov chains of few states.
+"""Mixtures of Gaussians: log-density, largest point of a weighted one; Markov chains of few states.
 
 A sum over all components in double precision is expensive. So a likely winner sets the value to beat;
 points that cannot reach it by an upper bound are given up; sums in single precision, of a known error, over

@@ -1,4 +1,4 @@
-"""Arguments of `track` and the trackers: ranges, what a run will not use, and what a run prepares before its first frame."""
+"""Arguments of `track` and the trackers: ranges, values that a run will not use, and its preparation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tracker between two calls: times of its frames, where it stands, and its rehearsal before the first frame.
+"""A tracker between two calls: times of its frames, its state, its rehearsal before the first frame.
 
 What a graph imports, and the kernels that it compiles or loads, are there then: no frame waits for them. A
 process does it once for a graph and a kind of image. Nothing of it stays: engines are made for it alone.

@@ -1,4 +1,4 @@
-"""Content of the run page, from the lines of a run: a header and columns of numbers; UD, status and agents as columns for charts."""
+"""Content of the run page, from the lines of a run: a header and columns of numbers."""
 
 from __future__ import annotations
 

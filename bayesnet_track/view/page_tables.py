@@ -1,4 +1,4 @@
-"""Tables of the run page: columns as bytes, the frames that a long run shows, events in words, the graph with places of its nodes."""
+"""Tables of the run page: columns as bytes, frames of a long run, events in words, the graph."""
 
 from __future__ import annotations
 

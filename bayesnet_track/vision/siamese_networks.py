@@ -1,4 +1,4 @@
-"""A Siamese tracking network as two ONNX files, tried in a process of their own, run by OpenCV or ONNX Runtime.
+"""A Siamese tracking network as two ONNX files, tried in a process of their own, then run.
 
 The files are those that OpenCV's `TrackerNano` takes (NanoTrack). The backbone describes a crop; the head
 compares the descriptions of template and search crop, and gives for each cell of a square map how probable it
