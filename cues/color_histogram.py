@@ -237,7 +237,7 @@ class ColorHistogram:
 
 
 def _make(parameters: ColorHistogramParameters) -> Cue:
-    from bayesnet_track.numerics import boxes  # noqa: F401  load before the first frame
+    from bayesnet_track.numerics.kernels import box_kernels  # noqa: F401  load before the first frame
     from bayesnet_track.vision.kernels import histogram_kernels  # noqa: F401
 
     return ColorHistogram(parameters)

@@ -160,8 +160,8 @@ def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[
     (array([0]), array([2]))
     """
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.boxes import pairs_alike
     from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
 
     order, sides = np.argsort(boxes[:, 0], kind="stable"), np.sqrt(boxes[:, 2] * boxes[:, 3])
     variances = plain(np.diagonal(covariances, axis1=1, axis2=2))

@@ -43,7 +43,7 @@ class BoxPixels:
 def box_pixels(planes: Planes, boxes: Floats) -> BoxPixels:
     """The pixels of the planes' region that lie in the centre boxes (N, 4)."""
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.boxes import pixels_of_boxes
+    from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
 
     r = planes.region
     boxes = np.ascontiguousarray(boxes)  # one compiled version only
@@ -56,7 +56,7 @@ def distinct_pixels(pixels: BoxPixels) -> tuple[BoxPixels, Ints | None]:
     As they are, with None, where hardly any is repeated. Hypotheses of a target that is well known lie within
     a few pixels: what depends on their pixels alone need not be found more than once.
     """
-    from bayesnet_track.numerics.boxes import find_distinct
+    from bayesnet_track.numerics.kernels.box_kernels import find_distinct
 
     first, place = find_distinct(pixels.corners, pixels.nominal)
     if len(first) > FEW_REPEATED * len(place):
@@ -131,8 +131,8 @@ def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]
 
 def share_inside(boxes: Floats, frame: Frame) -> Floats:
     """(N,) share of the area of each centre box (N, 4) that lies inside the frame, 0..1."""
-    from bayesnet_track.numerics.boxes import shares_inside
     from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.box_kernels import shares_inside
 
     return shares_inside(plain(boxes), float(frame.width), float(frame.height))
 

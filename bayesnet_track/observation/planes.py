@@ -275,7 +275,7 @@ def region_of_boxes(boxes: NDArray[np.float64], grow: float = 0.0) -> Region:
             _floor(x - across + 0.5), _floor(y - down + 0.5), _ceil(x + across + 0.5), _ceil(y + down + 0.5)
         )
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.boxes import extent_of_boxes
+    from bayesnet_track.numerics.kernels.box_kernels import extent_of_boxes
 
     left, top, right, bottom = extent_of_boxes(boxes, 0.5 + grow)
     return Region(_floor(left + 0.5), _floor(top + 0.5), _ceil(right + 0.5), _ceil(bottom + 0.5))

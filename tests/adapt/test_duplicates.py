@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.lifecycle import belief_overlap, near_pairs
-from bayesnet_track.numerics.boxes import pairs_alike
+from bayesnet_track.numerics.kernels.box_kernels import pairs_alike
 
 
 def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from bayesnet_track.numerics.boxes import keep_best, overlap, pixels_of_boxes
+from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.numerics.kernels.box_kernels import keep_best, pixels_of_boxes
 
 
 def covered(centre, side, first, extent):

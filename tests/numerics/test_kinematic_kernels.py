@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph import spec
-from bayesnet_track.numerics.boxes import drifted, driven, driven_by, scale_steps
+from bayesnet_track.numerics.kernels.box_kernels import drifted, driven, driven_by, scale_steps
 
 F = {1: [[1.0]], 2: [[1.0, 0.7], [0.0, 0.8]], 3: [[1.0, 0.7, 0.2], [0.1, 0.9, 0.6], [0.0, -0.2, 0.5]]}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.boxes import pixels_of_boxes
+from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
 from bayesnet_track.observation.planes import for_reading
 from bayesnet_track.vision.kernels.histogram_kernels import (
     color_distances,

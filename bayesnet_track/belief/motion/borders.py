@@ -91,7 +91,7 @@ class Confined(Wrapped):
     def confine(self, moved: Floats) -> Floats:
         """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.boxes import confine
+        from bayesnet_track.numerics.kernels.box_kernels import confine
 
         if self.leaves_image:
             np.maximum(moved[:, 2:4], 1.0, out=moved[:, 2:4])
@@ -102,7 +102,7 @@ class Confined(Wrapped):
     def confine_moments(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Copies of a mean (D,), confined, and of a covariance (D, D), no wider than of a box anywhere."""
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.boxes import confine_moments
+        from bayesnet_track.numerics.kernels.box_kernels import confine_moments
 
         across, down = (math.inf, math.inf) if self.leaves_image else (float(self.width), float(self.height))
         held, spread = np.array(mean, np.float64), np.array(covariance, np.float64, order="C")

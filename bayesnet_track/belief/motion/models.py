@@ -81,7 +81,7 @@ def move_rows(dynamics: Rows, diffusion: float, dt: float) -> Rows:
 
 def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
     """States moved from `parents` by the rows of the transition and of the noise's root, for both axes."""
-    from bayesnet_track.numerics import boxes as kernels
+    from bayesnet_track.numerics.kernels import box_kernels as kernels
 
     if len(parents) > FEW:
         return kernels.driven_by(states, parents, moves, root, rng)
@@ -213,7 +213,7 @@ class KinematicMotion:
             steps(self.dynamics, self.diffusion, dt)  # refuses a time that does not move forward
             return states.copy()
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.boxes import drifted
+        from bayesnet_track.numerics.kernels.box_kernels import drifted
 
         return drifted(plain_states(states), move_rows(self.dynamics, self.diffusion, dt))
 
@@ -377,7 +377,7 @@ def propagate_rows(
     As `motion.propagate(states[t], dt, streams[t], parents[t])` for every target t. Where `draws_twice` holds
     each stream is an object of its own, else the next may take the last one's place.
     """
-    from bayesnet_track.numerics.boxes import driven
+    from bayesnet_track.numerics.kernels.box_kernels import driven
 
     count, known, width = states.shape
     if draws_twice(motion):

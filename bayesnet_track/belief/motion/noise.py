@@ -73,7 +73,7 @@ def add_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float =
     keep = noisy(noise)
     if any(keep[:2]):
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.boxes import scale_steps
+        from bayesnet_track.numerics.kernels.box_kernels import scale_steps
 
         px, box, tail = noise.sd_px, noise.sd_box, noise.heavy_tail
         steps, wide, factor = rng.standard_normal((len(boxes), 2)), np.empty(0, np.int64), 1.0

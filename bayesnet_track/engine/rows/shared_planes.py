@@ -30,7 +30,7 @@ def planes_of_each(
     With `share`, the same of the whole frame for all where their crops would take as long: planes do not
     depend on where they are cut.
     """
-    from bayesnet_track.numerics.boxes import crops_of_each
+    from bayesnet_track.numerics.kernels.box_kernels import crops_of_each
 
     started, frame = work.engine.clock(), work.frame
     corners = crops_of_each(boxes, starts, grow, frame.width, frame.height)

@@ -214,7 +214,7 @@ def _load(cue_files: bytes) -> None:
     import numba  # noqa: F401
 
     import bayesnet_track.inference.compile
-    import bayesnet_track.numerics.boxes
+    import bayesnet_track.numerics.kernels.box_kernels
     import bayesnet_track.runtime.executors.frames  # noqa: F401
     from bayesnet_track.observation.cue_files import unpack
 

@@ -145,8 +145,8 @@ def select(
         ValueError: boxes and scores of other shapes.
     """
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.boxes import find_fitting, keep_best
     from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.box_kernels import find_fitting, keep_best
 
     boxes, scores = plain(np.asarray(boxes, dtype=np.float64)), np.asarray(scores, dtype=np.float64)
     scores = plain(np.minimum(np.maximum(scores, 0.0), 1.0))  # half the time of `np.clip`

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.boxes import find_distinct, pixels_of_boxes
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
+from bayesnet_track.numerics.kernels.box_kernels import find_distinct, pixels_of_boxes
 from bayesnet_track.numerics.resampling import copy_row, copy_rows
 
 Counts = NDArray[np.int32]
