@@ -347,12 +347,12 @@ def test_an_interrupted_import_ends_the_command(answer, number, tmp_path, monkey
 def test_an_import_of_ours_that_is_interrupted_ends_the_command(capsys, monkeypatch):
     class Finder:
         def find_spec(self, name, path=None, target=None):
-            if name == "bayesnet_track.cli.main":
+            if name == "bayesnet_track.graphs":
                 signal.raise_signal(signal.SIGINT)
 
-    for name in [name for name in sys.modules if name.startswith("bayesnet_track.cli.main")]:
+    for name in [name for name in sys.modules if name.startswith("bayesnet_track.graphs")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr("bayesnet_track.cli.main")
+    monkeypatch.delattr("bayesnet_track.graphs")
     monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
     assert main(["list"]) == 130
     assert capsys.readouterr() == ("", "")
