@@ -16,7 +16,7 @@ from sys import maxsize
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from bayesnet_track.observation.cue import (
     CueDeclaration,
@@ -34,6 +34,13 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 """A whole number with its digits in groups, or a number with three decimals."""
 
 
+Sd = Annotated[
+    Annotated[float, Field(gt=0), Tag("number")] | Annotated[str, Field(max_length=1000), Tag("text")],
+    Discriminator(lambda value: "text" if isinstance(value, str) else "number"),
+]
+"""A number, or an expression as text, which the engine reads."""
+
+
 class ReadingsParameters(CueParameters):
     """Parameters of the readings."""
 
@@ -42,8 +49,10 @@ class ReadingsParameters(CueParameters):
         description="CSV file (path) with a column `frame` (from 0) and one for each quantity of `sd`; "
         "empty: nothing is measured.",
     )
-    sd: dict[str, Annotated[float, Field(gt=0)]] = Field(
-        default={}, description="Sd of each quantity's error, in its unit; angles in radians."
+    sd: dict[str, Sd] = Field(
+        default={},
+        description="Sd of each quantity's error, in its unit, angles in radians: a number, an expression of "
+        "the state, or a distribution around 0 such as student_t(scale, degrees).",
     )
 
 
@@ -236,12 +245,20 @@ class Readings:
         names = tuple(name for name in p.sd if name in row)
         if not names:
             return None
-        variance = np.array([p.sd[name] for name in names]) ** 2
+        # Where one is an expression the engine puts all of them in.
+        variance = np.array([1.0 if isinstance(p.sd[name], str) else p.sd[name] for name in names]) ** 2
         return Measurement(names, np.array([row[name] for name in names]), np.diag(variance), p.floor)
 
 
 def _read(parameters: ReadingsParameters) -> ReadingsFile:
     return read_readings(parameters.file, tuple(parameters.sd)) if parameters.file else NO_FILE
+
+
+def _noises(parameters: ReadingsParameters) -> dict[str, str]:
+    sds = parameters.sd
+    if not any(isinstance(sd, str) for sd in sds.values()):
+        return {}
+    return {name: sd if isinstance(sd, str) else repr(sd) for name, sd in sds.items()}
 
 
 def _missing(parameters: ReadingsParameters) -> str | None:
@@ -273,5 +290,6 @@ CUE = CueDeclaration(
     files=lambda parameters: (parameters.file,) if parameters.file else (),
     unused=_unused,
     gives=lambda parameters: tuple(parameters.sd),
+    noises=_noises,
     measures=True,
 )

@@ -51,10 +51,13 @@ class MeasuredAs:
     Attributes:
         terms: quantity -> expression.
         constants: the numbers that they use by name.
+        errors: quantity -> distribution of its error, a density of the variable `DRAWN` around 0; empty where
+            all errors are Gaussian with an sd that the agent knows.
     """
 
     terms: Mapping[str, Term]
     constants: Mapping[str, float]
+    errors: Mapping[str, Term] = field(default_factory=dict)
 
 
 ANCHORED = ("x", "y")

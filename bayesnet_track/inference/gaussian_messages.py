@@ -36,13 +36,18 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
         each = (weight * np.exp(measurement_message(one, hypotheses)) for weight, one in measured.choices)
         with np.errstate(divide="ignore"):
             return np.asarray(np.minimum(np.log(measured.missed + sum(each)), 0.0))
+    if measured.errors is not None:
+        return measured.log_by_errors(_states(hypotheses))
     if measured.seen is None:
         away = _values(hypotheses, measured.fields) - measured.mean
     else:
-        states = {**dict(zip(BOX_FIELDS, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
-        away = measured.seen.less(measured.seen.function(states), measured.mean)
+        away = measured.seen.less(measured.seen.function(_states(hypotheses)), measured.mean)
     log = _log_of(away, measured)
     return floored(log, measured.floor) if measured.floor > 0 else log
+
+
+def _states(hypotheses: Hypotheses) -> dict[str, Floats]:
+    return {**dict(zip(BOX_FIELDS, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
 
 
 def _log_of(away: Floats, measured: Measurement) -> Floats:
@@ -72,6 +77,8 @@ def to_power(measured: Measurement, power: float) -> Measurement:
     return replace(
         measured,
         covariance=measured.covariance / power,
+        errors=None if (own := measured.errors) is None else replace(own, power=own.power * power),
+        log_peak=None if measured.log_peak is None else measured.log_peak * power,
         floor=measured.floor**power,
         choices=tuple((weight, to_power(one, power)) for weight, one in measured.choices),
     )

@@ -45,6 +45,8 @@ class Sight:
         if measured is None:
             return float(np.log(unseen.likelihood)) / temperature
         scale = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * measured.covariance)[1])
+        if measured.log_peak is not None:
+            scale = -measured.log_peak
         return float(np.log(unseen.mistaken) + scale - np.log(self._extents(measured, hypotheses)).sum())
 
     def _extents(self, measured: Measurement, hypotheses: Hypotheses) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -13,17 +13,18 @@ from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.availability import Missing
-from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.factors import weigh
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.given import draw_given, log_given
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message, sum_kernel
 from bayesnet_track.inference.observe import Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
-from bayesnet_track.inference.readings import note_undefined, read_as
+from bayesnet_track.inference.readings import at_prediction, note_undefined, read_as
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
+from bayesnet_track.observation.protocols import BOX
 
 __all__ = ["Joined", "Observer", "evaluate", "join_messages", "join_plain", "without"]
 
@@ -63,6 +64,8 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
         elif isinstance(answer, Measurement):
             if step.functions is not None:
                 answer = read_as(answer, step.functions, observer.cache.frames)
+                if answer.errors is not None:
+                    answer = _at_prediction(answer, step, observer, at[step.at], prior_log)
                 note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
             answer = to_power(answer, 1.0 / step.temperature)
             measured[step.agent] = answer
@@ -82,6 +85,21 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
     said = {node: message for node, message in joined.messages.items() if node not in factors}
     return Evidence(total, said, latent, faults, joined.gaussians, joined.sampled, measured, factors)
+
+
+def _at_prediction(
+    measured: Measurement, step: Observe, observer: Observer, hypotheses: Hypotheses, prior_log: Floats
+) -> Measurement:
+    """The measurement with its errors' covariance and peak at the first prediction of the frame."""
+    key = (step.agent, step.at)
+    if key not in observer.peaks:
+        assert step.functions is not None
+        weights = np.exp(prior_log)
+        fields = {**dict(zip(BOX, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
+        mean = {name: float(weights @ values) for name, values in fields.items()}
+        observer.peaks[key] = at_prediction(measured, step.functions, mean, observer.cache.frames)
+    covariance, log_peak = observer.peaks[key]
+    return replace(measured, covariance=covariance, log_peak=log_peak)
 
 
 @dataclass(frozen=True, eq=False)

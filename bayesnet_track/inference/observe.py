@@ -64,6 +64,8 @@ class Observer:
         broke_off: agents that gave an answer and later failed or gave none: what was made of their answers is
             of another net than what follows.
         factors: what was found of the factors in any evaluation of the frame.
+        peaks: (agent, node) -> covariance and log density of the errors at the frame's first prediction, of
+            an agent whose errors are written as expressions.
     """
 
     cache: PlaneCache
@@ -80,6 +82,7 @@ class Observer:
     answered: set[str] = field(default_factory=set)
     broke_off: set[str] = field(default_factory=set)
     factors: Factors = field(default_factory=Factors)
+    peaks: MutableMapping[tuple[str, str], tuple[Floats, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

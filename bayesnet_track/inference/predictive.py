@@ -19,13 +19,15 @@ def p_values(plate: CheckedTarget, step: Step[Any], hidden: Sequence[bool] = ())
     """Agent -> probability of a measurement that is farther from the prediction than its own.
 
     Of agents at the root that measured, whose message reaches it as a Gaussian. A measurement shared by
-    several targets has none. Hypotheses in modes in which the target is `hidden` are left out, and those for
-    which a measured function of the state has no value. Of a Gaussian belief its derivative is taken.
+    several targets has none, nor has one whose
+    errors are written as expressions. Hypotheses in modes in which the target is `hidden` are left out, and
+    those for which a measured function of the state has no value. Of a Gaussian belief its derivative is
+    taken.
     """
     found = {}
     for agent in plate.agents:
         one = step.evidence.gaussians.get(agent)
-        if one is None or one.choices or plate.agent(agent).parent != plate.root:
+        if one is None or one.choices or one.errors is not None or plate.agent(agent).parent != plate.root:
             continue
         fields = step.posterior.fields
         if step.predicted:

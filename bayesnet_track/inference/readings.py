@@ -9,31 +9,71 @@ import numpy as np
 
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.graph.checked import MeasuredAs
-from bayesnet_track.graph.expressions.evaluate import values_of
+from bayesnet_track.graph.expressions.distributions import distribution_of, moments, parameters_of
+from bayesnet_track.graph.expressions.evaluate import log_values, values_of
 from bayesnet_track.graph.expressions.periods import period_of
-from bayesnet_track.graph.expressions.terms import Variable
+from bayesnet_track.graph.expressions.terms import DRAWN, Variable
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.observation.protocols import BOX, Seen
+from bayesnet_track.observation.protocols import BOX, Errors, Seen
 
 
 def read_as(measured: Measurement, functions: MeasuredAs, frames: FramePair) -> Measurement:
     """The measurement with h: what its quantities would be of states in these frames."""
     seen = seen_by(measured.fields, functions, frames)
     choices = tuple((weight, replace(one, seen=seen)) for weight, one in measured.choices)
-    return replace(measured, seen=seen, choices=choices)
+    errors = None if not functions.errors else errors_by(measured.fields, functions, frames)
+    return replace(measured, seen=seen, choices=choices, errors=errors)
 
 
-def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Seen:
-    """h: what quantities would be of states in these frames."""
+def errors_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Errors:
+    """The distributions of errors in these frames, by states."""
+    fixed = _fixed(functions, frames)
+    terms = [functions.errors[name] for name in quantities]
+
+    def densities(states: Mapping[str, Floats], away: Floats) -> Floats:
+        names = {**states, **fixed}
+        columns = [log_values(term, {**names, DRAWN: away[:, k]}) for k, term in enumerate(terms)]
+        return np.stack([np.broadcast_to(column, (len(away),)) for column in columns], axis=1)
+
+    return Errors(densities, all(distribution_of(term) == "normal" for term in terms))
+
+
+def at_prediction(
+    measured: Measurement, functions: MeasuredAs, states: Mapping[str, float], frames: FramePair
+) -> tuple[Floats, float]:
+    """Covariance (K, K) of the errors at a state, and the log density of an error of 0 there.
+
+    Where a distribution has no variance its squared scale stands for it; where there is none, 1.
+    """
+    fields: dict[str, Floats] = {name: np.array([value]) for name, value in states.items()}
+    names: dict[str, Floats | float] = {**fields, **_fixed(functions, frames)}
+    variances = []
+    for name in measured.fields:
+        term = functions.errors[name]
+        function, parameters = distribution_of(term), parameters_of(term, names, 1)
+        variance = float(moments(function, parameters)[1][0])
+        spread = variance if np.isfinite(variance) else float(parameters[1, 0]) ** 2
+        variances.append(spread if np.isfinite(spread) and spread > 0 else 1.0)
+    assert measured.errors is not None
+    log = float(measured.errors.log_density(fields, np.zeros((1, len(variances)))).sum())
+    return np.diag(variances), log if np.isfinite(log) else 0.0
+
+
+def _fixed(functions: MeasuredAs, frames: FramePair) -> dict[str, float]:
     frame, before = frames.current, frames.previous
-    fixed = {
+    return {
         "frame_width": float(frame.width),
         "frame_height": float(frame.height),
         "dt": 1.0 if before is None else frame.time - before.time,
         **functions.constants,
     }
+
+
+def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Seen:
+    """h: what quantities would be of states in these frames."""
+    fixed = _fixed(functions, frames)
     terms = [functions.terms.get(name, Variable(name)) for name in quantities]
 
     def values(states: Mapping[str, Floats]) -> Floats:
@@ -51,7 +91,14 @@ def note_undefined(
     if measured.seen is None:
         return
     states = {**{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX)}, **hypotheses.fields}
-    unknown = (~np.isfinite(measured.seen.function(states))).sum(axis=0)
+    values = measured.seen.function(states)
+    unknown = (~np.isfinite(values)).sum(axis=0)
     for name, count in zip(measured.fields, unknown.tolist(), strict=True):
         if count:
             found.setdefault(f"measures {agent}.{name}", Undefined(count, len(hypotheses)))
+    if measured.errors is None:
+        return
+    without = (~np.isfinite(measured.errors.log_density(states, np.zeros_like(values)))).sum(axis=0)
+    for name, count in zip(measured.fields, without.tolist(), strict=True):
+        if count:
+            found.setdefault(f"sd {agent}.{name}", Undefined(count, len(hypotheses)))

@@ -143,6 +143,8 @@ class CueDeclaration:
             number is not known) -> a sentence for each thing in its files that the run does not use.
         gives: parameters -> what it measures, of one whose quantities need not be fields of the state: the
             agent's `measures` says what they would be of a state.
+        noises: parameters -> quantity: the distribution of its error as an expression of the state, of one of
+            which not all errors are Gaussian with a known sd; the engine puts them in its measurements.
         is_confident: parameters -> whether its measurements have a `confidence`; left out, they have none.
         measures: True for a `MeasuringCue`: it has `measure`, and no `log_likelihood`.
         adapts: True for a `LocallyAdaptable` one: it has `adapt`.
@@ -177,6 +179,7 @@ class CueDeclaration:
     files: Callable[[Any], tuple[str, ...]] | None = None
     unused: Callable[[Any, range], tuple[str, ...]] | None = None
     gives: Callable[[Any], tuple[str, ...]] | None = None
+    noises: Callable[[Any], Mapping[str, str]] | None = None
     is_confident: Callable[[Any], bool] | None = None
 
     def is_sure(self, parameters: Any) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.inversion import shorter_way
-from bayesnet_track.observation.likelihoods import Reference
+from bayesnet_track.observation.likelihoods import Reference, floored
 from bayesnet_track.observation.planes import Plane, Planes
 
 
@@ -169,6 +169,27 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
+class Errors:
+    """Distributions of a measurement's errors that depend on the state, or are not Gaussian.
+
+    Attributes:
+        function: states, state field -> (N,), and (N, K) errors, to the (N, K) log densities; NaN where there
+            is no distribution.
+        is_normal: whether all of them are normal.
+        power: exponent on the densities.
+    """
+
+    function: Callable[[Mapping[str, Floats], Floats], Floats]
+    is_normal: bool = False
+    power: float = 1.0
+
+    def log_density(self, states: Mapping[str, Floats], away: Floats) -> Floats:
+        """(N, K) log densities of errors (N, K); -inf where there is no distribution."""
+        log = self.power * self.function(states, away)
+        return np.where(np.isnan(log), -np.inf, log)
+
+
+@dataclass(frozen=True, eq=False)
 class Measurement:
     """A Gaussian message: where an agent found the target, instead of a score for every hypothesis.
 
@@ -187,6 +208,10 @@ class Measurement:
         confidence: how sure the agent itself is that this is the target, 0..1; None where it does not say.
             A score can go by it; the belief does not.
         seen: what they would be of a state, where `fields` are no fields of it; the engine sets it.
+        errors: their distributions where expressions say them; the engine sets it, and `covariance` then is
+            that of the errors at the prediction.
+        log_peak: log density of what was measured at the place itself: what the likelihood lacks to be the
+            density of a measurement, apart from its floor. None of one whose errors are Gaussian.
     """
 
     fields: tuple[str, ...]
@@ -196,6 +221,20 @@ class Measurement:
     choices: tuple[tuple[float, Measurement], ...] = ()
     confidence: float | None = None
     seen: Seen | None = None
+    errors: Errors | None = None
+    log_peak: float | None = None
+
+    def log_by_errors(self, states: Mapping[str, Floats]) -> Floats:
+        """(N,) log-likelihood of states, state field -> (N,), by `errors`, mixed with the floor."""
+        assert self.errors is not None and self.seen is not None
+        away = self.seen.less(self.seen.function(states), self.mean)
+        log = self.errors.log_density(states, away).sum(axis=1)
+        peak = self.errors.log_density(states, np.zeros_like(away)).sum(axis=1)
+        exists = np.isfinite(peak)
+        relative = np.where(exists, log, -np.inf) - np.where(exists, peak, 0.0)
+        if self.floor > 0:
+            relative = floored(relative, self.floor)
+        return np.where(exists, relative + peak - (self.log_peak or 0.0), -np.inf)
 
     @property
     def missed(self) -> float:

@@ -79,6 +79,14 @@ RUNS = {
     "a start prior of a walk": model(
         "{motion: {random_walk: {sd_px: {x: 2, y: 2}, start_sd_px: {x: 20, y: 20}}}}", COLOUR
     ),
+    "noise of a measurement that is a field": model(
+        "{belief: {particles: {size: 300}}, motion: {expressions: {fields: {r: {start: 1, sd: 1}}, "
+        "sd: {x: 3, y: 3}, static_discount: 0.98}}}",
+        "s: {parent: a, agent: {readings: {file: FILE, sd: {x: exp(r), y: 2}}}}",
+    ),
+    "heavy tails of a measurement": model(
+        MOVES, 's: {parent: a, agent: {readings: {file: FILE, sd: {x: "student_t(2, 3)", y: 2}}}}'
+    ),
     "a formation": HEAD
     + "joins: [{between: [a, a], factor: 'normal(hypot(a.x - b.x, a.y - b.y), 50, 5)', when: {overlap: 0}}]\n"
     + model(f"{{belief: {{particles: {{size: 300}}}}, {CV}}}", COLOUR, head=ONE.removeprefix(HEAD)),
@@ -89,17 +97,6 @@ RUNS = {
     + "      k: {parent: b, agent: color_histogram}\n",
 }
 REFUSED = {
-    "noise of a measurement that is a field": (
-        model(
-            "{belief: {particles: {size: 300}}, motion: {expressions: {fields: {r: {sd: 1}}, sd: {x: 3}}}}",
-            "s: {parent: a, agent: {readings: {file: FILE, sd: {x: exp(r)}}}}",
-        ),
-        "x is 'exp(r)'; allowed: a number above 0",
-    ),
-    "heavy tails of a measurement": (
-        model(MOVES, 's: {parent: a, agent: {readings: {file: FILE, sd: {x: "student_t(2, 3)"}}}}'),
-        "x is 'student_t(2, 3)'; allowed: a number above 0",
-    ),
     "a source of an agent's own": (
         model(MOVES, "t: {parent: a, agent: {color_histogram: {source: two.mp4}}}"),
         "unknown key 'source'; allowed: floor,",

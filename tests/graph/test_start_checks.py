@@ -62,7 +62,10 @@ WRONG = {
         "motion: {expressions: {fields: {x: {start: 9, sd: 1}}, sd: {x: 1}}}",
         "start of x, which is that of the start box; allowed: an sd alone; or start: {x: normal(x + 10, 5)}",
     ),
-    "cut at a comma": (f"{CV}, start: {{x: normal(x, 5)}}", "start"),
+    "cut at a comma": (
+        f"{CV}, start: {{x: normal(x, 5)}}",
+        "x is cut at a comma; allowed: quotes around the expression",
+    ),
 }
 
 

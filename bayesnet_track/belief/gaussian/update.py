@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.error_update import update_by_errors
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.formulas import derivative, extended_update, unscented_update
 from bayesnet_track.graph import spec
@@ -40,6 +41,8 @@ def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(one.missed + sum(each)))
     states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
+    if one.errors is not None:
+        return replace(one, floor=0.0).log_by_errors(dict(zip(fields, states.T, strict=True)))
     if one.seen is None:
         away = states @ observe_fields(one, fields).T - one.mean
     else:
@@ -254,13 +257,14 @@ def take(
     3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
     belief before any of them, so that their order decides nothing. One with choices gives the mean and the
     covariance of the mixture of its updates; it is never left out, because its choices were gated when they
-    were made. Quantities that are functions of the state are taken by their derivative at the mean, or at
-    sigma points where `is_unscented`; without a value there they are not used.
+    were made, nor is one whose errors are not Gaussian (`error_update`). Quantities that are functions of the
+    state are taken by their derivative at the mean, or at sigma points where `is_unscented`; without a value
+    there they are not used.
     """
     used: dict[str, Measurement] = {}
     gated: list[Gated] = []
     for agent, one in measured.items():
-        if one.choices:
+        if one.choices or (one.errors is not None and not one.errors.is_normal):
             used[agent] = one
             continue
         if one.seen is not None:
@@ -288,7 +292,11 @@ def take(
         if one.seen is None:
             after = update_by(mean, covariance, fields, one)
         else:
-            by_function = update_seen(mean, covariance, fields, one, is_unscented)
+            by_function = (
+                update_seen(mean, covariance, fields, one, is_unscented)
+                if one.errors is None
+                else update_by_errors(mean, covariance, fields, one)
+            )
             if by_function is None:
                 continue
             after = by_function

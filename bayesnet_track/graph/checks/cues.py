@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -72,6 +72,17 @@ def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> NoParameters:
     """The agent's parameters as the cue's own type; raises as `plugin_parameters`."""
     return plugin_parameters(agent, declaration.parameters)
+
+
+def noises_of(plate: Plate, node: AgentNode) -> Mapping[str, str]:
+    """Quantity -> the distribution of its error as text, of an agent whose errors are written so."""
+    declaration = plate.cues.get(node.agent.cue)
+    if declaration is None or declaration.noises is None:
+        return {}
+    try:
+        return declaration.noises(cue_parameters(node.agent, declaration))
+    except ValidationError:
+        return {}  # said where parameters are checked
 
 
 def declares(plate: Plate, node: AgentNode, what: Callable[[CueDeclaration, NoParameters], bool]) -> bool:

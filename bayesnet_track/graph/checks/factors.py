@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checked import Conditional, Factor, MeasuredAs
-from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
+from bayesnet_track.graph.checks.cues import cue_parameters, noises_of, plugin_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate, further_fields
 from bayesnet_track.graph.expressions.parse import parse
@@ -189,7 +189,7 @@ def measures_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.agents.items():
         for quantity, text in node.measures.items():
             try:
-                parse(text, _names(plate, node))
+                parse(text, names_of_measures(plate, node))
             except ExpressionError as error:
                 key = ("measures", quantity)
                 message = plate.message(name, error.found, error.allowed, key=key)
@@ -219,7 +219,7 @@ def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
             allowed = f"sd: {{{next(iter(node.measures))}: .., ...}} in the agent, or no measures"
             yield plate.message(name, found, allowed, key=("measures",), on_key=True)
             continue
-        state = _names(plate, node)
+        state = names_of_measures(plate, node)
         for quantity in given:
             if quantity not in node.measures and quantity not in state:
                 found = f"{quantity!r} is measured, and nothing says what it would be of a state"
@@ -243,7 +243,7 @@ def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "filter: extended or unscented", key=("measures",), on_key=True)
 
 
-def _names(plate: Plate, node: AgentNode) -> tuple[str, ...]:
+def names_of_measures(plate: Plate, node: AgentNode) -> tuple[str, ...]:
     """The names of the agent's expressions: of the state whose hypotheses it is asked about."""
     belief = plate.inference[plate.roots[0]].belief
     is_gaussian = belief is not None and belief.gaussian is not None  # of a Gaussian for each mode
@@ -255,15 +255,17 @@ def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
     """The measurement functions of a plate that passed the checks."""
     found = {}
     for name, node in plate.agents.items():
-        if node.measures:
+        if node.measures or noises_of(plate, node):
             found[name] = _read_measures(plate, node)
     return found
 
 
 def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
     terms = {quantity: parse(text) for quantity, text in node.measures.items()}
-    used = {one for term in terms.values() for one in names_in(term)}
-    return MeasuredAs(terms, {name: value for name, value in _constants(plate).items() if name in used})
+    errors = {quantity: parse(text, error=True) for quantity, text in noises_of(plate, node).items()}
+    used = {one for term in (*terms.values(), *errors.values()) for one in names_in(term)}
+    constants = {name: value for name, value in _constants(plate).items() if name in used}
+    return MeasuredAs(terms, constants, errors)
 
 
 MEASURE_CHECKS: tuple[Check, ...] = (measures_can_be_read, measures_are_measured, measures_fit_the_belief)

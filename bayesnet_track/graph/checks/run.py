@@ -39,6 +39,7 @@ from bayesnet_track.graph.checks.motion import (
     MOTION_CHECKS,
     gaussians_are_looked_for,
 )
+from bayesnet_track.graph.checks.noises import NOISE_CHECKS
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
 from bayesnet_track.graph.checks.sensors import SENSOR_CHECKS, read_inverses
@@ -229,6 +230,7 @@ CHECKS_OF_A_SOUND_TREE = (
     *FACTOR_CHECKS,
     *GIVEN_CHECKS,
     *MEASURE_CHECKS,
+    *NOISE_CHECKS,
     *SENSOR_CHECKS,
 )
 

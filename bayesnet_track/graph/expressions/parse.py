@@ -12,6 +12,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.expressions.terms import (
+    AROUND_0,
     ATOM,
     BINARY,
     COMPARE,
@@ -45,12 +46,18 @@ _SIGNS = "numbers, names, + - * / ** ( ) , < <= > >= == != and or not"
 
 
 def parse(
-    text: str, names: Collection[str] | None = None, *, mask: bool = False, draws: bool = False
+    text: str,
+    names: Collection[str] | None = None,
+    *,
+    mask: bool = False,
+    draws: bool = False,
+    error: bool = False,
 ) -> Term:
     """The tree of an expression; of `names` alone, unless None.
 
     With `mask` it may ask the factor's mask. With `draws` it may be one distribution, without the value that
-    is drawn, `normal(mean, sd)`; the value is then the variable `DRAWN`.
+    is drawn, `normal(mean, sd)`; the value is then the variable `DRAWN`. With `error` it is the distribution
+    of an error around 0, `student_t(scale, degrees)`, or the sd of a normal one.
 
     >>> parse("2 * x")
     Call(function='*', arguments=(Number(value=2.0, at=0), Variable(name='x', at=4)), at=2)
@@ -61,7 +68,12 @@ def parse(
     if len(text) > MAX_CHARACTERS:
         found, allowed = f"an expression of {len(text)} characters", f"at most {MAX_CHARACTERS} characters"
         raise ExpressionError(found, allowed, MAX_CHARACTERS)
-    return _Parser(_tokens(text), names, mask, draws).whole()
+    if not error:
+        return _Parser(_tokens(text), names, mask, 1 if draws else 0).whole()
+    term = _Parser(_tokens(text), names, mask, 2).whole()
+    if isinstance(term, Call) and term.arguments[:1] == (Variable(DRAWN),):
+        return term
+    return Call("normal", (Variable(DRAWN), Number(0.0), term))
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ class _Parser:
     tokens: list[_Token]
     names: Collection[str] | None
     mask: bool = False
-    draws: bool = False
+    omitted: int = 0
     place: int = 0
     depth: int = 0
     terms: int = field(default=0)
@@ -120,7 +132,7 @@ class _Parser:
         if self.next.kind != "end":
             raise self.error(self.next, "an operation, or the end of the expression")
         first = self.tokens[0]
-        if self.draws and first.text in DENSITIES and (term.at, self.is_one_call()) != (first.at, True):
+        if self.omitted and first.text in DENSITIES and (term.at, self.is_one_call()) != (first.at, True):
             found = f"{first.text} inside an expression"
             raise ExpressionError(found, "one distribution, or a value without any", first.at)
         return term
@@ -205,14 +217,18 @@ class _Parser:
             self.take()
         self.close("an operation, ',' or ')'")
         function = FUNCTIONS[token.text]
-        is_drawn = self.draws and token is self.tokens[0] and token.text in DENSITIES
+        is_drawn = self.omitted > 0 and token is self.tokens[0] and token.text in DENSITIES
+        if is_drawn and self.omitted == 2 and token.text not in AROUND_0:
+            found = f"{token.text}, which is no error around 0"
+            raise ExpressionError(found, f"an sd, or one of {', '.join(AROUND_0)}", token.at)
         if is_drawn:
-            function = Function(function.parameters[1:], function.meaning)
+            function = Function(function.parameters[self.omitted :], function.meaning)
         if not function.takes(len(arguments)):
             found = f"{token.text} with {len(arguments)} argument{'' if len(arguments) == 1 else 's'}"
             raise ExpressionError(found, token.text + function.form, token.at)
         if is_drawn:
-            arguments.insert(0, Variable(DRAWN, token.at))
+            left_out: tuple[Term, ...] = (Variable(DRAWN, token.at), Number(0.0, token.at))
+            arguments[:0] = left_out[: self.omitted]
         return self.counted(Call(token.text, tuple(arguments), token.at))
 
     def close(self, allowed: str) -> None:

@@ -131,6 +131,8 @@ DENSITIES = {
         "density of a normal distribution cut off outside `low` to `high`",
     ),
 }
+AROUND_0 = ("normal", "laplace", "student_t", "logistic")
+"""Densities that an error around 0 may have: symmetric about their first parameter."""
 FUNCTIONS = {
     "where": Function(("condition", "a", "b"), "`a` where the condition is not 0, else `b`"),
     "min": Function(("a", "b"), "the smallest", more=True),

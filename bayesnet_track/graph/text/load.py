@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from importlib.resources.abc import Traversable
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -193,11 +194,19 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
             for key in (key for key, inside in value.items() if inside is None):
                 found, allowed = "expression is cut at a comma", "quotes around the expression"
                 yield document.at.message((*path, key), found, allowed, on_key=True)
+        elif isinstance(value, dict) and (cut := _cut_at_a_comma(value)):
+            found, allowed = f"{cut} is cut at a comma", "quotes around the expression"
+            yield document.at.message((*path, cut), found, allowed)
         elif name == "agent" and len(path) == 5 and isinstance(value, dict):
             if "cue" in value:
                 yield document.at.message(
                     (*path, "cue"), "unknown cue 'cue'", "a cue, or one cue with its parameters", on_key=True
                 )
+            for cue, inside in value.items():
+                for key, one in inside.items() if isinstance(inside, dict) else ():
+                    if isinstance(one, dict) and (cut := _cut_at_a_comma(one)):
+                        found, allowed = f"{cut} is cut at a comma", "quotes around the expression"
+                        yield document.at.message((*path, cue, key, cut), found, allowed)
         elif name == "detector" and len(path) == 4 and isinstance(value, dict) and "detector" in value:
             yield document.at.message(
                 (*path, "detector"),
@@ -209,6 +218,15 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
             waiting += [((*path, key), inside) for key, inside in value.items()]
         elif isinstance(value, list):
             waiting += [((*path, index), inside) for index, inside in enumerate(value)]
+
+
+def _cut_at_a_comma(value: Mapping[str, Any]) -> str:
+    """The key whose text opens a bracket that the next keys, without values, close; empty where none is."""
+    for key, after in pairwise(value):
+        text = value[key]
+        if value[after] is None and isinstance(text, str) and text.count("(") > text.count(")"):
+            return str(key)
+    return ""
 
 
 def load_graph(
