@@ -86,7 +86,7 @@ EXAMPLES: Mapping[str, str] = {
     "learn-shape": "learn-shape person.npz --source a.mp4 --truth a.txt",
     "learn-stereo": "learn-stereo --source left --right right --calibration pair.yaml --truth a.txt",
     "detect": "detect motion --source video.mp4 --out detections.txt",
-    "calibrate": "calibrate left right --board 9x6 --square 0.025 --out pair.yaml",
+    "calibrate": "calibrate ground street.mp4 --points points.csv --out street.yaml",
 }
 """Command -> one that does something useful, without the program's name."""
 

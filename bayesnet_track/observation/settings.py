@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+PACKAGE = str(Path(__file__).resolve().parents[1])
 
 PARAMETERS = {
     "--allow-network": "allow_network=True",
@@ -34,6 +38,18 @@ PARAMETERS = {
 
 _commands: list[None] = []
 """One for each command that is carried out in this process."""
+
+
+class CalibrationNotice(UserWarning):
+    """Part of a calibration is not used, or looks unlikely. The command line prints the sentence."""
+
+
+def callers_depth() -> int:
+    """`stacklevel` with which the function that asks warns at the line outside of this package."""
+    frame, depth = sys._getframe(2), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
+        frame, depth = frame.f_back, depth + 1
+    return depth
 
 
 @contextmanager

@@ -78,7 +78,7 @@ def open_stereo_source(
             left,
             "a pair without a calibration has no depth",
             f"a pair with {setting('--calibration', 'FILE')} (OpenCV YAML)",
-            "make one from chessboard pictures with `bayesnet-track calibrate`",
+            "make one from chessboard pictures with `bayesnet-track calibrate stereo`",
         )
     shown = shown_address(left)
     first = make_reader(left, allow_network, live, value_range)

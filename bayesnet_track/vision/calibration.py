@@ -256,7 +256,8 @@ def _entries(path: Path) -> dict[str, Any]:
 
 def _wrong(path: Path, found: str) -> CalibrationError:
     return CalibrationError(
-        f"calibration file {str(path)!r}: {found}; allowed: {ALLOWED}; `bayesnet-track calibrate` writes one"
+        f"calibration file {str(path)!r}: {found}; allowed: {ALLOWED}; "
+        "`bayesnet-track calibrate stereo` writes one"
     )
 
 

@@ -835,7 +835,7 @@ LONG = "x" * 300
         f"graph two_squares --svg {LONG}.svg",
         f"detect motion --source {{images}} --out {LONG}",
         f"detect motion --source {{images}} --out {{out}} --save-video {LONG}.mkv",
-        f"calibrate {{images}} {{images}} --board 9x6 --square 0.1 --out {LONG}",
+        f"calibrate stereo {{images}} {{images}} --board 9x6 --square 0.1 --out {LONG}",
         f"fit two_squares --source {{images}} --truth {{images}}/groundtruth.txt --out {LONG}",
         f"learn-shape --masks {{images}} --min-support 1e-9 {LONG}.npz",
     ],

@@ -119,7 +119,7 @@ def test_boxes_without_a_blob_are_left_out_by_name(work: Scene, capsys: pytest.C
             4,
             "bayesnet-track learn-stereo: source 'left': a pair without a calibration has no depth; allowed: "
             "a pair with --calibration FILE (OpenCV YAML); make one from chessboard pictures with "
-            "`bayesnet-track calibrate`\n",
+            "`bayesnet-track calibrate stereo`\n",
         ),
         (
             [*PAIR, "--truth", "none.txt"],

@@ -1,4 +1,4 @@
-"""The command `calibrate`: chessboard pictures in, calibration file out."""
+"""The command `calibrate stereo`: chessboard pictures in, calibration file out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.arguments import OK, UsageError, check_free, metres, say, users_mistake, writing
+from bayesnet_track.cli.arguments import (
+    OK,
+    UsageError,
+    check_free,
+    metres,
+    say,
+    users_mistake,
+    whole_number,
+    writing,
+)
 from bayesnet_track.cli.options import add_range_option
 
 if TYPE_CHECKING:
@@ -14,13 +23,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def calibrate(options: argparse.Namespace) -> int:
+def calibrate_stereo(options: argparse.Namespace) -> int:
     """Calibrate a pair of cameras from pictures of a chessboard."""
     from bayesnet_track.vision.calibration import calibrate as fit
     from bayesnet_track.vision.calibration import write_calibration
 
-    board = parse_board(options.board)
-    out = Path(options.out)
+    board, out = options.board, Path(options.out)
     check_free(out, options.overwrite)
     left, right = (read_all(text, options.value_range) for text in (options.left, options.right))
     with users_mistake():
@@ -77,15 +85,85 @@ def read_all(text: str, value_range: tuple[float, float] | None = None) -> list[
     return [item.image for item in items if isinstance(item, Frame)]
 
 
+def calibrate(options: argparse.Namespace) -> int:
+    """Calibrate what the first word says."""
+    from bayesnet_track.cli.commands import calibrate_cameras
+
+    actions = {
+        "stereo": calibrate_stereo,
+        "camera": calibrate_cameras.calibrate_camera,
+        "ground": calibrate_cameras.calibrate_ground,
+        "poses": calibrate_cameras.calibrate_poses,
+    }
+    if "board" in options:
+        options.board = parse_board(options.board)
+    return actions[options.what](options)
+
+
 def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
-    calibrate = commands.add_parser("calibrate", help="calibrate a stereo pair from images of a chessboard")
-    calibrate.add_argument("left", metavar="LEFT", help="images of the left camera: folder, glob or video")
-    calibrate.add_argument("right", metavar="RIGHT", help="those of the right camera, in the same order")
-    calibrate.add_argument("--board", required=True, metavar="CxR", help="inner corners across and down: 9x6")
-    calibrate.add_argument(
+    """Add the command, and what it calibrates."""
+    calibrate = commands.add_parser(
+        "calibrate", help="calibrate a camera, its place over the ground, or a stereo pair"
+    )
+    kinds = calibrate.add_subparsers(dest="what", metavar="WHAT", required=True)
+    camera = kinds.add_parser("camera", help="focal length and distortion, from a video of a chessboard")
+    camera.add_argument("source", metavar="SOURCE", help="video, folder or glob of images of the board")
+    _add_board(camera)
+    camera.add_argument(
+        "--stride",
+        type=whole_number(1),
+        metavar="K",
+        help="look at every K-th frame (default: 5 of a video, 1 of images)",
+    )
+    ground = kinds.add_parser("ground", help="place of a camera, from points of the ground with known metres")
+    ground.add_argument("source", metavar="SOURCE", help="image or video of the camera")
+    ground.add_argument(
+        "--points", metavar="CSV", help="file with a header line px,py,x,y: pixels and metres"
+    )
+    ground.add_argument(
+        "--point",
+        action="append",
+        default=[],
+        metavar="PX,PY=X,Y",
+        help="a point: pixels and metres; may be repeated",
+    )
+    ground.add_argument(
+        "--intrinsics", metavar="FILE", help="calibration of the lens, as of `calibrate camera`"
+    )
+    poses = kinds.add_parser(
+        "poses", help="places of several cameras, from a chessboard that all see on the ground"
+    )
+    poses.add_argument(
+        "--source",
+        action="append",
+        required=True,
+        metavar="NAME=SOURCE",
+        help="a camera's video or image; repeated",
+    )
+    poses.add_argument(
+        "--intrinsics",
+        action="append",
+        required=True,
+        metavar="NAME=FILE",
+        help="its lens, as of `calibrate camera`",
+    )
+    _add_board(poses)
+    for parser in (ground, poses):
+        parser.add_argument(
+            "--frame", type=whole_number(0), default=0, metavar="N", help="frame of a video (default 0)"
+        )
+    stereo = kinds.add_parser("stereo", help="a stereo pair, from images of a chessboard")
+    stereo.add_argument("left", metavar="LEFT", help="images of the left camera: folder, glob or video")
+    stereo.add_argument("right", metavar="RIGHT", help="those of the right camera, in the same order")
+    _add_board(stereo)
+    for parser in (camera, ground, poses, stereo):
+        add_range_option(parser)
+        parser.add_argument("-o", "--out", required=True, metavar="FILE", help="calibration file to write")
+        parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+
+
+def _add_board(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--board", required=True, metavar="CxR", help="inner corners across and down: 9x6")
+    parser.add_argument(
         "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
     )
-    add_range_option(calibrate)
-    calibrate.add_argument("-o", "--out", required=True, metavar="FILE", help="calibration file to write")
-    calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TextIO
 
 from bayesnet_track.numerics.compile_watch import CacheWarning
+from bayesnet_track.observation.settings import CalibrationNotice, callers_depth
 
-PACKAGE = str(Path(__file__).resolve().parents[2])
 SHOWN = 5
 
 
@@ -19,7 +17,7 @@ class InputNotice(UserWarning):
     """Part of an input is not used, or not as it stands there. The command line prints the sentence."""
 
 
-HEARD = (InputNotice, CacheWarning)
+HEARD = (InputNotice, CacheWarning, CalibrationNotice)
 """What the command line prints by itself."""
 
 
@@ -32,11 +30,7 @@ def notice(text: str) -> None:
     >>> print(caught[0].message)
     tracks.csv: 2 of 30 boxes are left out
     """
-    depth = 1
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):
-        frame, depth = frame.f_back, depth + 1
-    warnings.warn(text, InputNotice, stacklevel=depth + 1)
+    warnings.warn(text, InputNotice, stacklevel=callers_depth())
 
 
 @contextmanager

@@ -128,6 +128,22 @@ FRAMES = (
         "the left and the right camera: a calibration whose right camera is on the left is refused",
     ),
     Entrance(
+        "cameras over a ground",
+        "`cameras:` of a graph, `calibrate camera`, `calibrate ground`, `calibrate poses`, `--intrinsics`, "
+        "`--points`",
+        (
+            "observation.calibration_files: read_tree _storage",
+            "cli.commands.calibrate_cameras: read_points",
+        ),
+        "entries that are not used; a principal point outside the image; a camera over 100 m above the "
+        "ground",
+        "a rotation that is none or a reflection, a camera below the ground, matrices of other shapes or "
+        "with "
+        "numbers that are not finite, several cameras without a name, entries that contradict each other; "
+        "points outside the image, almost in a line, or mirrored",
+        "`homography` and `pose`, which may go either way: names that say the direction are needed",
+    ),
+    Entrance(
         "frames in Python",
         "`Tracker.init`, `Tracker.update`, `DetectionsTracker.update`",
         (
@@ -200,6 +216,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "journal.disk.sync_folder",
             "runtime.recording.lock.lock_run",
             "vision.calibration.write_calibration",
+            "vision.camera_calibration.write_camera",
         ),
         "the cache of compiled kernels, sealed by a hash": (
             "numerics.compiled.SealedFiles._load_data",

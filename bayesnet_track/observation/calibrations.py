@@ -1,0 +1,258 @@
+"""Calibrations of cameras: the camera, or cameras, of a file.
+
+One camera is known by a camera matrix with rotation and translation from world to camera (and distortion), by
+a 3 x 4 projection, or by a homography of the ground (`calibration_entries` has their names). What could be
+read in two ways is refused, with both named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import (
+    Camera,
+    CameraError,
+    GroundHomography,
+    GroundView,
+    camera_of_projection,
+    check_rotation,
+)
+from bayesnet_track.observation.calibration_entries import ENTRIES, UNITS, Entries, Intrinsics, unlikely
+from bayesnet_track.observation.calibration_files import CalibrationError, numbers, read_tree
+
+FAR_M = 100.0
+"""A camera farther above the ground is said to be there: the file's unit may be another."""
+
+
+def read_calibration(
+    path: Path | str | Sequence[Path | str],
+    camera: str | None = None,
+    *,
+    unit: str | None = None,
+    above_ground: bool = True,
+) -> GroundView:
+    """Camera of a calibration file.
+
+    Args:
+        path: the file, or several that complete each other, such as intrinsics and extrinsics.
+        camera: name of one of the file's cameras; not needed if there is one.
+        unit: of the file's lengths, where it does not say so: m (default), cm or mm.
+        above_ground: refuse cameras below the plane z = 0.
+
+    Raises:
+        CalibrationError: the file cannot be read, has several cameras and none is named, or its entries
+            are missing, contradict each other, or could be read in two ways.
+    """
+    cameras = read_calibrations(path, only=camera, unit=unit, above_ground=above_ground)
+    return next(iter(cameras.values()))
+
+
+def read_calibrations(
+    path: Path | str | Sequence[Path | str],
+    *,
+    only: str | None = "",
+    unit: str | None = None,
+    above_ground: bool = True,
+) -> dict[str, GroundView]:
+    """Every camera of a file by its name; with `only` the one of that name; None if there is but one.
+
+    Raises:
+        CalibrationError: as for `read_calibration`.
+    """
+    if unit is not None and unit not in UNITS:
+        raise CalibrationError(f"unit {unit!r}; allowed: {', '.join(UNITS)}")
+    entries = Entries.chosen(_read_all(path), only)
+    return {name: _view(found, unit, above_ground) for name, found in entries.items()}
+
+
+def read_intrinsics(path: Path | str, camera: str | None = None) -> Intrinsics:
+    """Camera matrix and distortion of a calibration file; where the camera stands is not needed.
+
+    Raises:
+        CalibrationError: as for `read_calibration`.
+    """
+    entries = next(iter(Entries.chosen(_read_all(path), camera).values()))
+    if "projection" in entries.values and "matrix" not in entries.values and "fx" not in entries.values:
+        view = _view(entries, None, False)
+        assert isinstance(view, Camera)
+        return Intrinsics(view.matrix, view.distortion, view.size)
+    return entries.intrinsics()
+
+
+def _read_all(path: Path | str | Sequence[Path | str]) -> dict[str, Entries]:
+    """Cameras of one file, or of several that each have a part of one."""
+    paths = [Path(path)] if isinstance(path, Path | str) else [Path(part) for part in path]
+    if len(paths) == 1:
+        return dict(Entries.all_of(paths[0], *read_tree(paths[0])))
+    merged: dict[str, Any] = {}
+    texts = []
+    for part in paths:
+        tree, text = read_tree(part)
+        twice = merged.keys() & tree.keys()
+        if twice:
+            raise CalibrationError.of(str(part), f"{', '.join(sorted(twice))} again, as in {paths[0]}")
+        merged |= tree
+        texts.append(text)
+    joined = Path(", ".join(map(str, paths)))
+    return dict(Entries.all_of(joined, merged, ""))
+
+
+def _view(entries: Entries, unit: str | None, above_ground: bool) -> GroundView:
+    """The camera of its entries, in metres."""
+    values = entries.values
+    if "pose" in values:
+        raise entries.wrong(
+            "pose",
+            "may go from world to camera or from camera to world",
+            "world_to_camera or camera_to_world",
+        )
+    if entries.unknown:
+        unlikely(f"{entries.where()}: not used: {', '.join(entries.unknown)}")
+    scale = entries.unit(unit)
+    try:
+        view = _choose(entries, scale)
+    except CameraError as error:
+        meaning = next(
+            (m for m in ("rotation", "distortion", "matrix") if m in str(error) and m in values), ""
+        )
+        raise CalibrationError.of(entries.where(meaning), str(error)) from error
+    if isinstance(view, Camera):
+        _check_place(entries, view, above_ground)
+    return view
+
+
+def _choose(entries: Entries, scale: float) -> GroundView:
+    values = entries.values
+    ways = {
+        "projection": "projection" in values and not _rectified(entries),
+        "homography": bool({"homography", "ground_to_image", "image_to_ground"} & values.keys()),
+        "pose": bool({"rotation", "translation", "world_to_camera", "camera_to_world"} & values.keys()),
+    }
+    if ways["projection"] and not ways["homography"]:
+        projection = entries.array("projection", (3, 4))
+        assert projection is not None
+        metres = projection * np.array([1, 1, 1, scale])
+        view = camera_of_projection(metres, entries.size())
+        if ways["pose"] and "matrix" in values:
+            _agree(entries, view, _posed(entries, scale))
+        return view
+    if ways["pose"] and not ways["homography"]:
+        return _posed(entries, scale)
+    if ways["homography"] and not (ways["pose"] or ways["projection"]):
+        return _homography(entries, scale)
+    if ways["homography"]:
+        raise CalibrationError.of(
+            entries.where("homography"), "a homography, and a pose or projection beside it", "one of them"
+        )
+    raise CalibrationError.of(
+        entries.where(),
+        "it says not where the camera stands",
+        ENTRIES,
+        "`bayesnet-track calibrate ground` finds it from points of the ground",
+    )
+
+
+def _rectified(entries: Entries) -> bool:
+    """Whether the projection is ROS's: intrinsics of a rectified image, in camera coordinates."""
+    projection = numbers(entries.values["projection"][1])
+    last = projection is not None and projection.size == 12 and not projection.reshape(3, 4)[:, 3].any()
+    return bool(last and "matrix" in entries.values)
+
+
+def _agree(entries: Entries, one: Camera, other: Camera) -> None:
+    points = one.centre + (np.array([[0, 0, 5], [1, 1, 6], [-1, 0.5, 7.0]]) @ one.rotation)
+    apart = np.abs(
+        one.project(points)
+        - Camera(other.matrix, np.zeros(0), other.rotation, other.translation).project(points)
+    ).max()
+    if not apart < 1.0:
+        raise entries.wrong(
+            "projection", f"and the matrix with its pose differ by {apart:.3g} px", "both the same, or one"
+        )
+
+
+def _posed(entries: Entries, scale: float) -> Camera:
+    intrinsics = entries.intrinsics()
+    given = [m for m in ("rotation", "world_to_camera", "camera_to_world") if m in entries.values]
+    if len(given) > 1:
+        names = " and ".join(entries.values[m][0] for m in given)
+        raise CalibrationError.of(entries.where(given[0]), f"{names} both give the pose", "one of them")
+    if given in ([], ["rotation"]):
+        for meaning, what in (("rotation", "3 x 3 or a rotation vector of 3"), ("translation", "3 numbers")):
+            if meaning not in entries.values:
+                raise CalibrationError.of(entries.where(), f"no {meaning}", f"{meaning}: {what}")
+        rotation, shift = _rotation(entries), entries.array("translation", (3,))
+        assert shift is not None
+    else:
+        pose = entries.array(given[0], (3, 4), (4, 4))
+        assert pose is not None
+        rotation, shift = pose[:3, :3], pose[:3, 3]
+        if given == ["camera_to_world"]:
+            check_rotation(rotation)
+            rotation, shift = rotation.T, -rotation.T @ shift
+    return Camera(
+        intrinsics.matrix, intrinsics.distortion, rotation, shift * scale, intrinsics.size, intrinsics.fisheye
+    )
+
+
+def _rotation(entries: Entries) -> Floats:
+    import cv2
+
+    rotation = entries.array("rotation", (3, 3), (3,))
+    assert rotation is not None
+    return rotation if rotation.shape == (3, 3) else np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64)
+
+
+def _homography(entries: Entries, scale: float) -> GroundHomography:
+    if "homography" in entries.values:
+        raise entries.wrong(
+            "homography",
+            "may map the ground to the image or the image to the ground",
+            "the name ground_to_image or image_to_ground",
+        )
+    both = [m for m in ("ground_to_image", "image_to_ground") if m in entries.values]
+    if len(both) > 1:
+        raise entries.wrong(both[0], f"and {entries.values[both[1]][0]} are both there", "one of them")
+    given = entries.array(both[0], (3, 3))
+    assert given is not None
+    matrix = given
+    if both[0] == "image_to_ground":
+        if abs(np.linalg.det(matrix)) == 0:
+            raise entries.wrong("image_to_ground", "cannot be inverted", "an invertible 3 x 3 matrix")
+        matrix = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    focal = entries.array("focal", (), (1,))
+    view = GroundHomography(
+        matrix @ np.diag([1, 1, scale]), entries.size(), None if focal is None else float(focal.item())
+    )
+    if "distortion" in entries.values and entries.distortion().any():
+        unlikely(
+            f"{entries.where('distortion')}: not used with a homography; give a camera matrix and a pose"
+        )
+    return view
+
+
+def _check_place(entries: Entries, view: Camera, above_ground: bool) -> None:
+    """Refuse a camera below the ground; say that one is unlikely far away."""
+    z = view.centre[2]
+    pose = next((m for m in ("translation", "world_to_camera", "camera_to_world") if m in entries.values), "")
+    if above_ground and z <= 0:
+        mend = "z must point up; use a world frame on the ground, or `bayesnet-track calibrate ground`"
+        if view.translation[2] > 0 and pose == "translation":
+            mend = (
+                "if rotation and translation go from camera to world, name them camera_to_world (3 x 4); "
+                "otherwise " + mend
+            )
+        raise CalibrationError.of(
+            entries.where(pose), f"the camera stands {-z:.3g} m below the ground, the plane z = 0", "", mend
+        )
+    if z > FAR_M:
+        unlikely(
+            f"{entries.where(pose)}: the camera stands {z:.4g} m above the ground; if the file's unit is cm "
+            "or "
+            "mm, say so by unit"
+        )
