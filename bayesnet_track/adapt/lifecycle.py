@@ -256,22 +256,23 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
     8) are kept: those seen most often, then those with the best scores.
     """
     confirm = rule.confirm
-    near, far = _follow(candidates, free)
+    expected = np.array([one.box for one in candidates]).reshape(-1, 4)
+    expected[:, :2] += np.array([one.step for one in candidates]).reshape(-1, 2)
+    near, far = _follow(candidates, expected, free)
     owner = np.maximum(near, far)
     found = {int(k): row for row, k in enumerate(owner) if k != UNASSIGNED}
     kept = []
     for number, one in enumerate(candidates):
         row = found.get(number)
+        looks = (*one.looks, None if row is None else float(free.scores[row]))[-confirm.of :]
         if row is None:
-            after = _add_look(_move_on(one), None, confirm)
-        else:
-            box = free.boxes[row].copy()
-            after = _add_look(one, float(free.scores[row]), confirm)
-            track = (*one.track, (free.time, box))[-confirm.of :]
-            is_far = one.is_far or far[row] != UNASSIGNED
-            after = evolve(after, box=box, step=box[:2] - one.box[:2], track=track, is_far=is_far)
-        if not _is_hopeless(after, confirm):
-            kept.append(after)
+            if not _is_hopeless(looks, confirm):
+                kept.append(evolve(one, box=expected[number].copy(), looks=looks))
+            continue
+        box, is_far = free.boxes[row].copy(), one.is_far or bool(far[row] != UNASSIGNED)
+        track = (*one.track, (free.time, box))[-confirm.of :]
+        step = box[:2] - one.box[:2]
+        kept.append(evolve(one, looks=looks, box=box, step=step, track=track, is_far=is_far))
     for new in np.flatnonzero(near == UNASSIGNED).tolist():  # one far from a candidate may be another's first
         box, looks = free.boxes[new].copy(), (float(free.scores[new]),)
         track = ((free.time, box),)
@@ -279,9 +280,11 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
     return keep_best(kept, rule)
 
 
-def _follow(candidates: Sequence[Candidate], free: FreeDetections) -> tuple[Owners, Owners]:
-    """(N,) the candidate that each detection goes on with, or `UNASSIGNED`; and those that are far away."""
-    expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
+def _follow(candidates: Sequence[Candidate], expected: Floats, free: FreeDetections) -> tuple[Owners, Owners]:
+    """(N,) the candidate that each detection goes on with, or `UNASSIGNED`; and those that are far away.
+
+    Candidates are looked for where they are `expected`, centre boxes (C, 4).
+    """
     away = distances(free.boxes, expected)
     owner = pair_up(away, np.full(away.shape, FOLLOW_BOX))
     far = np.full_like(owner, UNASSIGNED)
@@ -297,10 +300,12 @@ def look_again(
     candidate: Candidate, box: Floats | None, score: float | None, confirm: Confirm
 ) -> Candidate | None:
     """A tentative track after a look: seen in the centre box (4,) or not; None when it is given up."""
-    after = _add_look(candidate, score, confirm)
-    if box is not None:
-        after = evolve(after, box=box.copy(), step=box[:2] - candidate.box[:2])
-    return None if _is_hopeless(after, confirm) else after
+    looks = (*candidate.looks, score)[-confirm.of :]
+    if _is_hopeless(looks, confirm):
+        return None
+    if box is None:
+        return evolve(candidate, looks=looks)
+    return evolve(candidate, looks=looks, box=box.copy(), step=box[:2] - candidate.box[:2])
 
 
 def keep_best(kept: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
@@ -318,20 +323,10 @@ def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
     return candidate.looks[-1] is not None and candidate.seen >= confirm.hits
 
 
-def _add_look(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
-    return evolve(candidate, looks=(*candidate.looks, score)[-confirm.of :])
-
-
-def _move_on(candidate: Candidate) -> Candidate:
-    box = candidate.box.copy()
-    box[:2] += candidate.step
-    return evolve(candidate, box=box)
-
-
-def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:
+def _is_hopeless(looks: Sequence[float | None], confirm: Confirm) -> bool:
     """True after so many misses on end that no look it has had can count toward a confirmation."""
     misses = 0
-    for score in reversed(candidate.looks):
+    for score in reversed(looks):
         if score is not None:
             break
         misses += 1

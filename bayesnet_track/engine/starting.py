@@ -20,8 +20,7 @@ from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
 from bayesnet_track.engine.scoring.score import ScoreState
-from bayesnet_track.engine.state import TargetState, inside_frame
-from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.engine.state import TargetState, inside_frame, plan_for
 from bayesnet_track.inference.guard import watch
 from bayesnet_track.inference.learn import LearningInputs, learn_first
 from bayesnet_track.inference.parts import nominal_boxes
@@ -87,7 +86,7 @@ def start(
         belief=_start_belief(work, compiled, birth, box),
         references=references,
         memory=RuleMemory.empty(compiled.plate),
-        plan=compile_plan(compiled.plate, working, compiled.cues),
+        plan=plan_for(compiled, frozenset(working)),
         time=frame.time,
         watched=watch(references, compiled.looks, compiled.guard),
         motion_context=start_motion_context(compiled, box, work.cache.frames),

@@ -7,13 +7,14 @@ import pytest
 
 from bayesnet_track.adapt.association import UNASSIGNED, alike, associate, distances, pair_up
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.lifecycle.recognise import (
     LOOKALIKE,
     Compared,
     match,
     weigh_appearance,
-    weigh_place,
+    weigh_places,
 )
 from bayesnet_track.graph.spec import Motion, Reidentify
 
@@ -79,7 +80,8 @@ def test_place_is_a_density_over_the_frame():
     known = AppearanceMemory(
         "1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {}, "birth"
     )
-    fading, place, distance = weigh_place(known, motion, boxes, 20.0, 200.0 * 160, Reidentify(frames=50))
+    moves, rule = Confined(motion, 200, 160), Reidentify(frames=50)
+    (fading,), (place,), (distance,) = weigh_places([known], moves, boxes, 20.0, 200.0 * 160, rule)
     assert fading == pytest.approx(-0.2)
     assert np.mean(np.exp(place)) == pytest.approx(1.0, abs=1e-6)
     # var 4 + 10 steps of 2^2 + (8 / 4)^2, and 1 + 10 of 3^2 + 4; at the mean itself

@@ -335,6 +335,15 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
     return motion.linearise(np.ones(len(motion.fields)), dt)
 
 
+@lru_cache(maxsize=1024)
+def linear_moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
+    """F and Q of a motion that is linear with noise in px; else None."""
+    try:
+        return linear_gaussian(motion, dt)
+    except ValueError:
+        return None
+
+
 def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
     """(C, N, K) sds of the coordinates with noise around boxes `old` (N, 4)."""
     variances = component_variances(motion.noise, old, dt)

@@ -58,7 +58,8 @@ def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None)
         key=lambda k: (-waiting[k].score, k),
     )
     done = start_confirmed(now, [waiting[k] for k in ready], found)
-    left = tuple(one for one in waiting if not any(one is other for other in done))
+    gone = {*map(id, done)}
+    left = tuple(one for one in waiting if id(one) not in gone)
     tracks.history = evolve(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -112,8 +111,8 @@ def _continue(now: Births, candidate: Candidate) -> bool:
     reach_box = max((rule.continue_box for rule in rules.values()), default=0.0)
     if reach_box <= 0.0:
         return False
-    same = find_continuation(tracks, now.plate, candidate, frame.time, compiled.motion)
-    if same is None or same.distance_box > reach_box:
+    same = find_continuation(tracks, now.plate, candidate, frame.time, (compiled.motion, reach_box))
+    if same is None:
         return False
     target, box = same.target, candidate.box
     state = restart(now.work, target, now.plate, box, tracks.state(target))
@@ -209,11 +208,11 @@ def match_known(
 ) -> tuple[Match, ...]:
     """Which of the boxes (M, 4) are which of the known targets."""
     reidentify = now.rule.reidentify
-    if reidentify is None or not known or not len(boxes):
+    if reidentify is None:
         return ()
     others = np.concatenate([now.tracks.boxes(now.tracks.held(now.plate)), detections[:TESTED]])
-    asked = partial(compare, now.work, now.plate, reidentify, boxes, others)
-    return match(list(map(asked, known)), len(boxes), reidentify)
+    compared = compare(now.work, now.plate, reidentify, boxes, others, known)
+    return match(compared, len(boxes), reidentify)
 
 
 def start_record(state: TargetState, since: int, frame: Frame) -> TrackRecord:
@@ -242,33 +241,36 @@ class Continuation:
 
 
 def find_continuation(
-    tracks: LiveTable, plate: str, candidate: Candidate, now: float, motion: MotionModel
+    tracks: LiveTable, plate: str, candidate: Candidate, now: float, rule: tuple[MotionModel, float]
 ) -> Continuation | None:
     """The nearest live target of a plate that lost its detections when the candidate's began.
 
     In the frame of its last detection the candidate had none, for else they are two objects; and no other
-    target covers it, for that would be why it is missed. `now` is the time, frame intervals.
+    target covers it, for that would be why it is missed. `now` is the time, frame intervals; the `rule` says
+    how targets move, and how far off they may be, in box sides.
     """
-    targets = tracks.unseen(plate)
-    others = tracks.boxes([one for one in tracks.held(plate) if one not in dict(targets)])
+    (motion, reach_box), targets = rule, tracks.unseen(plate)
     places = []
-    for target, unseen in targets:
+    for target, unseen in targets.items():
         if len(candidate.looks) > unseen and candidate.looks[-1 - unseen] is not None:
             continue
         last = now - unseen
         later = [(time, box) for time, box in candidate.track if time > last + 0.5]
         if later and later[0][0] - last <= MAX_GAP:
-            (time, box), mean = later[0], tracks.state(target).belief.mean
-            if _is_covered(mean, others):
-                continue
+            (time, box), mean = later[0], tracks.mean(target)
             moved = velocity(motion, mean)
             seen = mean[:2] - moved * unseen
             away = min(
                 _sides_between(mean, place, box, MAX_RATIO**unseen)
                 for place in (seen, seen + moved * (time - last))
             )
-            places.append(Continuation(target, away / max(time - last, 1.0)))
-    return min(places, key=lambda one: one.distance_box, default=None)
+            if (distance_box := away / max(time - last, 1.0)) <= reach_box:
+                places.append((Continuation(target, distance_box), mean))
+    if not places:
+        return None
+    others = tracks.boxes([one for one in tracks.held(plate) if one not in targets])
+    free = (same for same, mean in places if not _is_covered(mean, others))
+    return min(free, key=lambda one: one.distance_box, default=None)
 
 
 def _is_covered(mean: Floats, others: Floats) -> bool:

@@ -103,5 +103,5 @@ def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> Non
 def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
     """What a live target would be remembered by."""
     record, birth = tracks.record(target), tracks.history.births[target]
-    references = tracks.state(target).references
-    return AppearanceMemory(target, plate, record.mean, record.covariance, record.time, references, birth)
+    memory = record.mean, record.covariance, record.time, tracks.references(target)
+    return AppearanceMemory(target, plate, *memory, birth)

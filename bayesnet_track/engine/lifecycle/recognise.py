@@ -26,7 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
-from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_moves
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.journal.events.lives import Recognition
 from bayesnet_track.numerics.arrays import Floats
@@ -67,11 +68,6 @@ class Compared:
     appearance: Floats
     agents: tuple[str, ...]
 
-    @property
-    def log_odds(self) -> Floats:
-        """(M,) log o_k."""
-        return np.asarray(self.fading + self.place + self.appearance)
-
 
 @dataclass(frozen=True)
 class Match:
@@ -86,28 +82,43 @@ class Match:
         return self.recognition.probability >= self.recognition.min_probability
 
 
-def weigh_place(
-    known: AppearanceMemory,
-    motion: MotionModel,
+def weigh_places(
+    known: Sequence[AppearanceMemory],
+    motion: Confined,
     boxes: Floats,
     time: float,
     area_px2: float,
     rule: Reidentify,
-) -> tuple[float, Floats, Floats]:
-    """log g, (M,) log(A p_k) and (M,) distances in px of centre boxes (M, 4) for a target at `time`."""
-    dt = max(time - known.time, 1e-9)
-    transition, noise = motion.linearise(known.mean, dt)
-    mean = motion.drift(known.mean[None], dt)[0, :2]
-    spread = (transition @ known.covariance @ transition.T + noise)[:2, :2]
-    d = boxes[:, :2] - mean
+) -> tuple[Floats, Floats, Floats]:
+    """(K,) log g, (K, M) log(A p_k) and (K, M) distances in px of centre boxes (M, 4) at `time`."""
+    dt = np.maximum(time - np.array([one.time for one in known]), 1e-9)
+    mean, spread = _expect_places(known, motion, dt)
+    d = boxes[:, :2] - mean[:, None]
     variances = DETECTOR_SD**2 * boxes[:, 2] * boxes[:, 3]
-    covariance = spread[None] + variances[:, None, None] * np.eye(2)
-    d2 = np.einsum("ni,ni->n", d, np.linalg.solve(covariance, d[:, :, None])[:, :, 0])
+    covariance = spread[:, None] + variances[:, None, None] * np.eye(2)
+    d2 = np.einsum("kni,kni->kn", d, np.linalg.solve(covariance, d[..., None])[..., 0])
     log_normal = -0.5 * d2 - 0.5 * np.linalg.slogdet(covariance)[1] - math.log(2.0 * math.pi)
     fading = -dt / rule.frames
-    anywhere = math.log(max(-math.expm1(fading), 1e-300))
-    place = np.logaddexp(fading + math.log(area_px2) + log_normal, anywhere)
-    return fading, np.asarray(place), np.hypot(d[:, 0], d[:, 1])
+    anywhere = np.log(np.maximum(-np.expm1(fading), 1e-300))
+    place = np.logaddexp(fading[:, None] + math.log(area_px2) + log_normal, anywhere[:, None])
+    return fading, np.asarray(place), np.hypot(d[..., 0], d[..., 1])
+
+
+def _expect_places(known: Sequence[AppearanceMemory], motion: Confined, dt: Floats) -> tuple[Floats, Floats]:
+    """(K, 2) means and (K, 2, 2) covariances of centres after `dt` (K,) frame intervals."""
+    means, free = np.array([one.mean for one in known]), motion.motion
+    different, at = np.unique(dt, return_inverse=True)
+    if isinstance(free, KinematicMotion) and linear_moves(free, float(dt[0])) is not None:
+        moves = [linear_moves(free, step) or free.linearise(means[0], step) for step in different.tolist()]
+        transition, noise = (np.array(parts)[at] for parts in zip(*moves, strict=True))
+        places = motion.confine(np.einsum("kij,kj->ki", transition, means))
+    else:
+        pairs = [*zip(means, dt.tolist(), strict=True)]
+        moves = [motion.linearise(mean, step) for mean, step in pairs]
+        transition, noise = (np.array(parts) for parts in zip(*moves, strict=True))
+        places = np.array([motion.drift(mean[None], step)[0] for mean, step in pairs])
+    spread = transition @ np.array([one.covariance for one in known]) @ transition.transpose(0, 2, 1) + noise
+    return places[:, :2], spread[:, :2, :2]
 
 
 def draw_elsewhere(boxes: Floats, width: int, height: int, rng: np.random.Generator) -> Floats:
@@ -142,7 +153,10 @@ def match(compared: Sequence[Compared], detections: int, rule: Reidentify) -> tu
     """
     if not compared or not detections:
         return ()
-    odds = np.array([one.log_odds for one in compared])
+    fading, place, appearance = zip(
+        *((one.fading, one.place, one.appearance) for one in compared), strict=True
+    )
+    odds = np.array(fading)[:, None] + np.array(place) + np.array(appearance)
     matches: list[Match] = []
     rows, columns = list(range(len(compared))), list(range(detections))
     while rows and columns:
@@ -182,9 +196,12 @@ def _recognition(
     compared: Sequence[Compared], rows: Sequence[int], shares: Floats, best: int, m: int, rule: Reidentify
 ) -> Recognition:
     one = compared[rows[best]]
-    others = {compared[row].known.target: float(shares[i]) for i, row in enumerate(rows) if i != best}
-    others["new"] = max(0.0, 1.0 - float(shares.sum()))
-    rival = max(others, key=lambda name: others[name])
+    rival, rival_probability = "new", max(0.0, 1.0 - float(shares.sum()))
+    others = np.delete(shares, best)
+    if len(others) and others.max() >= rival_probability:
+        second = int(others.argmax())
+        rival_probability = float(others[second])
+        rival = compared[rows[second + (second >= best)]].known.target
     return Recognition(
         target=one.known.target,
         probability=float(shares[best]),
@@ -196,7 +213,7 @@ def _recognition(
         appearance=float(one.appearance[m]),
         agents=one.agents,
         rival=rival,
-        rival_probability=others[rival],
+        rival_probability=rival_probability,
     )
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.recognise import Compared, draw_elsewhere, weigh_appearance, weigh_place
+from bayesnet_track.engine.lifecycle.recognise import Compared, draw_elsewhere, weigh_appearance, weigh_places
+from bayesnet_track.engine.state import plan_for
 from bayesnet_track.graph.settings.lifecycle import Reidentify
-from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses
@@ -21,35 +23,52 @@ LEAST_LOG = -700.0
 
 
 def compare(
-    work: FrameContext, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: AppearanceMemory
-) -> Compared:
-    """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
+    work: FrameContext,
+    plate: str,
+    rule: Reidentify,
+    boxes: Floats,
+    others: Floats,
+    known: Sequence[AppearanceMemory],
+) -> list[Compared]:
+    """Remembered targets against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
+    if not known or not len(boxes):
+        return []
     compiled, frame = work.engine.plates[plate], work.frame
     motion = confined(compiled.moments, frame.width, frame.height)
     area = float(frame.width * frame.height)
-    fading, place, distance = weigh_place(known, motion, boxes, frame.time, area, rule)
-    agents = tuple(
-        agent for agent in compiled.plate.agents if agent in compiled.looks & set(known.references)
-    )
+    fading, place, distance = weigh_places(known, motion, boxes, frame.time, area, rule)
+    compared = []
+    nothing = np.zeros(len(boxes)), ()
+    for one, faded, places, distances in zip(known, fading.tolist(), place, distance, strict=True):
+        looks = _compare_looks(work, compiled, boxes, others, one) if compiled.looks else nothing
+        compared.append(Compared(one, frame.time - one.time, distances, faded, places, *looks))
+    return compared
+
+
+def _compare_looks(
+    work: FrameContext, compiled: CompiledPlate, boxes: Floats, others: Floats, known: AppearanceMemory
+) -> tuple[Floats, tuple[str, ...]]:
+    """(M,) log r_k of detections by all agents that know the looks of one target, and these."""
+    frame = work.frame
+    agents = tuple(agent for agent in compiled.plate.agents if agent in compiled.looks & {*known.references})
     if not frame.has_color:
         agents = tuple(agent for agent in agents if agent not in compiled.color_agents)
-    appearance = np.zeros(len(boxes))
-    if agents:
-        stream = work.stream_of(known.birth, compiled.plate.root)
-        random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
-        observer = Observer(
-            work.cache,
-            compiled.cues,
-            known.references,
-            lambda what: stream(f"recall {what}"),
-            availability=work.availability_of(known.target, "recalling"),
-        )
-        states = np.concatenate([boxes, random, others])
-        prior = np.full(len(states), -np.log(len(states)))
-        plan = replace(compile_plan(compiled.plate, agents, compiled.cues), factors=())
-        evidence = evaluate(plan, observer, Hypotheses(states), prior)
-        values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
-        agents = tuple(agent for agent in agents if agent in observer.answered)
-        own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
-        appearance = weigh_appearance(boxes, own, [(random, there), (others, theirs)])
-    return Compared(known, frame.time - known.time, distance, fading, place, appearance, agents)
+    if not agents:
+        return np.zeros(len(boxes)), ()
+    stream = work.stream_of(known.birth, compiled.plate.root)
+    random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
+    observer = Observer(
+        work.cache,
+        compiled.cues,
+        known.references,
+        lambda what: stream(f"recall {what}"),
+        availability=work.availability_of(known.target, "recalling"),
+    )
+    states = np.concatenate([boxes, random, others])
+    prior = np.full(len(states), -np.log(len(states)))
+    plan = replace(plan_for(compiled, frozenset(agents)), factors=())
+    evidence = evaluate(plan, observer, Hypotheses(states), prior)
+    values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
+    own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
+    appearance = weigh_appearance(boxes, own, [(random, there), (others, theirs)])
+    return appearance, tuple(agent for agent in agents if agent in observer.answered)

@@ -25,6 +25,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
+from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
 
 Ending = tuple[str, tuple[str, int, int]]
@@ -124,7 +125,21 @@ class LiveTable:
         rows = self._table_of(target)
         return rows.record(rows.index[target])
 
-    def unseen(self, plate: str) -> list[tuple[str, int]]:
+    def mean(self, target: str) -> Floats:
+        """(D,) the mean of a target's belief."""
+        if target in self.states:
+            return self.states[target].belief.mean
+        rows = self._table_of(target)
+        return np.asarray(rows.columns.mean[rows.index[target]])
+
+    def references(self, target: str) -> Mapping[str, Reference]:
+        """What the agents remember of a target."""
+        if target in self.states:
+            return self.states[target].references
+        rows = self._table_of(target)
+        return rows.remembered(rows.index[target])
+
+    def unseen(self, plate: str) -> dict[str, int]:
         """Live targets of a plate without a detection of their own, and for how many frames."""
         unseen = []
         if plate in self.tables:
@@ -134,7 +149,7 @@ class LiveTable:
             unseen = [(rows.ids[row], int(frames[row])) for row in at if rows.ids[row] not in self.gone]
         others = (target for target in self.states if self.net.targets[target].template == plate)
         counted = ((target, self.records[target].unseen_frames) for target in others)
-        return [*unseen, *((target, frames) for target, frames in counted if frames > 0)]
+        return dict([*unseen, *((target, frames) for target, frames in counted if frames > 0)])
 
     def _table_of(self, target: str) -> Rows:
         return next(rows for rows in self.tables.values() if target in rows.index)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from bayesnet_track.adapt.lifecycle import FOLLOW_BOX, Candidate
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_moves
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.lifecycle.initiating import fast_covariance, is_moving, velocity
 from bayesnet_track.engine.lifecycle.sensing import Found, Mixed, Sensor
@@ -115,7 +114,7 @@ def predict_unconfirmed(
     """The unconfirmed tracks as they are expected after `dt` frame intervals; `size` is that of the image."""
     if not len(unconfirmed):
         return unconfirmed
-    if isinstance(motion, KinematicMotion) and (linear := _moves(motion, dt)) is not None:
+    if isinstance(motion, KinematicMotion) and (linear := linear_moves(motion, dt)) is not None:
         from bayesnet_track.numerics.kernels.row_kernels import predict_rows
 
         image = confined(motion, *size).extent
@@ -128,15 +127,6 @@ def predict_unconfirmed(
         ]
         mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
     return evolve(unconfirmed, mean=mean, covariance=covariance)
-
-
-@lru_cache(maxsize=64)
-def _moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
-    """F and Q of a motion that is linear with noise in px; else None."""
-    try:
-        return linear_gaussian(motion, dt)
-    except ValueError:
-        return None
 
 
 def with_fast(

@@ -153,23 +153,27 @@ class Rows:
     def state(self, row: int) -> TargetState:
         """What is known of one target."""
         now, rule = self.columns, self.rule
-        reference: dict[str, Floats] = {}
-        if now.given[row] != NEVER_ASKED:
-            reference[OWN_DETECTION] = now.own[row : row + 1] if now.given[row] == GIVEN else np.empty((0, 5))
-        if now.observed.shape[1]:
-            reference[OBSERVED] = now.observed[row]
         belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
         existence = None if rule.crowd is None else float(now.existence[row])
-        references = {rule.agent: reference, **{agent: of[row] for agent, of in self.references.items()}}
         return TargetState(
             belief,
-            references,
+            self.remembered(row),
             now.memory.take([row]),
             rule.plan,
             self.time,
             existence=existence,
             started=int(now.started[row]),
         )
+
+    def remembered(self, row: int) -> Mapping[str, Reference]:
+        """What the agents remember of one target."""
+        now = self.columns
+        own: dict[str, Floats] = {}
+        if now.given[row] != NEVER_ASKED:
+            own[OWN_DETECTION] = now.own[row : row + 1] if now.given[row] == GIVEN else np.empty((0, 5))
+        if now.observed.shape[1]:
+            own[OBSERVED] = now.observed[row]
+        return {self.rule.agent: own, **{agent: of[row] for agent, of in self.references.items()}}
 
     def record(self, row: int) -> TrackRecord:
         """What is counted of one target."""
