@@ -1,6 +1,5 @@
 """Options that several commands share: what they take, and what they refuse in which words."""
 
-import argparse
 import shlex
 
 import pytest
@@ -8,8 +7,6 @@ import pytest
 from bayesnet_track import load_graph
 from bayesnet_track.cli.arguments import (
     UsageError,
-    add_plugins,
-    add_view_options,
     parse_start,
     read_start,
     run_folder,
@@ -17,43 +14,46 @@ from bayesnet_track.cli.arguments import (
 )
 from bayesnet_track.cli.batch.results import csv_text, result
 from bayesnet_track.cli.batch.work import ROW
-from bayesnet_track.cli.commands.calibrate import parse_board
-from bayesnet_track.cli.commands.detect import read_parameters
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.options import add_depth_options, add_window_options, open_given
+from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.observation.detector import installed_detectors
+
+RUN = "run general --source none --init 1,2,3,4 --out none"
 
 
-def parsed(add, line):
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    for one in add if isinstance(add, tuple) else (add,):
-        one(parser)
-    return parser.parse_args(line.split())
+def parsed(line):
+    return make_parser().parse_args(line.split())
+
+
+def refused(line, capsys):
+    """The message of a command that is refused."""
+    try:
+        code = main(shlex.split(line))
+    except SystemExit as exit_request:
+        code = exit_request.code
+    assert code == 2
+    return capsys.readouterr().err
 
 
 def test_plugins_are_named_one_by_one_or_by_commas():
-    options = parsed(add_plugins, "--allow-plugins a,b --allow-plugins c --cue-file x.py --cue-file y.py")
+    options = parsed(f"{RUN} --allow-plugins a,b --allow-plugins c --cue-file x.py --cue-file y.py")
     assert options.allow_plugins == [["a", "b"], ["c"]] and options.cue_file == ["x.py", "y.py"]
-    assert parsed(add_plugins, "").allow_plugins == []
+    assert parsed(RUN).allow_plugins == []
 
 
 @pytest.mark.parametrize(("line", "port"), [("", None), ("--view", 0), ("--view 8080", 8080)])
 def test_a_view_has_a_free_port_or_that_which_is_given(line, port):
-    assert parsed(add_view_options, line).view == port
+    assert parsed(f"{RUN} {line}").view == port
 
 
 @pytest.mark.parametrize("port", ["80", "65536", "x", "٨٠٨٠"])
-def test_other_ports_are_refused(port):
-    with pytest.raises(argparse.ArgumentError, match="a port from 1024 to 65535 is needed"):
-        parsed(add_view_options, f"--view {port}")
+def test_other_ports_are_refused(port, capsys):
+    assert "a port from 1024 to 65535 is needed" in refused(f"{RUN} --view {port}", capsys)
 
 
-def test_a_calibration_belongs_to_a_pair():
-    options = parsed((add_depth_options, add_window_options), "--calibration pair.yaml")
-    options.source = "video.mp4"
-    with pytest.raises(UsageError, match="of a pair: give --right, --stereo or --depth, too"):
-        open_given(options)
+def test_a_calibration_belongs_to_a_pair(capsys):
+    message = refused(f"{RUN} --calibration pair.yaml", capsys)
+    assert "of a pair: give --right, --stereo or --depth, too" in message
 
 
 def test_a_value_is_set_in_a_graph_by_its_path():
@@ -92,25 +92,24 @@ def test_a_run_is_a_folder_not_a_video():
         run_folder("runs/mine.mp4")
 
 
-def test_a_board_has_two_numbers_of_inner_corners():
-    assert parse_board("9x6") == (9, 6)
+def test_a_board_has_two_numbers_of_inner_corners(capsys):
     for text in ("9", "9x", "x6", "2x6", "9x101", "9×6"):
-        with pytest.raises(UsageError, match="--board"):
-            parse_board(text)
+        line = f"calibrate left right --board {text} --square 0.025 --out none.yaml"
+        assert "--board" in refused(line, capsys)
 
 
-def test_parameters_are_checked_and_the_nearest_is_named():
-    motion = installed_detectors()["motion"]
-    assert read_parameters(motion, ["min_score=0.5"]).min_score == 0.5
-    for settings, what in (
-        (["min_scor=0.5"], "did you mean min_score"),
-        (["min_score=0.5", "min_score=0.6"], "is given twice"),
-        (["min_score"], "key=value is needed"),
-        (["min_score=2"], "min_score: "),
-        (["min_score=[1"], "is no value"),
-    ):
-        with pytest.raises(UsageError, match=what):
-            read_parameters(motion, settings)
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ("--set min_scor=0.5", "did you mean min_score"),
+        ("--set min_score=0.5 --set min_score=0.6", "is given twice"),
+        ("--set min_score", "key=value is needed"),
+        ("--set min_score=2", "min_score: "),
+        ("--set min_score=[1", "is no value"),
+    ],
+)
+def test_parameters_are_checked_and_the_nearest_is_named(settings, what, capsys):
+    assert what in refused(f"detect motion --source none --out none.txt {settings}", capsys)
 
 
 def test_the_table_of_a_batch_leaves_empty_what_is_not_known():

@@ -1,11 +1,8 @@
 """Suggestions for wrong command lines, one by one; `test_cli` has whole lines."""
 
-import argparse
-
 import pytest
 
-from bayesnet_track.cli.options import add_video_option
-from bayesnet_track.cli.parser import nearest, suggest
+from bayesnet_track.cli.parser import make_parser, nearest, suggest
 
 
 def test_a_suggestion_of_argparse_is_replaced_by_ours():
@@ -26,13 +23,10 @@ def test_the_nearest_name_or_nothing():
         (["--video", "general"], "'general': mkv or mp4 is needed, or nothing: write --video last"),
     ],
 )
-def test_the_video_takes_a_format_and_no_name(given, said):
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    add_video_option(parser)
-    assert [parser.parse_args(one).video for one in ([], ["--video"], ["--video", "mp4"])] == [
-        False,
-        "mkv",
-        "mp4",
-    ]
-    with pytest.raises(argparse.ArgumentError, match=said):
-        parser.parse_args(given)
+def test_the_video_takes_a_format_and_no_name(given, said, capsys):
+    run = ["run", "general", "--source", "none", "--init", "1,2,3,4", "--out", "none"]
+    lines = ([], ["--video"], ["--video", "mp4"])
+    assert [make_parser().parse_args([*run, *line]).video for line in lines] == [False, "mkv", "mp4"]
+    with pytest.raises(SystemExit):
+        make_parser().parse_args([*run, *given])
+    assert said in capsys.readouterr().err

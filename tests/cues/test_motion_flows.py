@@ -8,9 +8,7 @@ import pytest
 
 from bayesnet_track.cues.motion import CUE
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
-from bayesnet_track.vision.motion_planes import FlowPlane
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, PlaneCache, Region
 
 WIDTH, HEIGHT = 256, 192
 WHOLE = Region(0, 0, WIDTH, HEIGHT)
@@ -44,7 +42,7 @@ def frame(index: int, gray: np.ndarray) -> Frame:
     return Frame(index, float(index), cv2.merge([gray] * 3))
 
 
-def plane(flow: str) -> FlowPlane | DenseFlowPlane:
+def plane(flow: str) -> Plane:
     return CUE.make(CUE.parameters(flow=flow)).flow
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import GraphSpec, load_graph
-from bayesnet_track.cli.arguments import OK
-from bayesnet_track.cli.commands.graphs import validate
+from bayesnet_track.cli.main import main
 from bayesnet_track.cues.opencv_tracker import missing_tracker, present_trackers
 from bayesnet_track.engine.step import State, make_engine, start_target, step
 from bayesnet_track.graph.text.messages import GraphError
@@ -195,13 +194,11 @@ def test_a_tracker_that_is_not_there_is_an_error_with_those_that_are(monkeypatch
 
 
 def test_validate_says_that_it_is_opaque(tmp_path, capsys):
-    import argparse
-
     from bayesnet_track.graph.text.write import write_graph
 
     path = tmp_path / "baseline.yaml"
     path.write_text(write_graph(GraphSpec.model_validate(graph())), encoding="utf-8")
-    assert validate(argparse.Namespace(graphs=[str(path)])) == OK
+    assert main(["validate", str(path)]) == 0
     assert "opaque: mil (opencv_tracker) cannot be stored" in capsys.readouterr().out
 
 

@@ -8,10 +8,18 @@ from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
 from bayesnet_track.graph.spec import Gaussian, Motion
-from bayesnet_track.numerics.arrays import ESS, FIT, LOG_EVIDENCE, UD
 from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_update, root, root_of
 from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
-from bayesnet_track.numerics.kernels.row_kernels import append_medians, predict_rows, take_median, update_rows
+from bayesnet_track.numerics.kernels.row_kernels import (
+    ESS,
+    FIT,
+    LOG_EVIDENCE,
+    UD,
+    append_medians,
+    predict_rows,
+    take_median,
+    update_rows,
+)
 from bayesnet_track.observation.cue import AssociationRule
 
 IMAGE = np.array([640.0, 480.0])

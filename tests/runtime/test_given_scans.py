@@ -11,7 +11,6 @@ import pytest
 from bayesnet_track import DetectionsTracker, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.runtime.given_scans import sensors_of
 
 GRAPH = """\
 bayesnet: 1
@@ -214,10 +213,3 @@ def test_frames_of_a_video_are_met_by_their_numbers(files):
     assert [one.centre_box for one in with_images] == [one.centre_box for one in alone]
     with pytest.raises(ValueError, match="rows by time_s are their own source"):
         list(track(graph, str(images), detections=rows))
-
-
-def test_what_a_sensor_measures_is_read_from_its_graph():
-    radar = sensors_of(load_graph_text())["radar"]
-    assert radar.quantities == ("range", "bearing")
-    assert radar.periods.tolist() == [math.inf, 2 * math.pi]
-    assert radar.lengths == {"range"}

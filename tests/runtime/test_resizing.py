@@ -6,7 +6,6 @@ again, bit for bit, so that every number of a run over it is known from the run 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
 import json
@@ -19,7 +18,6 @@ import pytest
 
 from bayesnet_track import Start, Tracker, load_graph, open_run, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.options import add_size_option
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.journal.events.beliefs import Reappeared
@@ -320,12 +318,11 @@ def test_frames_with_depth_are_refused(tmp_path: Path) -> None:
 
 
 def test_python_and_the_command_line_take_the_same_sizes(capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser()
-    add_size_option(parser)
-    assert parser.parse_args(["--max-side", "16"]).max_side == 16
+    command = ["run", "two_squares", "--source", "none", "--init", "1,2,3,4", "--out", "none", "--max-side"]
+    assert main([*command, "16"]) == 4  # there is no such source
     Tracker("two_squares", max_side=16)
     with pytest.raises(SystemExit):
-        parser.parse_args(["--max-side", "15"])
+        main([*command, "15"])
     assert "'15': a whole number from 16 on is needed" in capsys.readouterr().err
     with pytest.raises(ValueError, match="max_side=15: a whole number from 16 on is needed"):
         Tracker("two_squares", max_side=15)

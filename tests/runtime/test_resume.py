@@ -16,7 +16,6 @@ import pytest
 from bayesnet_track import Result, Start, track
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime import arguments
-from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.checkpoints.standing import Standing, standing
@@ -225,8 +224,8 @@ def damaged(run: Path) -> None:
         (cut, ResumeError, "frames.npy.gz: cut off"),
         (edited, ResumeError, "journal.jsonl: changed"),
         (gone, ResumeError, "tracks.txt"),
-        (other_seed, CheckpointError, "another recipe"),
-        (damaged, CheckpointError, "damaged"),
+        (other_seed, ValueError, "another recipe"),
+        (damaged, ValueError, "damaged"),
     ],
 )
 def test_what_is_not_as_it_was_is_refused_and_nothing_changes(
@@ -301,7 +300,7 @@ def test_another_video_is_refused(tmp_path: Path) -> None:
     held = (folder / "1.bmp").read_bytes()
     # The same size, other pixels: the fingerprint of a folder does not read all of it.
     cv2.imwrite(str(folder / "1.bmp"), np.zeros_like(source.scene.frames[0]))
-    with pytest.raises(CheckpointError, match="frame 1 of the source has other pixels"):
+    with pytest.raises(ValueError, match="frame 1 of the source has other pixels"):
         list(resume(tmp_path / "run"))
     (folder / "1.bmp").write_bytes(held)
     (folder / "6.bmp").write_bytes(held)

@@ -6,9 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
+
+Boxes = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class DetectionScore:
         return DetectionScore(self.found + other.found, self.missed + other.missed, self.false + other.false)
 
 
-def score_detections(boxes: Floats, truth: Floats, min_iou: float = 0.5) -> DetectionScore:
+def score_detections(boxes: Boxes, truth: Boxes, min_iou: float = 0.5) -> DetectionScore:
     """Centre boxes (N, 4), the best first, against the true ones (M, 4) of the same frame.
 
     Each detection in turn takes the true box, of those not taken, that it overlaps most, when their

@@ -6,16 +6,13 @@ import random
 import pytest
 
 from bayesnet_track.runtime.annotation.asking import BoxMark
-from bayesnet_track.runtime.annotation.formats.cvat import read_cvat
 from bayesnet_track.runtime.annotation.formats.formats import (
     WRITERS,
     read_annotations,
     read_mot,
     write_formats,
 )
-from bayesnet_track.runtime.annotation.formats.json_formats import read_coco, read_label_studio
 from bayesnet_track.runtime.annotation.formats.reading import Document, MismatchError, label_of
-from bayesnet_track.runtime.annotation.formats.yolo import read_yolo
 from bayesnet_track.runtime.annotation.frame_store import Video
 
 VIDEO = Video("street.mp4", 6, 320, 240, 0.04)
@@ -97,7 +94,7 @@ def test_a_coco_file_that_does_not_fit_is_refused_with_the_first_mismatch(change
     change(content)
     (tmp_path / "a.json").write_text(json.dumps(content))
     with pytest.raises(MismatchError, match=said):
-        read_coco(tmp_path / "a.json", VIDEO)
+        read_annotations(tmp_path / "a.json", VIDEO)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +118,7 @@ def test_a_cvat_file_that_does_not_fit_is_refused(was, becomes, said, tmp_path):
     assert was in text
     (tmp_path / "a.xml").write_text(text.replace(was, becomes, 1))
     with pytest.raises(MismatchError, match=said):
-        read_cvat(tmp_path / "a.xml", VIDEO)
+        read_annotations(tmp_path / "a.xml", VIDEO)
 
 
 def test_key_frames_of_cvat_alone_are_given(tmp_path):
@@ -131,7 +128,7 @@ def test_key_frames_of_cvat_alone_are_given(tmp_path):
         for n in range(6)
     )
     (tmp_path / "a.xml").write_text(f'<annotations><track id="0" label="car">{boxes}</track></annotations>')
-    found = read_cvat(tmp_path / "a.xml", VIDEO)
+    found = read_annotations(tmp_path / "a.xml", VIDEO)
     assert [(one.target, one.frame, one.kind) for one in found] == [
         ("car 1", 0, "box"),
         ("car 1", 3, "box"),
@@ -154,7 +151,7 @@ def test_a_label_studio_file_that_does_not_fit_is_refused(change, said, tmp_path
     change(task["annotations"][0]["result"][0]["value"])
     (tmp_path / "a.json").write_text(json.dumps([task]))
     with pytest.raises(MismatchError, match=said):
-        read_label_studio(tmp_path / "a.json", VIDEO)
+        read_annotations(tmp_path / "a.json", VIDEO)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +182,7 @@ def test_a_yolo_folder_that_does_not_fit_is_refused(lines, said, tmp_path):
     for number, text in enumerate(lines):
         (tmp_path / f"{number:06d}.txt").write_text(text)
     with pytest.raises(MismatchError, match=said):
-        read_yolo(tmp_path, VIDEO)
+        read_annotations(tmp_path, VIDEO)
 
 
 def test_what_is_neither_is_refused(tmp_path):

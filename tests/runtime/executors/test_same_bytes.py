@@ -8,7 +8,6 @@ import signal
 import pytest
 
 from bayesnet_track import Start, load_graph, track
-from bayesnet_track.cli.commands.runs import SCENE_GRAPHS
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.runtime.executors import make_executor
@@ -21,6 +20,13 @@ FILES = (
     "tracks.txt",
 )
 EXECUTORS = [("processes", 1), ("processes", 2)]
+GRAPHS = {
+    "two_squares": "two_squares",
+    "person_color_stereo": "person_color_stereo",
+    "crowd": "crowd",
+    "flying_ball": "kalman_ball",
+    "person_parts": "person_parts",
+}
 SCENES = {"two_squares": 45, "person_color_stereo": 25, "crowd": 20, "flying_ball": 30, "person_parts": 10}
 
 
@@ -30,7 +36,7 @@ def written(tmp_path):
 
     def run(name, kind, workers, frames, each_frame=lambda result, executor: None, path=None):
         scene = make_scene(name, seed=3)
-        graph = load_graph(path or SCENE_GRAPHS.get(name, "two_squares"))
+        graph = load_graph(path or GRAPHS[name])
         starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
         starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
         out = tmp_path / f"{kind} {workers}"
