@@ -32,6 +32,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import HALF_OVERLAP, share_inside
 from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.vision.model_files import ModelFile
 from bayesnet_track.vision.planes import WholeFrame
 from bayesnet_track.vision.siamese_networks import check_apart, read_onnx, reason_of
 
@@ -186,7 +187,7 @@ STEP = 0.7
 class EmbeddingParameters(SizedCueParameters):
     """Parameters of the embedding."""
 
-    model: str = Field(
+    model: ModelFile = Field(
         default="",
         description="ONNX file (path) of a network that gives a vector for a crop; empty: the crop's pixels.",
     )

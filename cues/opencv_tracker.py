@@ -29,6 +29,7 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
+from bayesnet_track.vision.model_files import ModelFile
 from bayesnet_track.vision.planes import WholeFrame
 from bayesnet_track.vision.points import GRAY, correlations, cut, mix_channels
 from bayesnet_track.vision.siamese_networks import check_apart, reason_of
@@ -239,7 +240,7 @@ class OpencvTrackerParameters(CueParameters):
     tracker: TrackerName = Field(
         default="MIL", description="OpenCV's name of the tracker; the wheel decides which are available."
     )
-    models: dict[str, str] = Field(
+    models: dict[str, ModelFile] = Field(
         default={},
         description="Paths of the network's files by OpenCV's names: Nano backbone, neckhead; Vit net; "
         "DaSiamRPN model, kernel_cls1, kernel_r1.",

@@ -26,6 +26,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.vision.model_files import NANOTRACK, VARIABLE, ModelFile, find_nanotrack
 from bayesnet_track.vision.planes import WholeFrame
 from bayesnet_track.vision.siamese_networks import SEARCH, Runtime
 
@@ -36,11 +37,11 @@ if TYPE_CHECKING:
 class NetworkParameters(CueParameters):
     """Files of the network."""
 
-    backbone: str = Field(
+    backbone: ModelFile = Field(
         default="",
         description="ONNX file (path) of the half that describes a crop; empty, as `head`: plain pixels.",
     )
-    head: str = Field(
+    head: ModelFile = Field(
         default="",
         description="ONNX file (path) of the half that compares template and search crop.",
     )
@@ -50,7 +51,8 @@ class NetworkParameters(CueParameters):
     )
     without_files: Literal["plain", "refuse"] = Field(
         default="plain",
-        description="Without model files: use plain pixels, to try out a graph, or refuse to start.",
+        description="Without model files: use plain pixels, to try out a graph, or refuse to start unless "
+        "those of NanoTrack v2 are in a folder of models.",
     )
 
 
@@ -83,8 +85,10 @@ class SiameseParameters(NetworkParameters):
 
 
 NEEDED = (
-    "the network needs the two ONNX files of a Siamese tracker, which are not part of the package: copy the "
-    "graph and write `backbone: PATH, head: PATH` into the settings of the agent, with your paths"
+    "the network needs the two ONNX files of a Siamese tracker, which are not part of the package: put "
+    f"{NANOTRACK[0]} and {NANOTRACK[1]} into the folder `models` here (or into one that the "
+    f"variable {VARIABLE} names), or copy the graph and write `backbone: PATH, head: PATH` into the settings "
+    "of the agent"
 )
 
 
@@ -147,13 +151,15 @@ def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)
     if p.backbone or p.head:
         return Memory(load_networks(p.backbone, p.head, sides, p.runtime))
     if p.without_files == "refuse":
+        if usual := find_nanotrack():
+            return Memory(load_networks(*usual, sides, p.runtime))
         raise SiameseError(NEEDED)
     return Memory(plain())
 
 
 def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)) -> str | None:
     """Fault of the files, in words; None if they can be used, or none are named."""
-    if not parameters.backbone and not parameters.head:
+    if not files_of(parameters):
         return None
     from bayesnet_track.vision.siamese_networks import SiameseError
 
@@ -165,8 +171,9 @@ def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,
 
 
 def files_of(parameters: NetworkParameters) -> tuple[str, ...]:
-    """The paths that are named."""
-    return tuple(path for path in (parameters.backbone, parameters.head) if path)
+    """The paths that are named, or those of NanoTrack that a graph without names insists on."""
+    named = tuple(path for path in (parameters.backbone, parameters.head) if path)
+    return named or (find_nanotrack() or () if parameters.without_files == "refuse" else ())
 
 
 def learn_template(image: Bytes, box: Floats) -> Reference:

@@ -69,6 +69,18 @@ for group in sys.argv[1:]:
         if point.dist is not None and point.dist.name.lower().replace("_", "-") == "bayesnet-track":
             assert point.load().name, point.name
 """
+_MODELS = """
+import json
+from pathlib import Path
+from bayesnet_track.vision.model_files import NANOTRACK, VARIABLE, find_model, model_folders
+folders = model_folders()
+files = {str(f.resolve()): sorted(path.name for path in f.glob("*.onnx")) for f in folders if f.is_dir()}
+missing = [name for name in NANOTRACK if not Path(find_model(name)).is_file()]
+print(json.dumps({
+    "folders": [str(folder.resolve()) for folder in folders], "files": {f: n for f, n in files.items() if n},
+    "usual": NANOTRACK, "missing": missing, "variable": VARIABLE,
+}))
+"""
 GROUPS = ("bayesnet_track.cues", "bayesnet_track.detectors")
 
 
@@ -270,6 +282,23 @@ def check_extras() -> Iterator[Finding]:
             yield Finding("extra", "ok", f"{name} {found.version}: {purpose}")
 
 
+def check_models() -> Iterator[Finding]:
+    """Files of networks in the folders of models, and whether the graph `deep` finds its own."""
+    import json
+
+    out, error = try_code(_MODELS)
+    if error:
+        yield Finding("models", "broken", error, "mend what is above first")
+        return
+    found = json.loads(out)
+    usual, folders = " and ".join(found["usual"]), " or ".join(found["folders"])
+    if found["missing"]:
+        cure = f"if wanted: put {usual} there, or name their folder in the variable {found['variable']}"
+        yield Finding("models", "note", f"the graph deep finds no {found['missing'][0]} in {folders}", cure)
+    for folder, names in found["files"].items():
+        yield Finding("models", "ok", f"{folder}: {', '.join(names)}")
+
+
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     check_system,
     check_package,
@@ -277,6 +306,7 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     check_libraries,
     check_plugins,
     check_extras,
+    check_models,
     check_tracking,
 )
 

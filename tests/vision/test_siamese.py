@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tracemalloc
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track import Tracker
+from bayesnet_track.cli import doctor
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.vision.kernels.correlation_kernels import choose, explained
+from bayesnet_track.vision.model_files import NANOTRACK, VARIABLE, find_model
 from bayesnet_track.vision.siamese_crops import (
     Crop,
     Memory,
@@ -362,3 +369,77 @@ def test_files_that_do_not_fit_are_named_by_onnx_runtime(tmp_path, files, case):
     pytest.importorskip("onnxruntime")
     with pytest.raises(SiameseError, match=WRONG[case].replace("OpenCV", "ONNX Runtime")):
         load_networks(**spoiled(case, tmp_path, files), runtime="onnxruntime")
+
+
+@pytest.fixture
+def halves(tmp_path, monkeypatch):
+    """Two tiny halves in `models` of the folder where the program is started."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    (tmp_path / "models").mkdir()
+    for name, content in zip(NANOTRACK, (backbone(), head()), strict=True):
+        (tmp_path / "models" / name).write_bytes(content)
+    return tmp_path / "models"
+
+
+def start_deep() -> Tracker:
+    tracker = Tracker("deep", seed=0)
+    tracker.init(bright(160, 120), (140, 100, 40, 40))
+    return tracker
+
+
+def test_deep_starts_with_the_files_in_models_and_says_which_they_are(halves):
+    assert start_deep().update(bright(160, 120))[0]
+    declaration = installed_cues()["siamese_box"]
+    parameters = declaration.parameters(without_files="refuse")
+    assert declaration.files(parameters) == tuple(str(Path("models") / name) for name in NANOTRACK)
+    assert declaration.files(declaration.parameters()) == ()  # plain pixels stay plain pixels
+
+
+def test_deep_refuses_to_start_with_one_of_the_two_only(halves):
+    (halves / NANOTRACK[1]).unlink()
+    with pytest.raises(
+        SiameseError, match=rf"put {NANOTRACK[0]} and {NANOTRACK[1]} into the folder `models`"
+    ):
+        start_deep()
+
+
+def test_a_damaged_file_in_models_is_named(halves):
+    (halves / NANOTRACK[0]).write_bytes(b"no network")
+    with pytest.raises(GraphError, match=rf"deep.yaml:\d+:\d+: network: backbone: models.{NANOTRACK[0]}: "):
+        start_deep()
+
+
+def test_the_variable_lists_folders_and_the_first_that_has_the_file_counts(halves, tmp_path, monkeypatch):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / NANOTRACK[0]).write_bytes(b"")
+    monkeypatch.setenv(VARIABLE, os.pathsep.join(["", str(tmp_path / "none"), str(other), str(halves)]))
+    assert find_model(NANOTRACK[0]) == str(other / NANOTRACK[0])
+    assert find_model(NANOTRACK[1]) == str(halves / NANOTRACK[1])
+    monkeypatch.setenv(VARIABLE, str(other))  # the folder `models` is not looked in then
+    assert find_model(NANOTRACK[1]) == NANOTRACK[1]
+
+
+def test_a_file_that_the_graph_names_comes_first(halves, tmp_path):
+    (tmp_path / NANOTRACK[0]).write_bytes(b"")
+    assert find_model(NANOTRACK[0]) == NANOTRACK[0]
+    missing = str(tmp_path / "none" / NANOTRACK[1])
+    assert find_model(missing) == missing  # an absolute path is that file or none
+
+
+def test_every_cue_that_takes_a_network_looks_there(halves):
+    cues = installed_cues()
+    assert cues["embedding"].parameters(model=NANOTRACK[0]).model == str(Path("models") / NANOTRACK[0])
+    named = cues["opencv_tracker"].parameters(tracker="Vit", models={"net": NANOTRACK[1]})
+    assert named.models == {"net": str(Path("models") / NANOTRACK[1])}
+
+
+@pytest.mark.slow
+def test_doctor_says_what_is_there_and_what_is_missing(halves):
+    (found,) = doctor.check_models()
+    assert found.level == "ok" and found.text == f"{halves}: {', '.join(sorted(NANOTRACK))}"
+    (halves / NANOTRACK[1]).unlink()
+    missing, found = doctor.check_models()
+    assert (missing.level, found.level) == ("note", "ok")
+    assert f"deep finds no {NANOTRACK[1]} in {halves}" in missing.text and VARIABLE in missing.cure

@@ -22,6 +22,7 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import select
+from bayesnet_track.vision.model_files import ModelFile
 from bayesnet_track.vision.siamese_networks import check_apart, read_onnx, reason_of
 
 
@@ -165,7 +166,7 @@ def _table(output: Floats, least: int, most: int | None, wanted: str) -> Floats:
 class OnnxParameters(DetectorParameters):
     """Parameters of a detection network."""
 
-    model: str = Field(description="ONNX file (path).")
+    model: ModelFile = Field(description="ONNX file (path).")
     input_width: int = Field(default=640, ge=8, le=8192, description="Width of the network's input (px).")
     input_height: int = Field(default=640, ge=8, le=8192, description="Height of the network's input (px).")
     fit: Literal["letterbox", "stretch"] = Field(
