@@ -26,6 +26,7 @@ from bayesnet_track.engine.scoring.rivals import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
@@ -48,7 +49,9 @@ from bayesnet_track.observation.detector import (
     detectors_of_graphs,
     installed_detectors,
 )
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.settings import setting
+from bayesnet_track.observation.timed_columns import TimedInput
 from bayesnet_track.vision.detectors.selection import Selected
 
 
@@ -143,6 +146,7 @@ class Engine:
         constants: numbers that their factors use by name.
         stages: what a frame goes through, in order.
         queries: what the beliefs are asked after every frame.
+        inputs: what is known of every frame beside its image: input -> its column.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -153,6 +157,18 @@ class Engine:
     constants: Mapping[str, float] = field(default_factory=dict)
     stages: tuple[Stage, ...] = ()
     queries: tuple[CompiledQuery, ...] = ()
+    inputs: Mapping[str, TimedInput] = field(default_factory=dict)
+
+    def with_inputs(self, frame: Frame) -> Frame:
+        """The frame with what is known of it beside its image.
+
+        Raises:
+            ColumnsError: an input goes by time, and the frame has none.
+        """
+        if not self.inputs:
+            return frame
+        values = {name: one.value(frame.index, frame.time_s) for name, one in self.inputs.items()}
+        return replace(frame, inputs=values)
 
 
 def compile_graph(
@@ -186,6 +202,7 @@ def compile_graph(
         detectors=made,
         joins=graph.spec.joins,
         constants=graph.spec.constants,
+        inputs=read_inputs(graph.spec),
         queries=tuple(
             compile_query(name, query, graph.spec.constants) for name, query in graph.spec.queries.items()
         ),

@@ -114,7 +114,7 @@ def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ri
     given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
     moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
     belief = within(compiled.belief, live.most_particles)
-    motion = confined(moves.motion, frame.width, frame.height)
+    motion = confined(moves.motion, frame.width, frame.height, work.inputs)
     failed = dict(work.faults.get((target, "observing"), {}))
     while True:
         observer = Observer(
@@ -164,7 +164,7 @@ def _step_again(
 ) -> Step[Posterior]:
     """The step of the frame by another motion, with random numbers of its own."""
     prior, dt, see, stream = given
-    inside = confined(motion, work.frame.width, work.frame.height)
+    inside = confined(motion, work.frame.width, work.frame.height, work.inputs)
     return belief.step(prior, inside, dt, see, lambda purpose: stream(f"{purpose} again"))
 
 

@@ -16,6 +16,7 @@ from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.metrics import FrameMetrics, HasBox
 from bayesnet_track.numerics.streams import moment_of
+from bayesnet_track.observation.timed_columns import values_at
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,16 @@ def forecast(
         size: width and height of the image.
 
     The motion is the graph's, its noise as wide as in the last frame; that the camera goes on moving or that
-    the target jumps is not expected.
+    the target jumps is not expected. Inputs by frame are those of the frames to come; others
+    stay as they are.
     """
     compiled = engine.plates[state.plan.target]
-    motion = confined(_motion_of(compiled, state), *size)
+    free = _motion_of(compiled, state)
     belief, found = state.belief, []
     for ahead in range(1, frames + 1):
+        coming = last.frame + ahead
+        known = values_at(engine.inputs, (coming, coming - 1), (last.time_s, last.time_s))
+        motion = confined(free, *size, {"t": state.time + ahead, **known})
         stream = engine.streams.of(birth, compiled.plate.root, moment_of(state.time + ahead), "forecast")
         belief = compiled.belief.predict(belief, motion, 1.0, stream)
         expected = _described(compiled, belief, last, ahead)

@@ -46,6 +46,11 @@ class FrameContext:
         """The frame."""
         return self.cache.frames.current
 
+    @property
+    def inputs(self) -> Mapping[str, float]:
+        """What names of expressions stand for that are the same of all targets in the frame."""
+        return self.cache.frames.names
+
     def plate_of(self, target: str) -> CompiledPlate:
         """What the target's plate needs to run."""
         return self.engine.plates[self.net.targets[target].template]

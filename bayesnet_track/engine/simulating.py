@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.borders import confined, framed
 from bayesnet_track.belief.motion.composed import Influences, compose_motion, deviations_of
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.timed_columns import TimedInput, values_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +47,14 @@ class Simulation:
         draws: N, number of trajectories.
         seed: of all draws.
         size: width and height of the image; None for one without borders.
+        inputs: what is known of every frame; those that go by time are as of one frame a second.
     """
 
     frames: int = 50
     draws: int = 200
     seed: int = 0
     size: tuple[int, int] | None = None
+    inputs: Mapping[str, TimedInput] = field(default_factory=dict)
 
 
 def simulate(plate: CheckedTarget, constants: dict[str, float], box: Floats, chosen: Simulation) -> Simulated:
@@ -73,7 +77,9 @@ def simulate(plate: CheckedTarget, constants: dict[str, float], box: Floats, cho
 
     states = [motion.start(np.asarray(box, dtype=np.float64), chosen.draws, stream(0))]
     for frame in range(1, chosen.frames + 1):
-        states.append(motion.propagate(states[-1].copy(), 1.0, stream(frame)))
+        known = values_at(chosen.inputs, (frame, frame - 1), (float(frame), frame - 1.0))
+        into = framed(motion, chosen.size, {"t": float(frame), **known})
+        states.append(into.propagate(states[-1].copy(), 1.0, stream(frame)))
     modes = plate.inference(plate.root).modes
     return Simulated(np.array(states), motion.fields, () if modes is None else tuple(modes))
 

@@ -198,7 +198,7 @@ def _first_lesson(
 
 def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
-    motion = confined(compiled.motion, work.frame.width, work.frame.height)
+    motion = confined(compiled.motion, work.frame.width, work.frame.height, work.inputs)
     belief: Posterior = compiled.belief.start(box, motion, work.stream_of(birth, compiled.plate.root))
     return belief
 

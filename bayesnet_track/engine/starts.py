@@ -188,7 +188,7 @@ def start_targets(
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     _say_constants_die_out(engine)
     given = route_inputs(engine, State().net, frame.index, external_inputs)
-    cache = PlaneCache(FramePair(frame, None))
+    cache = PlaneCache(FramePair(engine.with_inputs(frame), None))
     work = FrameContext(engine, State().net, cache, {}, given.availability, given.by_hand)
     boxes = {
         str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))

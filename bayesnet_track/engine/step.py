@@ -162,7 +162,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
 def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input]) -> Batch:
     """The batch that the first stage is given."""
     inputs = route_inputs(engine, state.net, frame.index, external_inputs)
-    cache = PlaneCache(FramePair(frame, state.previous))
+    previous = None if state.previous is None else engine.with_inputs(state.previous)
+    cache = PlaneCache(FramePair(engine.with_inputs(frame), previous))
     births = state.history.births
     work = FrameContext(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
     nothing = JointBelief(Together([], {}, []), state.joins)

@@ -39,6 +39,7 @@ from bayesnet_track.graph.settings.beliefs import (
     Reset,
     Unscented,
 )
+from bayesnet_track.graph.settings.inputs import MOST_INPUTS, FrameInput, Inputs
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
 from bayesnet_track.graph.settings.lifecycle import (
     Birth,
@@ -169,6 +170,11 @@ class GraphSpec(Model):
     about: str = Field(default="", max_length=2000, description="what the graph is for")
     constants: dict[Name, Number] = Field(
         default={}, max_length=64, description="numbers that expressions use by name"
+    )
+    inputs: Inputs = Field(
+        default={},
+        max_length=MOST_INPUTS,
+        description="[columns of CSV files](expressions.md#inputs) that expressions use by name",
     )
     targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")
     joins: tuple[Join, ...] = Field(

@@ -119,15 +119,12 @@ def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
 
 def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -> dict[str, Value | Mask]:
     """What the names of an expression stand for."""
-    frame, before = frames.current, frames.previous
     return {
+        **frames.names,
         **{name: own.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
         "mode": 0.0,  # where a place is asked about, and no hypothesis: the first mode
         **{PARENT + name: above.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
         **own.fields,
-        "frame_width": float(frame.width),
-        "frame_height": float(frame.height),
-        "dt": 1.0 if before is None else frame.time - before.time,
         **step.constants,
         **({} if step.mask is None else {MASK: step.mask}),
     }

@@ -62,13 +62,7 @@ def at_prediction(
 
 
 def _fixed(functions: MeasuredAs, frames: FramePair) -> dict[str, float]:
-    frame, before = frames.current, frames.previous
-    return {
-        "frame_width": float(frame.width),
-        "frame_height": float(frame.height),
-        "dt": 1.0 if before is None else frame.time - before.time,
-        **functions.constants,
-    }
+    return {**frames.names, **functions.constants}
 
 
 def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Seen:

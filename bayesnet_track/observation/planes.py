@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from threading import Lock
 from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
@@ -177,6 +177,7 @@ class Frame:
         depth: the rectified right picture or the points that belong to the image; None for a source of one
             eye.
         stride: of the source's frames every so many-th is tracked.
+        inputs: what is known of the frame beside its image: the graph's `inputs`, by name.
     """
 
     index: int
@@ -186,6 +187,7 @@ class Frame:
     time_s: float = 0.0
     depth: Depth | None = None
     stride: int = 1
+    inputs: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only(self.image))
@@ -289,12 +291,30 @@ def _ceil(pixels: float) -> int:
     return math.ceil(min(max(pixels, -(2.0**30)), 2.0**30))
 
 
+BEFORE = "_before"
+"""Behind the name of an input: its value in the frame before."""
+
+
 @dataclass(frozen=True, eq=False)
 class FramePair:
     """The current frame and the one before it (None on the first)."""
 
     current: Frame
     previous: Frame | None
+
+    @property
+    def names(self) -> dict[str, float]:
+        """What names of expressions stand for that are the same of all states in the frame."""
+        frame, before = self.current, self.previous
+        earlier = {} if before is None else before.inputs
+        return {
+            "t": frame.time,
+            **frame.inputs,
+            **{f"{name}{BEFORE}": earlier.get(name, value) for name, value in frame.inputs.items()},
+            "frame_width": float(frame.width),
+            "frame_height": float(frame.height),
+            "dt": 1.0 if before is None else frame.time - before.time,
+        }
 
 
 class Plane(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -17,6 +18,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
+from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.journal.writer import LineFile, write_atomically, writing
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
@@ -91,7 +93,12 @@ def check_video(value: bool | Literal["mkv", "mp4"], side: SupportsIndex | None 
 
 def say_unused_by_cues(graph: CheckedGraph, source: FrameSource | None = None) -> None:
     """A notice for each thing that the agents' files hold and a run through `source` does not use."""
-    for text in dict.fromkeys(_unused_by_cues(graph, frames_of(source))):
+    frames = frames_of(source)
+    seconds = float(getattr(source, "frame_interval_s", math.nan))
+    for one in read_inputs(graph.spec).values():
+        for text in one.columns.gaps(frames, seconds):
+            notice(text)
+    for text in dict.fromkeys(_unused_by_cues(graph, frames)):
         notice(text)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from bayesnet_track.belief.asked import groups_of
 from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.borders import NOTHING, confined
 from bayesnet_track.belief.motion.composed import compose_motion, deviations_of
 from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
@@ -21,6 +21,7 @@ from bayesnet_track.engine.metrics import CLOUD_SIZE, state_numbers
 from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
@@ -29,6 +30,7 @@ from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.settings import setting
+from bayesnet_track.observation.timed_columns import values_at
 from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
@@ -308,14 +310,21 @@ def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
     assert root.motion is not None
     plain = make_plate_motion(root, run.spec.constants, deviations_of(plate.nodes))
     size = Resizing.of(run.started).tracked
-    return [
-        Move(motion_into(now, plain, root.motion, size), now.time - before.time)
-        for before, now in pairwise(lifetime)
-    ]
+    inputs, second = read_inputs(run.spec), run.started.frame_interval_s
+    moves = []
+    for before, now in pairwise(lifetime):
+        times = now.time * second, before.time * second
+        known = {"t": now.time, **values_at(inputs, (now.frame, before.frame), times)}
+        moves.append(Move(motion_into(now, plain, root.motion, size, known), now.time - before.time))
+    return moves
 
 
 def motion_into(
-    kept: KeptBelief, plain: MotionModel, chosen: spec.Motion, size: tuple[int, int]
+    kept: KeptBelief,
+    plain: MotionModel,
+    chosen: spec.Motion,
+    size: tuple[int, int],
+    inputs: Mapping[str, float] = NOTHING,
 ) -> MotionModel:
     """The motion from the frame before into this one, on the image of `size` (width, height)."""
     influences, motion = kept.influences, plain
@@ -323,4 +332,4 @@ def motion_into(
         motion = compose_motion(plain, chosen.settings, influences)
         if influences.jump_share > 0:
             motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
-    return confined(motion, *size)
+    return confined(motion, *size, inputs)

@@ -87,6 +87,13 @@ RUNS = {
     "heavy tails of a measurement": model(
         MOVES, 's: {parent: a, agent: {readings: {file: FILE, sd: {x: "student_t(2, 3)", y: 2}}}}'
     ),
+    "an input and the time": HEAD
+    + "inputs: {pan: {file: FILE, column: x}}\n"
+    + model(
+        "{motion: {expressions: {drift: {x: x + pan - pan_before + 0.1 * t}, sd: {x: 2, y: 2}}}}",
+        COLOUR,
+        head=ONE.removeprefix(HEAD),
+    ),
     "a formation": HEAD
     + "joins: [{between: [a, a], factor: 'normal(hypot(a.x - b.x, a.y - b.y), 50, 5)', when: {overlap: 0}}]\n"
     + model(f"{{belief: {{particles: {{size: 300}}}}, {CV}}}", COLOUR, head=ONE.removeprefix(HEAD)),
@@ -145,7 +152,7 @@ REFUSED = {
     ),
     "the time": (
         model("{motion: {expressions: {drift: {x: x + frame * dt}, sd: {x: 2, y: 2}}}}", COLOUR),
-        "unknown name 'frame'; allowed: x, y, w, h,",
+        "unknown name 'frame'; allowed: x, y, w, h, frame_width, frame_height, dt, pi, t",
     ),
     "a factor of three": (
         HEAD

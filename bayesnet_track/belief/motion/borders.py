@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -126,20 +128,27 @@ ALONG = (("x", "vx", "ax"), ("y", "vy", "ay"))
 """The fields that turn round where a box bounces off a border, for each axis."""
 
 
-def confined(motion: MotionModel, width: int, height: int) -> Confined:
-    """The motion on an image of `width` columns and `height` rows."""
-    return Confined(framed(motion, (width, height)), width, height)
+NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
-def framed(motion: MotionModel, frame: tuple[int, int]) -> MotionModel:
-    """The motion with the frame (width, height) where it, or one inside it, depends on that."""
+def confined(motion: MotionModel, width: int, height: int, inputs: Mapping[str, float] = NOTHING) -> Confined:
+    """The motion on an image of `width` columns and `height` rows, into a frame with these inputs."""
+    return Confined(framed(motion, (width, height), inputs), width, height)
+
+
+def framed(
+    motion: MotionModel, frame: tuple[int, int] | None, inputs: Mapping[str, float] = NOTHING
+) -> MotionModel:
+    """The motion with the frame (width, height) and its inputs where it, or one inside it, asks for them."""
     if isinstance(motion, Averaged):
-        return Averaged(cast(Modal, framed(motion.modal, frame)))
+        return Averaged(cast(Modal, framed(motion.modal, frame, inputs)))
     if isinstance(motion, Modal):
-        return motion.each(lambda one: framed(one, frame))
-    changes: dict[str, Any] = {"frame": frame} if hasattr(motion, "frame") else {}
+        return motion.each(lambda one: framed(one, frame, inputs))
+    changes: dict[str, Any] = {"frame": frame} if frame is not None and hasattr(motion, "frame") else {}
+    if inputs and hasattr(motion, "inputs"):
+        changes["inputs"] = inputs
     if (inner := getattr(motion, "motion", None)) is not None and (
-        known := framed(inner, frame)
+        known := framed(inner, frame, inputs)
     ) is not inner:
         changes["motion"] = known
     return cast(MotionModel, replace(cast(Any, motion), **changes)) if changes else motion

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,6 +258,7 @@ class FormulaMotion:
         start_mean: (D - 4,) of the further fields when the target starts.
         start_sd: (D - 4,) their sds.
         frame: columns and rows of the frame; None before one is known.
+        inputs: names of what is known of the frame that a step leads to, `t` and the graph's inputs.
         static_discount: of kernels that keep hypotheses about unknown constants; None without kernels.
         leaves_image: whether targets go on beyond the frame.
         prior: distributions of fields at the start in place of these; None without any.
@@ -270,6 +272,7 @@ class FormulaMotion:
     start_mean: tuple[float, ...] = ()
     start_sd: tuple[float, ...] = ()
     frame: tuple[int, int] | None = None
+    inputs: Mapping[str, float] = field(default_factory=dict)
     static_discount: float | None = None
     leaves_image: bool = False
     prior: StartPrior | None = None
@@ -365,6 +368,12 @@ class FormulaMotion:
         uncertain = (name for name, sd in sds if sd > 0 or name in drawn)
         return tuple(name for name in uncertain if name in still and self.sds.get(name, ZERO) == ZERO)
 
+    @cached_property
+    def asked(self) -> tuple[str, ...]:
+        """Names in the expressions that are neither fields nor constants."""
+        used = (name for term in (*self.drifts.values(), *self.sds.values()) for name in names_in(term))
+        return tuple(name for name in dict.fromkeys(used) if name not in self.fields)
+
     @property
     def _noisy(self) -> list[int]:
         return [column for column, name in enumerate(self.fields) if name in self.sds]
@@ -372,6 +381,8 @@ class FormulaMotion:
     def _names(self, states: Floats, dt: float) -> dict[str, Floats | float]:
         width, height = self.frame if self.frame is not None else (np.nan, np.nan)
         return {
+            **dict.fromkeys(self.asked, np.nan),
+            **self.inputs,
             **{name: states[:, column] for column, name in enumerate(self.fields)},
             "frame_width": float(width),
             "frame_height": float(height),

@@ -271,6 +271,7 @@ def simulate(options: argparse.Namespace) -> int:
     from bayesnet_track.engine.simulating import Simulation
     from bayesnet_track.engine.simulating import simulate as draw
     from bayesnet_track.engine.starts import check_given
+    from bayesnet_track.graph.checks.inputs import read_inputs
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.numerics.boxes import centre_from_corner
 
@@ -290,7 +291,8 @@ def simulate(options: argparse.Namespace) -> int:
     with users_mistake():
         check_given(graph, [start], frame.width, frame.height)
     plate = graph.targets[start.plate or next(iter(graph.targets))]
-    chosen = Simulation(options.frames, options.draws, options.seed, (frame.width, frame.height))
+    size, inputs = (frame.width, frame.height), read_inputs(graph.spec)
+    chosen = Simulation(options.frames, options.draws, options.seed, size, inputs)
     drawn = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), chosen)
     say(_summary(drawn, frame))
     if options.csv is not None:

@@ -358,7 +358,7 @@ class Several:
         compiled, frame = self.compiled, self.work.frame
         if compiled.modes is None:
             return {}
-        motion = confined(compiled.motion, frame.width, frame.height)
+        motion = confined(compiled.motion, frame.width, frame.height, self.work.inputs)
         settings = getattr(compiled.belief, "settings", None)
         by = settings if isinstance(settings, Gaussian) else Gaussian(filter="extended")
         beliefs = enumerate((one.belief for one in self.others.values()), self.count)
@@ -400,7 +400,7 @@ def predictor(work: FrameContext, compiled: CompiledPlate) -> Predict:
     elapsed = 1.0 if previous is None else frame.time - previous.time
     rule = row_rule(work.engine, compiled.plate.name)
     if rule is None:
-        motion = confined(compiled.moments, frame.width, frame.height)
+        motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
         return Predict(elapsed, partial(_predict_each, motion))
     return Predict(elapsed, partial(_predict_rows, rule, image_of(rule, frame.width, frame.height)))
 

@@ -17,6 +17,7 @@ from bayesnet_track.adapt.association import UNASSIGNED, assign_pairs
 from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, Shared, share
 from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes
+from bayesnet_track.belief.motion.borders import framed
 from bayesnet_track.engine.lifecycle.sensing import Found, Mixed, Sensor, with_looks
 from bayesnet_track.engine.lifecycle.unconfirmed import (
     CrowdRule,
@@ -86,10 +87,11 @@ def expect_crowd(
     dt = 1.0 if last is None else frame.time - last.time
     survival = rule.existence.survival**dt
     size, before = (frame.width, frame.height), detection_model.unconfirmed
-    unconfirmed = predict_unconfirmed(before, rule.motion, dt, size)
+    motion = framed(rule.motion, size, frames.names)
+    unconfirmed = predict_unconfirmed(before, motion, dt, size)
     if found is not None and rule.sensor.has_extent:
         fast = with_fast(rule, before, unconfirmed, found.boxes, dt)
-        unconfirmed = unconfirmed.extend(predict_unconfirmed(fast, rule.motion, dt, size))
+        unconfirmed = unconfirmed.extend(predict_unconfirmed(fast, motion, dt, size))
     unconfirmed = evolve(unconfirmed, existence=survival * unconfirmed.existence)
     return evolve(crowd, existence=survival * crowd.existence), evolve(
         detection_model, unconfirmed=unconfirmed

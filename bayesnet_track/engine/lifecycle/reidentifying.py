@@ -34,7 +34,7 @@ def compare(
     if not known or not len(boxes):
         return []
     compiled, frame = work.engine.plates[plate], work.frame
-    motion = confined(compiled.moments, frame.width, frame.height)
+    motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
     area = float(frame.width * frame.height)
     fading, place, distance = weigh_places(known, motion, boxes, frame.time, area, rule)
     compared = []

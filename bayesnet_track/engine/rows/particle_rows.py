@@ -122,7 +122,7 @@ def _filter(work: FrameContext, table: ParticleTable) -> FilteredRows:
     total = join_plain(plan, messages, moved.shape[:2])[plan.root]
     log, log_evidence = weigh(LogWeights.uniform(size).log, total)
     clouds = Clouds(moved, compiled.motion.fields, log, np.exp(log))
-    motion = confined(compiled.motion, work.frame.width, work.frame.height)
+    motion = confined(compiled.motion, work.frame.width, work.frame.height, work.inputs)
     found = FilteredRows(work, table, clouds, messages, total, total, log_evidence, motion, parents=parents)
     work.charge("belief", started)
     is_usable = np.isfinite(log_evidence)

@@ -115,7 +115,7 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         root = plate.inference[plate.roots[0]]
         fields = BOX if plate.spec.state == "box" else BOX[:2]
         own = (*fields, *further_fields(root), *(["mode"] if root.modes else []), *_modes(plate))
-    return (*own, *FRAME_NAMES, *plate.constants)
+    return (*own, *FRAME_NAMES, *plate.frame_names, *plate.constants)
 
 
 def agents_find_what_they_read(plate: Plate) -> Iterator[GraphMessage]:
@@ -177,7 +177,24 @@ def explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> Gra
         return replace(message, found=f"name {word!r}, {where}")
     if word in STATE_NAMES:
         return replace(message, found=f"name {word!r}, which the state of this node does not have")
-    return replace(message, nearest=nearest(word, near)) if word else message
+    return with_nearest(message, word, near)
+
+
+def with_nearest(message: GraphMessage, word: str, near: tuple[str, ...]) -> GraphMessage:
+    """The message of an unknown name with the nearest one; without any, what it may be."""
+    if not word:
+        return message
+    if word in TIMES:
+        return replace(
+            message, hint="t is the time in frame intervals, the frame's number at a constant rate"
+        )
+    close = nearest(word, near)
+    hint = "" if close else f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}"
+    return replace(message, nearest=close, hint=hint)
+
+
+TIMES = ("frame", "time", "time_s", "frame_number")
+"""What is written for the time."""
 
 
 FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read, masks_can_be_read, agents_find_what_they_read)
@@ -193,9 +210,7 @@ def measures_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
             except ExpressionError as error:
                 key = ("measures", quantity)
                 message = plate.message(name, error.found, error.allowed, key=key)
-                if error.word:
-                    message = replace(message, nearest=nearest(error.word, error.near))
-                yield plate.at.inside(message, error.at)
+                yield plate.at.inside(with_nearest(message, error.word, error.near), error.at)
 
 
 def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import declares, plugin_parameters
+from bayesnet_track.graph.checks.factors import with_nearest
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate, further_fields
 from bayesnet_track.graph.expressions.parse import parse
@@ -230,7 +231,7 @@ def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """A motion's expressions are of its fields, the frame, `dt` and constants."""
     for node, path, motion in _formulas(plate):
         fields = (*BOX, *motion.own)
-        names = (*fields, *FRAME_NAMES, *plate.constants)
+        names = (*fields, *FRAME_NAMES, *plate.frame_names, *plate.constants)
         for what, formulas in _parts(motion):
             for name, text in formulas.items():
                 here = (*path, what, name)
@@ -241,9 +242,7 @@ def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                     parse(str(text), names)
                 except ExpressionError as error:
                     message = plate.message(node, error.found, error.allowed, key=here)
-                    if error.word:
-                        message = replace(message, nearest=nearest(error.word, error.near))
-                    yield plate.at.inside(message, error.at)
+                    yield plate.at.inside(with_nearest(message, error.word, error.near), error.at)
         strange = [one for one in motion.own if one not in VELOCITIES]
         if motion.borders is not None and strange:
             found = f"borders: reflect beside field {strange[0]!r}, which it cannot turn round"

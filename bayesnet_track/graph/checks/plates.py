@@ -11,6 +11,7 @@ from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Targ
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.image_files import Mask
+from bayesnet_track.observation.planes import BEFORE
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,7 @@ class Plate:
         at: where its parts stand.
         cues: installed cues by name.
         constants: numbers that expressions use by name.
+        inputs: names of what is known of every frame beside its image.
         masks: images by their paths as written; one that cannot be read as what is wrong with it.
     """
 
@@ -32,6 +34,12 @@ class Plate:
     cues: Mapping[str, CueDeclaration]
     constants: Mapping[str, float] = field(default_factory=dict)
     masks: Mapping[str, Mask | str] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names that are the same of all states in a frame: time, inputs, and what they were."""
+        return ("t", *(one for name in self.inputs for one in (name, f"{name}{BEFORE}")))
 
     @cached_property
     def agents(self) -> dict[str, AgentNode]:

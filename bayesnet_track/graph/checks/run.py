@@ -30,6 +30,7 @@ from bayesnet_track.graph.checks.factors import (
     read_givens,
     read_measures,
 )
+from bayesnet_track.graph.checks.inputs import INPUT_CHECKS
 from bayesnet_track.graph.checks.latent import TREE_CHECKS
 from bayesnet_track.graph.checks.lifecycle import EXISTENCE_CHECKS, JOIN_CHECKS, LIFE_CHECKS
 from bayesnet_track.graph.checks.modes import MODE_CHECKS
@@ -255,9 +256,10 @@ def check(
     own = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
     known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
     images = masks_of(spec, FilePath(at.file).parent, masks)
-    plates = [Plate(name, target, at, known, spec.constants, images) for name, target in spec.targets.items()]
+    around = (at, known, spec.constants, images, tuple(spec.inputs))
+    plates = [Plate(name, target, *around) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS, *QUERY_CHECKS):
+    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS, *QUERY_CHECKS, *INPUT_CHECKS):
         errors += islice(find(spec, at), MAX_MESSAGES + 1)
     spec, of_polygons = with_polygons(spec, FilePath(at.file).parent, at)
     errors += of_polygons

@@ -171,13 +171,14 @@ def _can_be_evaluated(plate: Plate, name: str, parameters: Any) -> bool:
         return False
     state = _state(plate, node)
     known = all(one in node.measures or one in state for one in parameters.sd)
-    return known and not any(one in FRAME_NAMES for term in terms for one in names_in(term))
+    of_frames = {*FRAME_NAMES, *plate.frame_names}
+    return known and not any(one in of_frames for term in terms for one in names_in(term))
 
 
 def _state(plate: Plate, node: AgentNode) -> tuple[str, ...]:
     """The fields of the state at the agent's parent."""
     names = names_at(plate, node.parent)
-    return tuple(one for one in names if one not in FRAME_NAMES and one not in plate.constants)
+    return tuple(one for one in names if one not in (*FRAME_NAMES, *plate.frame_names, *plate.constants))
 
 
 def _places(plate: Plate, name: str, parameters: Any) -> Floats:

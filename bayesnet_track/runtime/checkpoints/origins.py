@@ -187,7 +187,7 @@ def model_files(graph: CheckedGraph) -> list[str]:
             declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]
             if declaration.files is not None:
                 found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
-    return sorted(found)
+    return sorted(found | {one.file for one in graph.spec.inputs.values()})
 
 
 @contextmanager
