@@ -394,11 +394,25 @@ def overlapping_pairs(reference: Floats, boxes: Floats) -> tuple[Ints, Ints, Flo
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import overlap_rows
 
-    order = np.argsort(boxes[:, 0], kind="stable")
-    places, reach = boxes[order, 0], (reference[:, 2] + boxes[:, 2].max(initial=0.0)) / 2
-    starts = np.searchsorted(places, reference[:, 0] - reach)
-    ends = np.searchsorted(places, reference[:, 0] + reach, side="right")
-    return overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), order, starts, ends)
+    near = near_along_x(reference[:, 0], boxes, lambda: (reference[:, 2] + boxes[:, 2].max(initial=0.0)) / 2)
+    return overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), *near)
+
+
+FEW_PAIRS = 1024
+"""So many pairs are looked at in less time than it takes to find those that are near."""
+
+
+def near_along_x(places: Floats, boxes: Floats, find_reach: Callable[[], Floats]) -> tuple[Ints, Ints, Ints]:
+    """The order of centre boxes (N, 4) along x; the first and one past the last near each of `places` (T,).
+
+    Near is what is within the reach (T,), which is not asked for where all pairs are few.
+    """
+    order, count = np.argsort(boxes[:, 0], kind="stable"), len(places)
+    if count * len(boxes) <= FEW_PAIRS:
+        return order, np.zeros(count, np.int64), np.full(count, len(boxes), np.int64)
+    along, reach = boxes[order, 0], find_reach()
+    starts = np.searchsorted(along, places - reach)
+    return order, starts, np.searchsorted(along, places + reach, side="right")
 
 
 def _by_overlap_alone(rule: AssociationRule, reference: Floats, boxes: Floats) -> Owners:

@@ -42,6 +42,8 @@ class ExternalInputs:
 def route_inputs(engine: Engine, net: Net, frame: int, given: Iterable[Input]) -> ExternalInputs:
     """The inputs that are given with `frame`, by whom they concern in the net that it begins with."""
     inputs = tuple(replace(one, frame=frame) for one in given)
+    if not inputs:
+        return ExternalInputs((), Availability(frame), {}, (), ())
     by_hand: dict[str, tuple[ByHand, ...]] = {}
     refused: list[InputRefused] = []
     for one in inputs:

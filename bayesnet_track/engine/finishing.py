@@ -105,7 +105,7 @@ class FinishedGroup(Generic[Table]):
     @property
     def decided(self) -> tuple[Decision, ...]:
         """Decisions about the targets of the table, in order."""
-        if not self.filtered.keeps_status:
+        if not (self.filtered.keeps_status and (self.judged.chosen or self.learnt.beside)):
             return ()
         return tuple(chain(*(self._decided_on(row) for row in self._rows_decided_on())))
 

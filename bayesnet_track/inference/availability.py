@@ -57,6 +57,8 @@ class Availability:
     @property
     def events(self) -> tuple[AgentMissed, ...]:
         """Those that were missed, in an order that does not depend on when they were found out."""
+        if not self.reported:
+            return ()
         return tuple(
             AgentMissed(self.frame, target, agent, reason, during)
             for (target, agent, during), reason in sorted(self.reported.items())

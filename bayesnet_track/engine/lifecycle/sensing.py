@@ -16,6 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.association import near_along_x
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.start_prior import start_moments_of_each
@@ -201,14 +202,14 @@ def gate_boxes(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: F
         return Pairs(nothing, nothing, np.empty(0))
     boxes, variances = np.ascontiguousarray(boxes), rule.variances(boxes)
     limit, min_overlap = chi_square_quantile(rule.gate, 4), rule.min_overlap
-    reach = np.sqrt(limit * (covariance[:, 0, 0] + variances[:, 0].max())) * (1 + 1e-9)
-    if min_overlap > 0.0:  # then they touch
-        reach = np.minimum(reach, (mean[:, 2] + boxes[:, 2].max()) / 2)
-    order = np.argsort(boxes[:, 0], kind="stable")
-    places = boxes[order, 0]
-    starts = np.searchsorted(places, mean[:, 0] - reach)
-    ends = np.searchsorted(places, mean[:, 0] + reach, side="right")
-    return Pairs(*gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap))
+
+    def find_reach() -> Floats:
+        reach = np.sqrt(limit * (covariance[:, 0, 0] + variances[:, 0].max())) * (1 + 1e-9)
+        touches = (mean[:, 2] + boxes[:, 2].max()) / 2
+        return np.asarray(np.minimum(reach, touches) if min_overlap > 0.0 else reach)
+
+    near = near_along_x(mean[:, 0], boxes, find_reach)
+    return Pairs(*gate_rows(mean, covariance, boxes, variances, *near, limit, min_overlap))
 
 
 def with_looks(

@@ -143,6 +143,8 @@ class FilteredGaussians:
         """Row -> events of its update: a detection outside the gate was not used."""
         gate = self.before.rule.belief.settings.gate
         reports: dict[int, tuple[Event, ...]] = {}
+        if gate >= 1.0:
+            return reports
         for row in np.flatnonzero(self.numbers[:, D2]).tolist():
             gated = gated_of(self.before.rule.agent, float(self.numbers[row, D2]), gate, len(BOX_FIELDS))
             reports[row] = (report_gated(gated, gate, 0, frame, self.ids[row]),)

@@ -115,8 +115,9 @@ class Rows:
 
     def changed(self, **fields: Any) -> Rows:
         """The same targets, later."""
-        after = evolve(self, **fields)
-        after.__dict__["index"] = self.index
+        after = object.__new__(Rows)
+        after.__dict__.update(self.__dict__)  # with the index
+        after.__dict__.update(fields)
         return after
 
     def take(self, keep: Bools) -> Rows:
