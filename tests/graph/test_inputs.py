@@ -153,8 +153,14 @@ def test_a_wrong_input_is_refused_with_what_to_do(tmp_path, inputs):
     assert NAMES[inputs] in str(error.value)
 
 
-@pytest.mark.parametrize(("name", "hint"), [("gyro", "a column of a CSV file is an input: inputs: {gyro:"), ("frame", "t is the time in frame intervals, the frame's number")])  # fmt: skip
-def test_an_unknown_name_is_refused_with_where_it_may_come_from(tmp_path, name, hint):
+HINTS = {
+    "gyro": "a column of a CSV file is an input: inputs: {gyro: {file: FILE.csv}}",
+    "frame": "t is the time in frame intervals, the frame's number",
+}
+
+
+@pytest.mark.parametrize("name", HINTS)
+def test_an_unknown_name_is_refused_with_where_it_may_come_from(tmp_path, name):
     with pytest.raises(GraphError) as error:
         load_graph(write(tmp_path, formula(f"x: x + {name} * dt")))
-    assert f"unknown name '{name}'" in str(error.value) and hint in describe_error(error.value)
+    assert f"unknown name '{name}'" in str(error.value) and HINTS[name] in describe_error(error.value)
