@@ -170,6 +170,7 @@ def score(options: argparse.Namespace) -> int:
     """Score a run, or a file of tracks, against ground truth."""
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.evaluate.truth import is_mot
+    from bayesnet_track.evaluate.world import is_world_truth
     from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 
     given = Path(options.run)
@@ -183,11 +184,15 @@ def score(options: argparse.Namespace) -> int:
     if os.path.isfile(given):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)
         if not options.truth:
             raise UsageError(f"{given}: a file of tracks brings no ground truth; name one with --truth FILE")
+        if is_world_truth(Path(options.truth)):
+            return _score_world(given, Path(options.truth), options)
         return _score_several(given, Path(options.truth), options)
     directory = RunDirectory.open(given)
     truth = Path(options.truth) if options.truth else directory.truth
     if not os.path.isfile(truth):  # noqa: PTH113
         raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
+    if is_world_truth(truth):
+        return _score_world(directory.csv, truth, options, directory)
     with users_mistake():
         if is_mot(truth, options.truth_format):
             return _score_several(directory.mot, truth, options, directory)
@@ -233,6 +238,33 @@ def _score_several(
     return OK
 
 
+def _score_world(
+    tracks: Path, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
+) -> int:
+    """Score places on the ground, in metres."""
+    import math
+
+    from bayesnet_track.evaluate.runs import frames_of_run
+    from bayesnet_track.evaluate.world import MATCH_M, read_world_tracks, read_world_truth, score_world
+
+    for option, value in (
+        ("--target", options.target),
+        ("--class", options.classes),
+        ("--trajectories", options.trajectories),
+        ("--truth-format", options.truth_format),
+    ):
+        if value:
+            raise UsageError(f"{option}: {truth} is a ground truth in metres (t,id,x,y); leave it out")
+    with users_mistake():
+        tracked = read_world_tracks(tracks)
+        is_whole = run is None or frames_of_run(run.path)[1] is not None
+        until = math.inf if is_whole or not len(tracked.times) else float(tracked.times.max())
+        cutoff = MATCH_M if options.cutoff is None else options.cutoff
+        result = score_world(read_world_truth(truth), tracked, until=until, cutoff_m=cutoff)
+    say(result.json() if options.json else result.text())
+    return OK
+
+
 def add_log(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     log = commands.add_parser(
@@ -264,7 +296,7 @@ def add_score(commands: argparse._SubParsersAction[Any]) -> None:
     score.add_argument(
         "--truth",
         help="ground-truth file: one box per line, or MOT to score all targets together (default: the "
-        "run's own truth.txt)",
+        "run's own truth.txt), or places in metres, with a header line t,id,x,y",
     )
     score.add_argument(
         "--target", metavar="ID", help="which target, if the run has several and the ground truth one"
@@ -273,7 +305,8 @@ def add_score(commands: argparse._SubParsersAction[Any]) -> None:
         "--cutoff",
         type=pixels,
         metavar="PX",
-        help="several targets: the cut-off c of GOSPA and OSPA(2) (default: 50)",
+        help="several targets: the cut-off c of GOSPA and OSPA(2) (default: 50); in metres (default: 1) for "
+        "places",
     )
     score.add_argument(
         "--trajectories",

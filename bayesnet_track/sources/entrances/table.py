@@ -137,10 +137,8 @@ FRAMES = (
         ),
         "entries that are not used; a principal point outside the image; a camera over 100 m above the "
         "ground",
-        "a rotation that is none or a reflection, a camera below the ground, matrices of other shapes or "
-        "with "
-        "numbers that are not finite, several cameras without a name, entries that contradict each other; "
-        "points outside the image, almost in a line, or mirrored",
+        "a rotation that is none or a reflection, a camera below the ground, several cameras without a name, "
+        "entries that contradict each other; points outside the image, almost in a line, or mirrored",
         "`homography` and `pose`, which may go either way: names that say the direction are needed",
     ),
     Entrance(
@@ -318,6 +316,14 @@ BOXES = (
         "size of frame",
         "an identity twice in a frame, no true box, frames from 0",
         "as of detections in a file",
+    ),
+    Entrance(
+        "places in metres",
+        "`score --truth`",
+        ("evaluate.world: is_world_truth _read",),
+        "columns beside t, id, x and y",
+        "a missing column, what is no finite number, an id twice in an instant, no time in common",
+        "a header line t,id,x,y without a width or height: metres; else boxes in px",
     ),
     Entrance(
         "imported annotations",

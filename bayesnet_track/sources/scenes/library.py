@@ -33,6 +33,7 @@ from bayesnet_track.sources.scenes.stereo import (
     person_stereo,
     two_people_color_stereo_shape,
 )
+from bayesnet_track.sources.scenes.street import street
 
 _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
     {
@@ -53,6 +54,7 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "person_same_clothes": person_same_clothes,
         "person_same_clothes_nearer": person_same_clothes_nearer,
         "two_people_color_stereo_shape": two_people_color_stereo_shape,
+        "street": street,
     }
 )
 

@@ -10,8 +10,9 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Floats, Image
+from bayesnet_track.numerics.arrays import Bools, Floats, Image
 from bayesnet_track.numerics.boxes import CornerBox, corner_from_centre
+from bayesnet_track.numerics.cameras import Camera
 from bayesnet_track.observation.planes import RightEye, StereoGeometry
 
 
@@ -61,6 +62,41 @@ class ScenePart:
 
 
 @dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """What happens on the ground of a scene.
+
+    Attributes:
+        camera: the camera that sees it.
+        paths: (cars, n, 4) foot point x, y, width and height, m.
+        seen: (cars, n) whether more than half of the car's box is visible.
+        detections: (rows, 6) frame, left, top, width, height in px, score; sorted by frame.
+        frame_interval_s: seconds between frames.
+    """
+
+    camera: Camera
+    paths: Floats
+    seen: Bools
+    detections: Floats
+    frame_interval_s: float
+
+    def truth_csv(self, end: int | None = None) -> str:
+        """Text of a world truth file: t in seconds, id, x and y in m, while a car is seen."""
+        rows = ["t,id,x,y"]
+        for frame in range(self.paths.shape[1] if end is None else end):
+            for car in np.flatnonzero(self.seen[:, frame]):
+                x, y = self.paths[car, frame, :2]
+                rows.append(f"{frame * self.frame_interval_s:.3f},{car + 1},{x:.4f},{y:.4f}")
+        return "\n".join(rows) + "\n"
+
+    def detections_mot(self) -> str:
+        """Text of the detections as MOT lines, frames from 1."""
+        return "".join(
+            f"{int(frame) + 1},-1,{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.3f}\n"
+            for frame, x, y, w, h, score in self.detections
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A synthetic video with ground truth.
 
@@ -77,6 +113,7 @@ class Scene:
         plates: what the target and the first of the others are called, where a graph may have a plate for
             each, or one for several; empty where only the target is meant to be tracked.
         parts: parts of the target by name, in scenes that have them.
+        ground: where the objects are in metres, and the camera, in scenes that have them.
     """
 
     name: str
@@ -89,6 +126,7 @@ class Scene:
     stereo: StereoView | None = None
     plates: tuple[str, ...] = ()
     parts: Mapping[str, ScenePart] = field(default_factory=dict)
+    ground: GroundTruth | None = None
 
     @property
     def start_box(self) -> CornerBox:
