@@ -69,7 +69,13 @@ class DecodedFrame(Frame):
         """The frame of a picture; no pixel is made yet."""
         frame = cls.__new__(cls)
         frame.__dict__.update(
-            index=index, time=time, has_color=decoded.has_color, time_s=time_s, depth=None, stride=stride
+            index=index,
+            time=time,
+            has_color=decoded.has_color,
+            time_s=time_s,
+            depth=None,
+            stride=stride,
+            inputs={},
         )
         frame.__dict__["_decoded"] = decoded
         return frame

@@ -1,6 +1,7 @@
 """Videos: true times and sizes, gaps, changes of size, gray, and what is refused."""
 
 import struct
+from dataclasses import fields
 from fractions import Fraction
 
 import av
@@ -303,3 +304,8 @@ def test_a_declared_rate_that_is_only_the_tick_is_not_taken():
 def test_a_single_stamp_falls_back_to_a_rate():
     assert timing_of(FakeStream(Fraction(1, 1000)), [5]).interval == Fraction(1, 25)
     assert timing_of(FakeStream(Fraction(1, 1000), guessed_rate=Fraction(10)), []).interval == Fraction(1, 10)
+
+
+def test_a_decoded_frame_has_every_field_of_a_frame(make_video):
+    _, frames, _ = read(make_video("a.mkv"))
+    assert [field.name for field in fields(Frame) if not hasattr(frames[0], field.name)] == []
