@@ -45,6 +45,10 @@ Ancestors = NDArray[np.intp]
 
 BOX_FIELDS = ("x", "y", "w", "h")
 
+LEAST_SIDE_PX = 1.0
+LEAST_SIDE_M = 0.01
+"""Of targets on the ground, whose sides are in metres."""
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -17,7 +15,7 @@ from bayesnet_track.sources.paths import hide_secrets
 
 if TYPE_CHECKING:
     from bayesnet_track.evaluate.truth import TruthForm
-    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.graph.checked import Calibration, CheckedGraph
     from bayesnet_track.observation.image_files import Mask
     from bayesnet_track.runtime.run import Start
 
@@ -81,23 +79,6 @@ def words(error: Exception) -> str:
 def say(text: str) -> None:
     """Print a result."""
     sys.stdout.write(text + "\n")
-
-
-STATUS_INKS = {"tracking": 32, "found again": 32, "uncertain": 33, "lost": 31, "hidden": 35}
-"""Status, as a sentence ends with it -> number of its colour in a terminal, as on the page of a run."""
-
-_STATUS = re.compile(rf"\b({'|'.join(STATUS_INKS)})(?=[;:]|$)")
-
-
-def by_status(line: str, stream: TextIO) -> str:
-    """The line with the status that it ends with in colour; unchanged where the stream takes none.
-
-    A stream takes colour if it is a terminal, its `TERM` is not `dumb`, and `NO_COLOR` is unset or empty
-    (https://no-color.org).
-    """
-    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not stream.isatty():
-        return line
-    return _STATUS.sub(lambda status: f"\x1b[{STATUS_INKS[status[1]]}m{status[1]}\x1b[0m", line)
 
 
 def complain(message: str) -> None:
@@ -212,7 +193,11 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def set_values(
-    text: str, changes: Sequence[str], adaptation: bool = True, masks: Mapping[str, Mask] | None = None
+    text: str,
+    changes: Sequence[str],
+    adaptation: bool = True,
+    masks: Mapping[str, Mask] | None = None,
+    calibrations: Mapping[str, Calibration] | None = None,
 ) -> CheckedGraph:
     """The graph of a canonical text with other values; `adaptation` is False for all agents always on.
 
@@ -223,7 +208,7 @@ def set_values(
     from bayesnet_track.graph.text.change import ChangeError, change_graph
 
     try:
-        return change_graph(text, changes, adaptation, masks)
+        return change_graph(text, changes, adaptation, masks, calibrations)
     except ChangeError as error:
         raise UsageError(f"--set {error}") from error
 
@@ -289,12 +274,6 @@ def run_folder(text: str) -> Path:
             f"{folder}/video.{kind}"
         )
     return out
-
-
-def free_folder(first: str, overwrite: bool = False) -> Path:
-    """The first of NAME, NAME-2, NAME-3, ... that does not exist; NAME itself where it may be replaced."""
-    names = itertools.chain([first], (f"{first}-{number}" for number in itertools.count(2)))
-    return Path(next(name for name in names if overwrite or not os.path.lexists(name)))
 
 
 def read_start(path: Path, frame: int, form: TruthForm | None = None) -> Start:

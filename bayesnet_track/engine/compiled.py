@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from bayesnet_track.belief.contract import Belief, MotionModel
+from bayesnet_track.belief.contract import LEAST_SIDE_M, LEAST_SIDE_PX, Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
@@ -22,6 +24,7 @@ from bayesnet_track.belief.motion.start_prior import StartPrior, make_start_prio
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.lifecycle.measuring import make_sensor
 from bayesnet_track.engine.lifecycle.sensing import Sensor
+from bayesnet_track.engine.lifecycle.viewing import make_view_sensor
 from bayesnet_track.engine.scoring.rivals import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -29,10 +32,12 @@ from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
-from bayesnet_track.graph.spec import Guard, Join, Learn
+from bayesnet_track.graph.spec import Guard, Join, Learn, Query, WorldState
 from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.inference.queries import CompiledQuery, compile_query
+from bayesnet_track.inference.views import Views, views_of
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import (
@@ -82,6 +87,7 @@ class CompiledPlate:
         declared: agent -> the declaration of its cue.
         modes: the target's hidden discrete states; None when it has none.
         verifiers: what the score asks about the estimate.
+        views: the cameras by which targets on the ground are seen; None of a state in pixels.
     """
 
     plate: CheckedTarget
@@ -106,6 +112,11 @@ class CompiledPlate:
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
     modes: Modes | None = None
     verifiers: Mapping[str, VerifierAtWork] = field(default_factory=dict)
+    views: Views | None = None
+
+    def boxes(self, states: Floats, frame: Frame) -> Floats:
+        """(T, 4) boxes in the image of states (T, D), px."""
+        return states[:, :4] if self.views is None else self.views.boxes(states, (frame.width, frame.height))
 
     @cached_property
     def moments(self) -> MotionModel:
@@ -170,6 +181,22 @@ class Engine:
         values = {name: one.value(frame.index, frame.time_s) for name, one in self.inputs.items()}
         return replace(frame, inputs=values)
 
+    def on_clock(self, frame: Frame) -> Frame:
+        """The frame with the time of the graph: seconds where states are in metres.
+
+        Raises:
+            ValueError: frames come without a clock, and the graph needs one.
+        """
+        if not any(compiled.views for compiled in self.plates.values()):
+            return frame
+        if math.isnan(frame.time_s):
+            raise ValueError(
+                f"frame {frame.index} has no time, and velocities are in metres per second; give fps"
+            )
+        timed = copy(frame)
+        timed.__dict__["time"] = frame.time_s
+        return timed
+
 
 def compile_graph(
     graph: CheckedGraph,
@@ -204,9 +231,15 @@ def compile_graph(
         constants=graph.spec.constants,
         inputs=read_inputs(graph.spec),
         queries=tuple(
-            compile_query(name, query, graph.spec.constants) for name, query in graph.spec.queries.items()
+            compile_query(name, _in_units(graph, query), graph.spec.constants)
+            for name, query in graph.spec.queries.items()
         ),
     )
+
+
+def _in_units(graph: CheckedGraph, query: Query) -> Query:
+    """A query in the unit of the states that it is about."""
+    return query.on_ground() if graph.spec.targets[query.kinds[0]].is_ground else query
 
 
 def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detector]) -> dict[str, Detector]:
@@ -259,13 +292,17 @@ def _compile_plate(
     settings = root.motion.settings
     moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
-    is_point = kind.state == "point"
-    reidentify = "never" if is_point else kind.reidentify  # a place alone identifies nobody
-    life = life_rules(kind.birth, kind.merge_duplicates, kind.death, reidentify, kind.existence)
+    is_point, views = kind.state == "point", views_of(plate)
+    # A place alone identifies nobody, and boxes of one camera are compared in no other.
+    reidentify = "never" if is_point or views else kind.reidentify
+    merge = "never" if views else kind.merge_duplicates
+    life = life_rules(kind.birth, merge, kind.death, reidentify, kind.existence)
     if own is None:
-        made_motion = make_plate_motion(root, constants, deviations_of(kind.nodes), is_point)
+        made_motion = make_plate_motion(root, constants, deviations_of(kind.nodes), kind.state)
     motion = made_motion if own is None else own
     rules = {agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection}
+    if views:
+        rules = {agent: replace(rule, continue_box=0.0) for agent, rule in rules.items()}
     return CompiledPlate(
         plate=plate,
         cues=made,
@@ -286,11 +323,17 @@ def _compile_plate(
         searching=_searching(plate, of, moving),
         finder=None if moving is None else _finder(moving),
         association_rules=rules,
-        sensors={agent: make_sensor(plate, agent, rule, motion.fields) for agent, rule in rules.items()},
+        sensors={
+            agent: make_sensor(plate, agent, rule, motion.fields)
+            if views is None
+            else make_view_sensor(plate, agent, rule, views)
+            for agent, rule in rules.items()
+        },
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
         modes=None if own is not None or root.modes is None else make_modes(root.modes),
         verifiers={} if root.score is None else make_verifiers(root.score.settings.verifiers, declarations),
+        views=views,
     )
 
 
@@ -298,7 +341,7 @@ def make_plate_motion(
     root: spec.InferenceNode,
     constants: Mapping[str, float],
     deviations: tuple[Deviation, ...] = (),
-    leaves_image: bool = False,
+    state: str | WorldState = "box",
 ) -> MotionModel:
     """The motion that a graph with these constants asks for, before anything of a frame influences it.
 
@@ -310,8 +353,9 @@ def make_plate_motion(
 
     def composed(chosen: spec.Motion, prior: StartPrior | None = None) -> MotionModel:
         motion: MotionModel = replace(_moves(chosen, constants), prior=prior)
-        if leaves_image and isinstance(motion, KinematicMotion | FormulaMotion):
-            motion = replace(motion, leaves_image=True)
+        if state != "box" and isinstance(motion, KinematicMotion | FormulaMotion):
+            least = LEAST_SIDE_PX if state == "point" else LEAST_SIDE_M
+            motion = replace(motion, leaves_image=True, least_side=least)
         if settings.sd_angle_deg > 0:
             motion = turning(motion, settings.sd_angle_deg)
         if deviations:

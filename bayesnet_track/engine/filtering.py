@@ -177,7 +177,8 @@ def evaluate_at(work: FrameContext, target: str, before: TargetState, boxes: Flo
     compiled = work.plate_of(target)
     rest = np.broadcast_to(before.belief.mean[4:], (len(boxes), len(before.belief.fields) - 4))
     hypotheses = hypotheses_of(np.hstack([boxes, rest]), before.belief.fields)
-    plan = compile_plan(compiled.plate, before.references.keys() & set(compiled.plate.agents), compiled.cues)
+    known = before.references.keys() & set(compiled.plate.agents)
+    plan = compile_plan(compiled.plate, known, compiled.cues).in_image()
     observer = Observer(
         work.cache,
         compiled.cues,

@@ -13,6 +13,7 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, RuleInputs
 from bayesnet_track.adapt.rules import decide
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import FilteredGroup, LiveGroup
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome, score_target
@@ -20,6 +21,7 @@ from bayesnet_track.engine.state import inside_frame, inside_frame_all
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.observation.planes import Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +76,9 @@ def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
     plate = filtered.compiled.plate
     root = plate.inference(plate.root)
     states = filtered.estimates(root.estimate)
-    boxes = states[:, :4].copy() if plate.spec.state == "point" else _inside_frame(states, work)
-    measures = filtered.measures(boxes[:, 2] * boxes[:, 3])
+    boxes = boxes_of(filtered.compiled, states, work.frame)
+    sides = boxes if filtered.compiled.views is None else states
+    measures = filtered.measures(sides[:, 2] * sides[:, 3])
     scores: list[ScoreOutcome] = []
     if root.score is not None:
         scores = [
@@ -90,11 +93,14 @@ def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
     )
 
 
-def _inside_frame(states: Floats, work: FrameContext) -> Floats:
-    """(T, 4) centre boxes of states (T, D), inside the frame."""
-    if len(states) == 1:  # plain numbers: a tenth of the time of arrays
-        return inside_frame(states[0, :4], work.frame)[None]
-    return inside_frame_all(states[:, :4], work.frame)
+def boxes_of(compiled: CompiledPlate, states: Floats, frame: Frame) -> Floats:
+    """(T, 4) centre boxes of states (T, D), inside the frame; of points as they are."""
+    boxes = compiled.boxes(states, frame)
+    if compiled.plate.spec.state == "point":
+        return boxes.copy()
+    if len(boxes) == 1:  # plain numbers: a tenth of the time of arrays
+        return inside_frame(boxes[0], frame)[None]
+    return inside_frame_all(boxes, frame)
 
 
 # ------------------------------------------------------------------------------------ rules

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from statistics import NormalDist
 
 import numpy as np
 
@@ -24,11 +25,12 @@ from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.predictive import p_values
+from bayesnet_track.inference.views import Views
 from bayesnet_track.journal.encoder import encode_clouds
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import effective, kl
-from bayesnet_track.numerics.records import Found
+from bayesnet_track.numerics.records import Found, evolve
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,11 @@ class Measured:
 
 def index(measures: Measures, root: str) -> float:
     """Uncalibrated index in 0..1: how well the best hypothesis fits, times how concentrated the belief is."""
-    return measures.fit / (1.0 + measures.ud_px2[root] / max(measures.area_px2, 1.0))
+    return measures.fit / (1.0 + measures.ud_px2[root] / max(measures.area_px2, LEAST_AREA))
 
+
+LEAST_AREA = 1e-9
+"""Of an estimate, in the unit of its state: no division by zero."""
 
 CHOICES = frozenset(("mode", "carried"))
 """Fields of hypotheses that are choices, not numbers: they have columns of their own."""
@@ -112,20 +117,28 @@ def frame_metrics(
         parts=_part_metrics(measures),
         e_value=None if root.alarm is None else e_value(measured.scored.cusum, root.alarm),
         p_values=dict(summary.p_values),
-        state=state_numbers(summary.belief),
+        state=state_numbers(summary.belief, plate.spec.is_ground),
     )
 
 
-def state_numbers(belief: Posterior) -> dict[str, float]:
-    """Mean and sd of each field of a belief beside the box, by name; none of hidden choices."""
-    names = [name for name in belief.fields[4:] if name not in CHOICES]
-    if not names:
+def state_numbers(belief: Posterior, on_ground: bool = False) -> dict[str, float]:
+    """Mean and sd of each field of a belief beside the box, by name; none of hidden choices.
+
+    Of a state on the ground also x_m, y_m, w_m, h_m, and xy_corr, the correlation of x and y.
+    """
+    places = {name: place for place, name in enumerate(belief.fields[4:], 4) if name not in CHOICES}
+    if on_ground:
+        places = {f"{name}_m": place for place, name in enumerate(belief.fields[:4])} | places
+    if not places:
         return {}
-    mean = belief.mean.tolist()
-    sds = np.sqrt(np.maximum(np.diagonal(belief.covariance), 0.0)).tolist()
-    places = {name: belief.fields.index(name) for name in names}
+    mean, covariance = belief.mean.tolist(), belief.covariance
+    sds = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).tolist()
     means = {name: mean[place] for name, place in places.items()}
-    return means | {f"{name}_sd": sds[place] for name, place in places.items()}
+    numbers = means | {f"{name}_sd": sds[place] for name, place in places.items()}
+    if on_ground:
+        both = sds[0] * sds[1]
+        numbers["xy_corr"] = float(covariance[0, 1]) / both if both > 0.0 else 0.0
+    return numbers
 
 
 def _score_metrics(measured: Measured, plate: CheckedTarget) -> tuple[float, dict[str, float]]:
@@ -241,7 +254,7 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
     alone: list[str] = []
     for target, one in filtered.items():
         own = one.step.posterior
-        if isinstance(own, ParticleSet) and one.step.support is own:
+        if isinstance(own, ParticleSet) and one.step.support is own and not one.plan.views:
             alike.setdefault((one.plan.root, own.fields, own.states.shape), []).append(target)
         else:
             alone.append(target)
@@ -250,12 +263,33 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
 
 def summarise_one(work: FrameContext, one: Filtered, covariance: Floats) -> Summary:
     """The belief of a target after its step in a few numbers, of which the covariance (D, D) is known."""
-    step, root = one.step, work.plate_of(one.target).plate.root
+    compiled, step = work.plate_of(one.target), one.step
+    root = compiled.plate.root
+    if compiled.views is not None:
+        return _summarise_in_image(work, one, compiled.views, covariance)
     posterior, weights = step.posterior, step.support.weights
     cloud = posterior.draw(CLOUD_SIZE, work.stream(one.target, root)("cloud"))
     regions = list(map(tuple, posterior.regions(SHARES).tolist()))
     surprise = kl(weights.log, step.prior.log)
     return _summary(work, one, (covariance.diagonal(), weights.ess, surprise, regions, _rounded(cloud)))
+
+
+def _summarise_in_image(work: FrameContext, one: Filtered, views: Views, covariance: Floats) -> Summary:
+    """The same of a belief on the ground, as the box in the image that it is seen as."""
+    frame, step = (work.frame.width, work.frame.height), one.step
+    root_node = work.plate_of(one.target).plate.root
+    box, spread = views.moments(step.posterior.mean, covariance, frame)
+    rng = work.stream(one.target, root_node)("cloud")
+    cloud = box + rng.standard_normal((CLOUD_SIZE, 4)) @ np.linalg.cholesky(spread + np.eye(4) * 1e-9).T
+    np.maximum(cloud[:, 2:], 1.0, out=cloud[:, 2:])
+    reach = np.outer(
+        [NormalDist().inv_cdf((1.0 + share) / 2.0) for share in SHARES], np.sqrt(np.diag(spread)[:2])
+    )
+    regions = np.stack([box[:2] - reach, box[:2] + reach], axis=2).reshape(-1, 4)
+    weights = step.support.weights
+    surprise = kl(weights.log, step.prior.log)
+    numbers = np.diag(spread), weights.ess, surprise, list(map(tuple, regions.tolist())), _rounded(cloud)
+    return evolve(_summary(work, one, numbers), place=views.boxes(step.map_state[None], frame)[0])
 
 
 Numbers = tuple[Floats, float, float, Rows, tuple[tuple[int, ...], ...]]

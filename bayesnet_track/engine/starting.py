@@ -11,11 +11,14 @@ import numpy as np
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import RuleInputs
 from bayesnet_track.adapt.status import next_try, quarantine
-from bayesnet_track.belief.contract import BOX_FIELDS, Posterior
+from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_M, Posterior
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.start_prior import make_start_prior
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.metrics import state_numbers
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
@@ -30,6 +33,8 @@ from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import root
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses, Reference
 from bayesnet_track.observation.planes import Frame, PlaneCache
 from bayesnet_track.sources.entrances.notices import notice
@@ -98,6 +103,8 @@ def start(
     if compiled.plate.inference(compiled.plate.root).start_texts:
         metrics = _with_start_prior(metrics, compiled, born.belief, box)
         _say_undefined(compiled, target, box)
+    if compiled.views is not None:
+        metrics = evolve(metrics, state=state_numbers(born.belief, on_ground=True))
     if compiled.modes is not None:
         states = ModeState.of(compiled.modes, born.belief, born.belief, 1.0)
         metrics = with_modes(metrics, states, calibrated=True)
@@ -199,8 +206,38 @@ def _first_lesson(
 def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
     motion = confined(compiled.motion, work.frame.width, work.frame.height, work.inputs)
-    belief: Posterior = compiled.belief.start(box, motion, work.stream_of(birth, compiled.plate.root))
-    return belief
+    stream = work.stream_of(birth, compiled.plate.root)
+    if compiled.views is None:
+        belief: Posterior = compiled.belief.start(box, motion, stream)
+        return belief
+    placed = compiled.views.place(box)
+    if placed is None:
+        raise ValueError(f"the box {box.tolist()} of a target on the ground stands nowhere")
+    state, covariance = placed
+    return with_spread(compiled.belief.start(state, motion, stream), covariance, stream("placed"))
+
+
+def with_spread(belief: Posterior, covariance: Floats, rng: np.random.Generator) -> Posterior:
+    """A belief that starts, its first K fields as uncertain as a covariance (K, K) says besides."""
+    size = len(covariance)
+    if isinstance(belief, GaussianPosterior):
+        spread = belief.covariance.copy()
+        spread[:size, :size] += covariance
+        return replace(belief, covariance=spread)
+    assert isinstance(belief, ParticleSet)
+    states = belief.states.copy()
+    lower = root(covariance)
+    states[:, :size] += rng.standard_normal((len(states), lower.shape[1])) @ lower.T
+    np.maximum(states[:, 2:4], LEAST_SIDE_M, out=states[:, 2:4])
+    return evolve(belief, states=states)
+
+
+def drawn(belief: ParticleSet, mean: Floats, covariance: Floats, rng: np.random.Generator) -> ParticleSet:
+    """Particles drawn from N(mean, covariance), as many as before."""
+    lower = root(covariance)
+    states = mean + rng.standard_normal((len(belief), lower.shape[1])) @ lower.T
+    np.maximum(states[:, 2:4], LEAST_SIDE_M, out=states[:, 2:4])
+    return evolve(belief, states=states)
 
 
 def _first_frame_metrics(

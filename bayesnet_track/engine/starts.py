@@ -17,6 +17,7 @@ from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
+from bayesnet_track.inference.views import views_of
 from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.numerics.arrays import Floats
@@ -88,6 +89,13 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
                 f"mask {name}: {columns}x{rows} px, and the frames have {width}x{height} px; "
                 "allowed: the frames' size; scale its file"
             )
+    for name, calibration in graph.calibrations.items():
+        of = calibration.camera.size
+        if of is not None and of != (width, height):
+            raise StartError(
+                f"calibration {name}: of {of[0]}x{of[1]} px, and the frames have {width}x{height} px; "
+                "allowed: the size that the camera was calibrated in"
+            )
     for start in starts:
         if start.plate is not None and start.plate not in graph.targets:
             close = nearest(start.plate, graph.targets)
@@ -96,6 +104,18 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
                 + (f"; nearest: {close}" if close else "")
             )
         check_box(start.box, width, height)
+        _check_stands(graph, start)
+
+
+def _check_stands(graph: CheckedGraph, start: Start) -> None:
+    """Refuse a box that stands nowhere on the ground, of a target whose state is there."""
+    plate = start.plate or next(iter(graph.targets))
+    views = views_of(graph.targets[plate])
+    if views is not None and views.place(centre_from_corner(start.box)) is None:
+        raise StartError(
+            f"box {tuple(start.box)} of {plate} stands nowhere on the ground: its foot is at or above the "
+            "horizon, or its size fits no place; allowed: a box whose lower edge is where the target stands"
+        )
 
 
 def check_box(box: object, width: int, height: int) -> Floats:
@@ -188,7 +208,7 @@ def start_targets(
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     _say_constants_die_out(engine)
     given = route_inputs(engine, State().net, frame.index, external_inputs)
-    cache = PlaneCache(FramePair(engine.with_inputs(frame), None))
+    cache = PlaneCache(FramePair(engine.with_inputs(engine.on_clock(frame)), None))
     work = FrameContext(engine, State().net, cache, {}, given.availability, given.by_hand)
     boxes = {
         str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))

@@ -101,6 +101,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     Raises:
         ValueError: the frame is not later than the last one.
     """
+    frame = engine.on_clock(frame)
     if state.previous is not None and not frame.time > state.previous.time:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
     batch = _open_frame(engine, state, frame, external_inputs)
@@ -267,6 +268,7 @@ def start_target(
     engine: Engine, state: State, frame: Frame, target: str, template: str, box: Floats
 ) -> Outcome:
     """Start a net for the target inside the centre box (4,) of `frame`; see `engine.starting.start`."""
+    frame = engine.on_clock(frame)
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     work = FrameContext(engine, state.net, PlaneCache(FramePair(frame, previous)), state.history.births)
@@ -291,7 +293,7 @@ def start_all(work: FrameContext, state: State, starts: Mapping[str, tuple[str, 
 
 def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
     """The first frame's outcome: what the detectors find in it besides the targets that started there."""
-    state = started.state
+    state, frame = started.state, engine.on_clock(frame)
     work = FrameContext(engine, state.net, PlaneCache(FramePair(frame, None)), state.history.births)
     return finish_first(work, started)
 

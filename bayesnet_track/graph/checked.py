@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Lost, Target, html_of
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
 from bayesnet_track.observation.image_files import Mask
 
@@ -93,6 +95,23 @@ class Inverse:
 
 
 @dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera as a file says it.
+
+    Attributes:
+        path: the file.
+        sha256: of its bytes, in hexadecimal.
+        camera: what it says.
+        name: which camera of the file; None where it has one.
+    """
+
+    path: Path
+    sha256: str
+    camera: GroundView
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class CheckedTarget:
     """One plate, its tree resolved.
 
@@ -110,6 +129,7 @@ class CheckedTarget:
         givens: latent node -> its distribution by expressions, of those that have one.
         measures: agent -> its measurement functions, of those that have some.
         inverses: agent that is given detections of quantities -> how one of them starts a target.
+        views: view -> its camera.
     """
 
     name: str
@@ -125,6 +145,7 @@ class CheckedTarget:
     givens: Mapping[str, Conditional] = field(default_factory=dict)
     measures: Mapping[str, MeasuredAs] = field(default_factory=dict)
     inverses: Mapping[str, Inverse] = field(default_factory=dict)
+    views: Mapping[str, GroundView] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""
@@ -184,6 +205,7 @@ class CheckedGraph:
         text: the canonical YAML of `spec` (what a run directory stores).
         cues: name -> declaration of those of its cues that are not installed, but were given.
         masks: the images of its factors, by their paths as written.
+        calibrations: its cameras, by path and name as written (`CameraSource.key`).
     """
 
     spec: GraphSpec
@@ -191,12 +213,18 @@ class CheckedGraph:
     text: str
     cues: Mapping[str, CueDeclaration] = field(default_factory=dict)
     masks: Mapping[str, Mask] = field(default_factory=dict)
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
 
     @property
     def declarations(self) -> Mapping[str, CueDeclaration]:
         """Name -> declaration of every cue that can be used with it: its own, and the installed ones."""
         named = {one.cue for target in self.spec.targets.values() for _, _, one in target.cue_choices()}
         return {**installed_cues(named), **self.cues}
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Width and height of the images of its first camera, px; None where no calibration says it."""
+        return next((one.camera.size for one in self.calibrations.values()), None)
 
     def __repr__(self) -> str:
         """Name and size: the whole specification would fill pages."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import import_module
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from bayesnet_track.graph.rules.self_check import SelfCheck
 from bayesnet_track.graph.settings.adapt import (
@@ -26,7 +26,15 @@ from bayesnet_track.graph.settings.adapt import (
     Level,
     Lost,
 )
-from bayesnet_track.graph.settings.base import AgentChoice, Choice, Empty, Model, Name, Number
+from bayesnet_track.graph.settings.base import (
+    AgentChoice,
+    Choice,
+    Empty,
+    Model,
+    Name,
+    Number,
+    word_or_mapping,
+)
 from bayesnet_track.graph.settings.beliefs import (
     AdaptiveSize,
     BinnedSize,
@@ -39,6 +47,7 @@ from bayesnet_track.graph.settings.beliefs import (
     Reset,
     Unscented,
 )
+from bayesnet_track.graph.settings.cameras import CameraSource, Ground, WorldState
 from bayesnet_track.graph.settings.inputs import MOST_INPUTS, FrameInput, Inputs
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
 from bayesnet_track.graph.settings.lifecycle import (
@@ -116,10 +125,14 @@ LANGUAGE_VERSION = 1
 class Target(Model):
     """A plate: one copy of this net per target."""
 
-    state: Literal["box", "point"] = Field(
+    state: Annotated[
+        Annotated[Literal["box", "point"], Tag("word")] | Annotated[WorldState, Tag("mapping")],
+        Discriminator(lambda value: "mapping" if value == "ground" else word_or_mapping(value)),
+    ] = Field(
         default="box",
         description="`box`: x, y, w, h in pixels, (x, y) the centre; `point`: x, y alone, in the unit of its "
-        "[sensors](any_sensor.md)",
+        "[sensors](any_sensor.md); `{ground: {unit: m}}`: in metres on the ground, seen by "
+        "[cameras](metres.md)",
     )
     birth: Birth | None = Field(
         default=None, description="where targets come from besides the given start boxes; default nowhere"
@@ -142,6 +155,11 @@ class Target(Model):
         "target by every detection that may be its own, as probable as it is that it is (JPDA)",
     )
     nodes: dict[Name, Node] = Field(min_length=1, description="the net: one tree under its root")
+
+    @property
+    def is_ground(self) -> bool:
+        """True where the state is in metres on the ground."""
+        return isinstance(self.state, WorldState)
 
     def cue_choices(self) -> Iterator[tuple[str, tuple[str, ...], AgentChoice]]:
         """Node, keys inside it, and the cue chosen there: those of agents, and of verifiers of a score."""
@@ -175,6 +193,9 @@ class GraphSpec(Model):
         default={},
         max_length=MOST_INPUTS,
         description="[columns of CSV files](expressions.md#inputs) that expressions use by name",
+    )
+    cameras: dict[Name, CameraSource] = Field(
+        default={}, max_length=16, description="cameras that see targets on the ground, by name"
     )
     targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")
     joins: tuple[Join, ...] = Field(

@@ -6,7 +6,7 @@ A pure function, called again at every reconfiguration.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.latent import Form, form_of, is_latent
@@ -15,6 +15,8 @@ from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.plane_words import plane_words
+from bayesnet_track.inference.views import View
+from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.observation.cue import AnyCue, MeasuringCue
 from bayesnet_track.observation.planes import Plane
 
@@ -108,6 +110,7 @@ class Plan:
             are no factors.
         planes: planes that the active agents read, inputs first.
         idle_planes: inactive agent -> the planes that a due reference update reads, on the estimate's crop.
+        views: prior down, before the draws: the root's hypotheses as cameras see them.
     """
 
     target: str
@@ -119,12 +122,22 @@ class Plan:
     fusions: tuple[Fusion, ...]
     planes: tuple[Plane, ...]
     idle_planes: Mapping[str, tuple[Plane, ...]]
+    views: tuple[View, ...] = ()
+
+    def camera(self, node: str) -> GroundView | None:
+        """Camera of a view; None of another node."""
+        return next((one.camera for one in self.views if one.node == node), None)
+
+    def in_image(self) -> Plan:
+        """The plan of hypotheses that are boxes in the image of the only view, if there is one."""
+        return replace(self, root=self.views[0].node, views=()) if self.views else self
 
     def _repr_html_(self) -> str:
         """For notebooks: what is done in which order, as a table."""
         from bayesnet_track.view.notebook import table
 
         planes = ", ".join(map(plane_words, self.planes)) or "none"
+        views = [("prior down", one.node, f"projected from {one.given_from}") for one in self.views]
         draws = [
             ("prior down", draw.node, f"{'carried in' if draw.moves else 'drawn from'} {draw.given_from}")
             for draw in self.draws
@@ -143,7 +156,7 @@ class Plan:
         ]
         idle = [("off", agent, "") for agent in self.idle_planes]
         factors = [("weigh", one.factor, f"{text_of(one.term)} at {one.at}") for one in self.factors]
-        rows = [("planes", self.target, planes), *draws, *asked, *factors, *joined, *idle]
+        rows = [("planes", self.target, planes), *views, *draws, *asked, *factors, *joined, *idle]
         return table(rows, ("step", "node", "what"))
 
 
@@ -173,6 +186,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         fusions=tuple(_fuse(target, name, messengers, measuring) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
+        views=tuple(View(name, target.root, camera) for name, camera in target.views.items()),
     )
 
 
@@ -198,10 +212,15 @@ def _list_drawn(target: CheckedTarget, messengers: frozenset[str]) -> list[str]:
 
 
 def _hypotheses_of(target: CheckedTarget, node: str | None) -> str:
-    """The root, or the nearest latent node at or above `node`: whose hypotheses are seen there."""
-    while node is not None and node != target.root and not is_latent(target, node):
+    """The root, or the nearest latent node or view at or above `node`: whose hypotheses are seen there."""
+    while node is not None and node != target.root and not has_hypotheses(target, node):
         node = target.parent[node]
     return node or target.root
+
+
+def has_hypotheses(target: CheckedTarget, node: str) -> bool:
+    """True of a latent node and of a view."""
+    return node in target.views or is_latent(target, node)
 
 
 def _draw(target: CheckedTarget, node: str) -> Draw:
@@ -267,6 +286,7 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     """The plan as text, one step a line."""
     lines = [f"target {plan.target}"]
     lines += [f"  plane    {plane_words(plane)}" for plane in plan.planes]
+    lines += [f"  project  {view.node} from {view.given_from} by its camera" for view in plan.views]
     for draw in plan.draws:
         verb, around = ("carry", "deviating from its place in") if draw.moves else ("draw ", "given")
         lines.append(f"  {verb}    {draw.node} {around} {_describe_given(draw)}")

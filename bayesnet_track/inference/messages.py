@@ -21,6 +21,7 @@ from bayesnet_track.inference.latent_messages import grid_message, kernel_messag
 from bayesnet_track.inference.observe import Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import at_prediction, note_undefined, read_as
+from bayesnet_track.inference.views import project, through
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
@@ -52,7 +53,7 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     messages: dict[str, Floats] = {}
     measured: dict[str, Measurement | None] = {}
     faults: dict[str, str] = {}
-    question = Question(at, prior_log, _region(at))
+    question = Question(at, prior_log, _region(latent if plan.views else at))
     answers = known_answers(plan.observations, observer)
     answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
     for step in plan.observations:
@@ -68,8 +69,9 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
                     answer = _at_prediction(answer, step, observer, at[step.at], prior_log)
                 note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
             answer = to_power(answer, 1.0 / step.temperature)
-            measured[step.agent] = answer
             messages[step.agent] = measurement_message(answer, at[step.at])
+            camera = plan.camera(step.at)
+            measured[step.agent] = answer if camera is None else through(camera, answer)
         elif answer is None:
             measured[step.agent] = None
             messages[step.agent] = np.zeros(len(hypotheses))
@@ -157,7 +159,8 @@ def join_messages(
                 total, scale = _scale(matched, above, prior_log, total)
                 rests[fusion.node] = scale
                 if matched is not None:
-                    gaussians[fusion.node] = matched
+                    camera = plan.camera(_source(plan, fusion.node))
+                    gaussians[fusion.node] = matched if camera is None else through(camera, matched)
             elif fusion.written is not None:
                 if fusion.own == "kernel":
                     log_kernel = log_given(fusion.written, above.boxes, own.boxes)
@@ -246,12 +249,21 @@ def _log_sum(log: Floats) -> float:
 
 def _above(plan: Plan, node: str, latent: Mapping[str, Hypotheses], hypotheses: Hypotheses) -> Hypotheses:
     """The hypotheses around which those of a latent node were drawn."""
-    source = next(step.given_from for step in plan.draws if step.node == node)
+    source = _source(plan, node)
     return hypotheses if source == node else latent.get(source, hypotheses)
 
 
+def _source(plan: Plan, node: str) -> str:
+    """The node around whose hypotheses those of a latent node were drawn."""
+    return next(step.given_from for step in plan.draws if step.node == node)
+
+
 def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict[str, Hypotheses]:
-    at = {plan.root: hypotheses}
+    """Hypotheses of views and of latent nodes."""
+    frame = observer.cache.frames.current
+    size = frame.width, frame.height
+    views = {view.node: project(view.camera, hypotheses, size) for view in plan.views}
+    at = {plan.root: hypotheses, **views}
     number = next(observer.passes)
     again = "" if number == 0 else f" {number}"
     for step in plan.draws:
@@ -270,7 +282,7 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
         else:
             boxes = sample_noise(step.given, around, rng)
         at[step.node] = Hypotheses(boxes, above.fields)
-    return {step.node: at[step.node] for step in plan.draws}
+    return {**views, **{step.node: at[step.node] for step in plan.draws}}
 
 
 def _region(at: Mapping[str, Hypotheses]) -> Region:

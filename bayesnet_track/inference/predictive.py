@@ -27,7 +27,8 @@ def p_values(plate: CheckedTarget, step: Step[Any], hidden: Sequence[bool] = ())
     found = {}
     for agent in plate.agents:
         one = step.evidence.gaussians.get(agent)
-        if one is None or one.choices or one.errors is not None or plate.agent(agent).parent != plate.root:
+        above = plate.agent(agent).parent
+        if one is None or one.choices or one.errors is not None or above not in (plate.root, *plate.views):
             continue
         fields = step.posterior.fields
         if step.predicted:

@@ -216,7 +216,11 @@ class DetectionsTracker(Storable):
                     f"the graph {self._graph.spec.name} looks at the image ({', '.join(users)}): call "
                     "update(detections, frame)"
                 )
-            size = (self._size or USUAL_SIZE) if before is None else (before.kind.width, before.kind.height)
+            size = (
+                (self._size or self._graph.image_size or USUAL_SIZE)
+                if before is None
+                else (before.kind.width, before.kind.height)
+            )
             return blank_image(*size), FrameKind(*size, True, 3, "uint8")
         if not isinstance(frame, np.ndarray):
             raise ValueError(f"a frame is an array of pixels, not {type(frame).__name__}")

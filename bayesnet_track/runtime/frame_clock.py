@@ -275,9 +275,9 @@ def rehearse_boxes(graph: CheckedGraph, engine: Engine, starts: Sequence[Start],
     """Track a made-up target for each of `starts`: it moves, is gone for a while, and returns.
 
     Frames have the colour of the `first` one; where masks lie over them, its size, too. Cues of the user's
-    own are not asked about what is made up.
+    own are not asked about what is made up. Nothing is made up on the ground, where not every box stands.
     """
-    if _are_installed(engine):
+    if _are_installed(engine) and not graph.calibrations:
         made_up = [Start(_corner(0, number), start.plate) for number, start in enumerate(starts)]
         look = _Look((first.width, first.height) if graph.masks else SIZE, first.has_color)
         key = graph.text, len(starts), look

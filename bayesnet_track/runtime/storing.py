@@ -19,6 +19,7 @@ import numpy as np
 
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.cameras import read_file
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph, read_graph
@@ -183,6 +184,9 @@ def pack(
         "models": {path: file_sha256(path) for path in model_files(graph)},
         "options": dict(options),
         "masks": len(masks),
+        "calibrations": {
+            key: [str(one.path.absolute()), one.sha256, one.name] for key, one in graph.calibrations.items()
+        },
     }
     content = zlib.compress(json.dumps(header).encode("ascii") + b"\n" + masks + body, 1)
     seal = hashlib.sha256(content).hexdigest().encode("ascii")
@@ -216,13 +220,20 @@ def unpack(data: bytes, kind: str, given: CheckedGraph | None = None) -> Stored:
         if header["kind"] != kind:
             raise StoredError(f"a {header['kind']} was stored, and a {kind} is asked for")
         size, text, models, options = (header[name] for name in ("masks", "graph", "models", "options"))
+        files = header["calibrations"]
         found = decode(body[:size], ())
         masks = {name: Mask(Path(path), sha256, gray) for name, (path, sha256, gray) in found.items()}
     except StoredError:
         raise
     except (zlib.error, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise StoredError(f"the stored tracker is damaged: {error}") from error
-    graph = check(*read_graph(text, "the stored graph"), masks=masks) if given is None else given
+    for path, sha256, _ in files.values():
+        if file_sha256(path) != sha256:
+            raise StoredError(f"{path} is not what it was when the tracker was stored")
+    if given is None:
+        cameras = {key: read_file(Path(path), name) for key, (path, _, name) in files.items()}
+        given = check(*read_graph(text, "the stored graph"), masks=masks, calibrations=cameras)
+    graph = given
     _compare(graph, text, masks)
     for path, sha256 in models.items():
         if file_sha256(path) != sha256:

@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from bayesnet_track.graph.checks.cameras import CAMERA_GRAPH_CHECKS
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, evidence_counts_once
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
 from bayesnet_track.graph.checks.latent import TREE_CHECKS
@@ -62,6 +63,9 @@ PAGES: Mapping[str, Page] = {
     "targets": Page("Targets", "births, ends, existence, identities", ("target",)),
     "nodes": Page(
         "Inference nodes", "nodes, estimates, fusion, nodes drawn around others", ("inference node",)
+    ),
+    "cameras": Page(
+        "Cameras and the ground", "states in metres, seen by cameras", ("camera source", "world state")
     ),
     "beliefs": Page("Beliefs", "particles, Gaussian, grid", ("belief",)),
     "motion": Page("Motion", "how a target moves, and its modes", ("motion", "mode")),
@@ -264,6 +268,7 @@ def _checks() -> str:
         *JOIN_CHECKS,
         *FORMULA_JOIN_CHECKS,
         *QUERY_CHECKS,
+        *CAMERA_GRAPH_CHECKS,
     )
     lines = ["A graph is accepted when all of these hold:\n"]
     for check in checks:

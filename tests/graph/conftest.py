@@ -475,7 +475,18 @@ def everything() -> dict[str, Any]:
         "name": "everything",
         "constants": {"slope": 0.32},
         "about": "two\nlines: \u00e9 # \U0001f600",
-        "targets": {"t": {"nodes": nodes, **life}},
+        "inputs": {"pan": {"file": "camera.csv"}},
+        "cameras": {"north": {"calibration": "north.yaml", "name": "back"}},
+        "targets": {
+            "t": {"nodes": nodes, **life},
+            "walker": {
+                "state": {"ground": {"width": {"mean": 0.6, "sd": 0.1}}},
+                "nodes": {
+                    "walker": {"motion": {"constant_velocity": {"sd": {"w": 0.01}}}},
+                    "view": {"parent": "walker", "camera": "north"},
+                },
+            },
+        },
         "queries": {
             "q": {"of": "t", "probability": "x > 3", "event_above": 0.5},
             "v": {"of": ["t", "t"], "value": "a.x - b.x", "unit": "px", "interval": 0.5},

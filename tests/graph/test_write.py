@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from bayesnet_track import GraphSpec
 from bayesnet_track.graph.rules.agent_rule import AgentRule
 from bayesnet_track.graph.settings.base import PluginChoice
+from bayesnet_track.graph.settings.motion import OnGround
 from bayesnet_track.graph.settings.queries import CrossingLine
 from bayesnet_track.graph.spec import AgentChoice, Choice, Fuse, Model, Motion, Moving, Noise
 from bayesnet_track.graph.text.load import read_graph
@@ -53,7 +54,7 @@ def test_floats_survive_bit_for_bit(sd):
 def test_every_part_of_the_language_survives(everything):
     spec = GraphSpec.model_validate(everything)
     assert read_graph(write_graph(spec))[0] == spec
-    bases = {AgentRule, Choice, CrossingLine, PluginChoice, Moving, Noise}
+    bases = {AgentRule, Choice, CrossingLine, PluginChoice, Moving, Noise, OnGround}
     assert _subclasses(Model) - set(_models_in(spec)) == bases
 
 

@@ -11,6 +11,7 @@ from statistics import NormalDist
 import numpy as np
 
 from bayesnet_track.belief.contract import (
+    LEAST_SIDE_PX,
     Evaluate,
     Evidence,
     MotionModel,
@@ -215,7 +216,7 @@ class GaussianFilter:
     ) -> GaussianPosterior:
         """The belief after `dt` frame intervals without evidence; `rng` is not used."""
         mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
-        return _posterior(mean, covariance, prior.fields, prior.size)
+        return _posterior(mean, covariance, prior.fields, prior.size, motion)
 
     def step(
         self, prior: GaussianPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
@@ -241,12 +242,12 @@ class GaussianFilter:
             update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
             mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
         except DegenerateWeights as fault:
-            posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
+            posterior = _posterior(mean, covariance, prior.fields, len(asked.states), motion)
             return evolve(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
         by_points = self.settings.filter == "unscented"
         after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
         stepped = _step(
-            _posterior(after.mean, after.covariance, prior.fields, len(asked.states)),
+            _posterior(after.mean, after.covariance, prior.fields, len(asked.states), motion),
             log_evidence + after.log_evidence,
             asked,
             _weights(asked, evidence, sampled, after, hypotheses, prior.fields),
@@ -263,9 +264,11 @@ def draws_of(settings: spec.Gaussian, width: int) -> int:
     return max(settings.samples, 2 * (width + 1))
 
 
-def _posterior(mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int) -> GaussianPosterior:
+def _posterior(
+    mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int, motion: MotionModel
+) -> GaussianPosterior:
     held = mean.copy()
-    np.maximum(held[2:4], 1.0, out=held[2:4])
+    np.maximum(held[2:4], getattr(motion, "least_side", LEAST_SIDE_PX), out=held[2:4])
     return GaussianPosterior(held, covariance, fields, size)
 
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.contract import LEAST_SIDE_PX, MotionModel
 from bayesnet_track.belief.gaussian.error_update import update_by_errors
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.formulas import derivative, extended_update, unscented_update
@@ -120,8 +120,9 @@ def _draw(
         bounds = float(motion.width), float(motion.height), LEAST
     size = max(samples, 2 * (width + 1))
     half = rng.standard_normal((size // 2, width))
+    is_in_pixels = getattr(motion, "least_side", LEAST_SIDE_PX) == LEAST_SIDE_PX
     lower, unit, states = np.empty((width, width)), np.empty((size, width)), np.empty((size, width))
-    if not stand_for(plain(mean), plain(covariance), half, bounds, unit, (lower, states)):
+    if not is_in_pixels or not stand_for(plain(mean), plain(covariance), half, bounds, unit, (lower, states)):
         lower = root(covariance)
         width = lower.shape[1]
         size = max(samples, 2 * (width + 1))
@@ -133,7 +134,7 @@ def _draw(
 
 def _placed(mean: Floats, lower: Floats, unit: Floats, motion: MotionModel) -> Floats:
     states = mean + unit @ lower.T
-    np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
+    np.maximum(states[:, 2:4], getattr(motion, "least_side", LEAST_SIDE_PX), out=states[:, 2:4])
     return motion.confine(states) if isinstance(motion, Confined) else states
 
 

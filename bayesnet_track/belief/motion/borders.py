@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Ancestors, MotionModel
+from bayesnet_track.belief.contract import LEAST_SIDE_PX, Ancestors, MotionModel
 from bayesnet_track.belief.motion.averaged import Averaged
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
@@ -96,7 +96,7 @@ class Confined(Wrapped):
         from bayesnet_track.numerics.kernels.box_kernels import confine
 
         if self.leaves_image:
-            np.maximum(moved[:, 2:4], 1.0, out=moved[:, 2:4])
+            np.maximum(moved[:, 2:4], self.least_side, out=moved[:, 2:4])
         else:
             confine(moved, float(self.width), float(self.height))
         return moved
@@ -108,6 +108,9 @@ class Confined(Wrapped):
 
         across, down = (math.inf, math.inf) if self.leaves_image else (float(self.width), float(self.height))
         held, spread = np.array(mean, np.float64), np.array(covariance, np.float64, order="C")
+        if self.least_side != LEAST_SIDE_PX:
+            held[2:4] = np.maximum(held[2:4], self.least_side)
+            return held, spread
         confine_moments(held, spread, across, down)
         return held, spread
 
@@ -115,6 +118,11 @@ class Confined(Wrapped):
     def leaves_image(self) -> bool:
         """True if the model's centres go on beyond the image."""
         return bool(getattr(self.motion, "leaves_image", False))
+
+    @cached_property
+    def least_side(self) -> float:
+        """The least width and height of a target, in the unit of the state."""
+        return float(getattr(self.motion, "least_side", LEAST_SIDE_PX))
 
     @property
     def extent(self) -> Floats:

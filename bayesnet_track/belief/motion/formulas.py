@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
+from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_PX, Ancestors
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph.expressions.evaluate import values_of
@@ -262,6 +262,7 @@ class FormulaMotion:
         static_discount: of kernels that keep hypotheses about unknown constants; None without kernels.
         leaves_image: whether targets go on beyond the frame.
         prior: distributions of fields at the start in place of these; None without any.
+        least_side: of widths and heights, in the unit of the state.
         undefined: ``drift x`` or ``sd x`` -> what was found; of this object alone, which is made for a frame.
     """
 
@@ -276,6 +277,7 @@ class FormulaMotion:
     static_discount: float | None = None
     leaves_image: bool = False
     prior: StartPrior | None = None
+    least_side: float = LEAST_SIDE_PX
     undefined: dict[str, Undefined] = field(default_factory=dict, init=False)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
@@ -316,7 +318,7 @@ class FormulaMotion:
         new, sds = self.drift(states, dt), self.noise(states, dt)
         columns = self._noisy
         new[:, columns] += sds[:, columns] * rng.standard_normal((len(states), len(columns)))
-        np.maximum(new[:, 2:4], 1.0, out=new[:, 2:4])
+        np.maximum(new[:, 2:4], self.least_side, out=new[:, 2:4])
         return new
 
     def noise(self, states: Floats, dt: float) -> Floats:
@@ -345,7 +347,7 @@ class FormulaMotion:
         def states_at(points: Floats, still: Floats) -> Floats:
             states = still.copy()
             states[:, keep] = points
-            np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
+            np.maximum(states[:, 2:4], self.least_side, out=states[:, 2:4])
             return states
 
         return Transition(

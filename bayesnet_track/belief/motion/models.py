@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
+from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_PX, Ancestors
 from bayesnet_track.belief.motion.noise import (
     Transition,
     add_noise,
@@ -148,6 +148,7 @@ class KinematicMotion:
         start_sd: sds of the unknown first velocity and acceleration, (n - 1).
         leaves_image: whether targets go on beyond the frame.
         prior: distributions of fields at the start in place of these; None without any.
+        least_side: of widths and heights, in the unit of the state.
     """
 
     noise: spec.Noise
@@ -156,6 +157,7 @@ class KinematicMotion:
     start_sd: tuple[float, ...] = ()
     leaves_image: bool = False
     prior: StartPrior | None = None
+    least_side: float = LEAST_SIDE_PX
 
     def __hash__(self) -> int:
         return self._hash
@@ -204,7 +206,7 @@ class KinematicMotion:
         else:
             parents = np.arange(len(states)) if parents is None else parents
             new = driven(plain_states(states), parents, *step_rows(self.dynamics, self.diffusion, dt), rng)
-        add_noise(self.noise, new[:, :4], rng, dt)
+        add_noise(self.noise, new[:, :4], rng, dt, self.least_side)
         return new
 
     def drift(self, states: Floats, dt: float) -> Floats:
@@ -338,6 +340,8 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
 @lru_cache(maxsize=1024)
 def linear_moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
     """F and Q of a motion that is linear with noise in px; else None."""
+    if motion.least_side != LEAST_SIDE_PX:
+        return None
     try:
         return linear_gaussian(motion, dt)
     except ValueError:
@@ -404,7 +408,7 @@ def propagate_rows(
     moved = moved.reshape(count, -1, width)
     if any(noisy(motion.noise)):
         for own, stream in zip(moved, streams, strict=True):
-            add_noise(motion.noise, own[:, :4], stream, dt)
+            add_noise(motion.noise, own[:, :4], stream, dt, motion.least_side)
     return moved
 
 

@@ -68,7 +68,9 @@ def sample_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: floa
     return new
 
 
-def add_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0) -> None:
+def add_noise(
+    noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0, least: float = 1.0
+) -> None:
     """Add noise as `sample_noise` draws it, in place."""
     keep = noisy(noise)
     if any(keep[:2]):
@@ -93,7 +95,7 @@ def add_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float =
             )  # `clip` takes twice as long
         else:
             boxes[:, 2:] += steps
-        np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+        np.maximum(boxes[:, 2:], least, out=boxes[:, 2:])
 
 
 def log_noise_density(noise: Noise, new: Floats, old: Floats, dt: float = 1.0) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import shutil
 from collections.abc import Sequence
@@ -19,7 +20,6 @@ from bayesnet_track.cli.arguments import (
     add_truth_format,
     check_free,
     complain,
-    free_folder,
     say,
     set_values,
     users_mistake,
@@ -277,7 +277,8 @@ def what_if(options: argparse.Namespace) -> int:
     if options.no_adaptation:
         _require_adaptation(first.spec)
     masks = recipe.read_masks()
-    graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks)
+    cameras = recipe.read_calibrations(first.spec)
+    graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks, cameras)
     out = _folder(options)
     if out.resolve() == first.directory.path.resolve():
         raise UsageError(f"--out {out}: that is the run itself; give another folder")
@@ -318,7 +319,9 @@ def _folder(options: argparse.Namespace) -> Path:
     """Where to write: --out, else the first of RUN-what-if, RUN-what-if-2, ... that is free."""
     if options.out:
         return Path(options.out)
-    return free_folder(f"{str(options.run).rstrip('/')}-what-if", options.overwrite)
+    first = f"{str(options.run).rstrip('/')}-what-if"
+    names = itertools.chain([first], (f"{first}-{number}" for number in itertools.count(2)))
+    return Path(next(name for name in names if options.overwrite or not os.path.lexists(name)))
 
 
 def _track_again(

@@ -77,13 +77,14 @@ def _refused(text: str, setting: str) -> str | None:
 
     What is wrong without the setting, too, does not count: cues of the user's own are not loaded here.
     """
+    from bayesnet_track.graph.checks.cameras import AnyCalibration
     from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.graph.text.messages import GraphError
     from bayesnet_track.observation.image_files import AnyMask
 
     def mistakes(changes: Sequence[str]) -> list[str]:
         try:
-            change_graph(text, changes, masks=AnyMask())
+            change_graph(text, changes, masks=AnyMask(), calibrations=AnyCalibration())
         except GraphError as error:
             return [one.found for one in error.errors]
         return []

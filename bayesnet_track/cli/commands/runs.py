@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,6 @@ from bayesnet_track.cli.arguments import (
     add_set_option,
     add_truth_format,
     add_view_options,
-    by_status,
     check_free,
     complain,
     parse_start,
@@ -87,7 +85,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     scene = source.scene
     graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
     if options.set:
-        graph = set_values(graph.text, options.set, masks=graph.masks)
+        graph = set_values(graph.text, options.set, True, graph.masks, graph.calibrations)
     # Only what an earlier demo wrote there is replaced without being asked to.
     out = run_folder(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
@@ -108,7 +106,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if not options.verbose:
         say("\nwhat was decided, and why:")
         for line in narrate_all(events, kinds, name_target):
-            say(by_status(line, sys.stdout))
+            say(line)
     if has_truth:
         whose = f" of {kinds['1']} 1" if name_target else ""
         say(f"\nagainst the ground truth{whose}:")
@@ -277,7 +275,7 @@ def simulate(options: argparse.Namespace) -> int:
 
     graph = load_graph(options.graph)
     if options.set:
-        graph = set_values(graph.text, options.set)
+        graph = set_values(graph.text, options.set, True, graph.masks, graph.calibrations)
     if (options.init is None) == (options.init_from is None):
         raise UsageError("give the box of the first frame: --init X,Y,W,H, or --init-from FILE")
     if options.init is not None:

@@ -154,7 +154,7 @@ def score_looks(
         agents = [agent for agent in agents if agent not in compiled.color_agents]
     if not (agents and len(targets)):
         return np.zeros(len(boxes))
-    plan = replace(plan_for(compiled, frozenset(agents)), factors=())
+    plan = replace(plan_for(compiled, frozenset(agents)), factors=()).in_image()
     apart: Iterable[int] = range(len(targets))
     log = np.zeros(len(boxes))
     if is_flat(compiled.plate) and not (

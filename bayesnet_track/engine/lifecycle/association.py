@@ -443,8 +443,8 @@ def _expected_boxes(work: FrameContext, targets: Targets, names: Sequence[str]) 
     """(K, 4) the boxes that targets are expected to have in this frame."""
     boxes = []
     for target in names:
-        belief = targets[target].belief
-        mean, covariance = moments_of(belief)
-        mean, _ = predictor(work, work.plate_of(target))(mean[None], covariance[None])
-        boxes.append(mean[0, :4])
+        mean, covariance = moments_of(targets[target].belief)
+        compiled = work.plate_of(target)
+        mean, _ = predictor(work, compiled)(mean[None], covariance[None])
+        boxes.append(compiled.boxes(mean, work.frame)[0])
     return np.array(boxes).reshape(-1, 4)

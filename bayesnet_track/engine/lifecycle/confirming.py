@@ -14,13 +14,15 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.motion.modes import moments_of
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.initiating import initiate, velocity
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
-from bayesnet_track.engine.starting import restart, start
+from bayesnet_track.engine.metrics import state_numbers
+from bayesnet_track.engine.starting import drawn, restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Continued, Returned
@@ -161,13 +163,27 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMet
         born = start(now.work, target, now.plate, box, candidate.birth)
         tracks.decide(*born.decisions)
     tracks.history = evolve(tracks.history, births={**tracks.history.births, target: candidate.birth})
-    state = with_belief(born.state, candidate, now.work.engine.plates[now.plate].association_rules)
-    tracks.add(target, state, start_record(state, frame.index, frame), born.metrics)
-    return born.metrics
+    compiled, metrics = now.work.engine.plates[now.plate], born.metrics
+    rng = (
+        None if compiled.views is None else now.work.stream_of(candidate.birth, compiled.plate.root)("placed")
+    )
+    state = with_belief(born.state, candidate, compiled.association_rules, rng)
+    if compiled.views is not None:
+        metrics = evolve(metrics, state=state_numbers(state.belief, on_ground=True))
+    tracks.add(target, state, start_record(state, frame.index, frame), metrics)
+    return metrics
 
 
-def with_belief(state: TargetState, candidate: Candidate, rules: Iterable[str]) -> TargetState:
-    """The state of a target that was a prospect or a tentative track, with what was known of it."""
+def with_belief(
+    state: TargetState,
+    candidate: Candidate,
+    rules: Iterable[str],
+    on_ground: np.random.Generator | None = None,
+) -> TargetState:
+    """The state of a target that was a prospect or a tentative track, with what was known of it.
+
+    Particles keep the box that they start in; those `on_ground`, where a box says little, are drawn anew.
+    """
     belief = state.belief
     if candidate.mean is None or candidate.covariance is None:
         return state
@@ -177,6 +193,8 @@ def with_belief(state: TargetState, candidate: Candidate, rules: Iterable[str]) 
         mean, covariance = candidate.mean, candidate.covariance
         parts = tuple(replace(part, mean=mean, covariance=covariance) for part in belief.parts)
         belief = replace(belief, parts=parts)
+    elif isinstance(belief, ParticleSet) and on_ground is not None:
+        belief = drawn(belief, candidate.mean, candidate.covariance, on_ground)
     references, observed = dict(state.references), candidate.observed
     if observed is not None and len(observed):
         references |= {agent: {**references.get(agent, {}), OBSERVED: observed} for agent in rules}

@@ -9,6 +9,7 @@ graph gives, else found by following h from a place where its value is known.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -35,8 +36,6 @@ def make_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, fields:
     if inverse is None:
         return BoxSensor(rule)
     parameters: Any = plate.parameters[agent]
-    belief = plate.inference(plate.root).belief
-    gaussian = None if belief is None else belief.gaussian
     quantities = tuple(parameters.sd)
     limits = np.array([parameters.within[name] for name in quantities])
     return FunctionSensor(
@@ -48,8 +47,15 @@ def make_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, fields:
         limits[:, 0],
         limits[:, 1],
         inverse,
-        gaussian is not None and gaussian.filter == "unscented",
+        is_unscented(plate),
     )
+
+
+def is_unscented(plate: CheckedTarget) -> bool:
+    """True where targets are filtered by sigma points."""
+    belief = plate.inference(plate.root).belief
+    gaussian = None if belief is None else belief.gaussian
+    return gaussian is not None and gaussian.filter == "unscented"
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,17 +114,14 @@ class FunctionSensor:
         """With h in these frames: it may read the time between them, and their size."""
         return replace(self, seen=seen_by(self.quantities, self.functions, frames))
 
+    def boxes(self, mean: Floats) -> Floats:
+        """As of every sensor."""
+        return mean[:, :4]
+
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
         """What targets (T, D), (T, D, D) are expected to be detected as."""
-        seen, noise = self._seen, np.diag(self.variances)
-        with np.errstate(all="ignore"):
-            if self.is_unscented:
-                return self._by_points(seen, mean, covariance, noise)
-            values = self._of(mean)
-            slopes = derivatives(lambda states: self._near(states, values), mean)
-            cross = covariance @ np.swapaxes(slopes, 1, 2)
-            spread = slopes @ cross + noise
-        return _known(values, spread, cross)
+        by = expect_by_points if self.is_unscented else expect_by_slopes
+        return by(self._of, self._near, mean, covariance, np.diag(self.variances))
 
     def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
         """As of every sensor: d^2 = v' S^-1 v, v the shorter way round of angles."""
@@ -247,11 +250,31 @@ class FunctionSensor:
         around = np.tile(expected, (len(values) // len(expected), 1))
         return around + self._seen.less(values, around)
 
-    def _by_points(self, seen: Seen, mean: Floats, covariance: Floats, noise: Floats) -> Expectation:
-        count, size = mean.shape
-        width = len(self.quantities)
-        values, spread, cross = np.empty((count, width)), np.empty((count, width, width)), None
-        cross = np.zeros((count, size, width))
+
+Values = Callable[[Floats], Floats]
+"""(N, D) states -> (N, K) values; NaN where there is none."""
+
+Near = Callable[[Floats, Floats], Floats]
+"""(S * N, D) states, (N, K) values -> (S * N, K) values, of angles the turn that is near those given."""
+
+
+def expect_by_slopes(of: Values, near: Near, mean: Floats, covariance: Floats, noise: Floats) -> Expectation:
+    """What states N(mean, covariance) are expected to be seen as, by the derivative at the mean."""
+    with np.errstate(all="ignore"):
+        values = of(mean)
+        slopes = derivatives(lambda states: near(states, values), mean)
+        cross = covariance @ np.swapaxes(slopes, 1, 2)
+        spread = slopes @ cross + noise
+    return _known(values, spread, cross)
+
+
+def expect_by_points(of: Values, near: Near, mean: Floats, covariance: Floats, noise: Floats) -> Expectation:
+    """The same by sigma points."""
+    count, size = mean.shape
+    width = len(noise)
+    values, spread = np.empty((count, width)), np.empty((count, width, width))
+    cross = np.zeros((count, size, width))
+    with np.errstate(all="ignore"):
         for row in range(count):
             lower = root(covariance[row])
             rank = lower.shape[1]
@@ -259,13 +282,13 @@ class FunctionSensor:
             unit = sigma_points(rank, scale)
             weights = np.full(len(unit), 0.5 / scale)
             weights[0] = 1.0 - rank / scale
-            middle = self._of(mean[row][None])
-            at = self._near(mean[row] + unit @ lower.T, middle)
+            middle = of(mean[row][None])
+            at = near(mean[row] + unit @ lower.T, middle)
             values[row] = weights @ at
             away = (at - values[row]) * weights[:, None]
             spread[row] = away.T @ (at - values[row]) + noise
             cross[row] = lower @ (unit.T @ away)
-        return _known(values, spread, cross)
+    return _known(values, spread, cross)
 
 
 def _known(values: Floats, spread: Floats, cross: Floats) -> Expectation:

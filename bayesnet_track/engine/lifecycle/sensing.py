@@ -132,6 +132,9 @@ class Sensor(Protocol):
     def begin(self, motion: MotionModel, found: Found) -> Begun:
         """The states that detections start with."""
 
+    def boxes(self, mean: Floats) -> Floats:
+        """(T, 4) centre boxes in the image of states (T, D), px."""
+
 
 @dataclass(frozen=True, eq=False)
 class BoxSensor:
@@ -148,6 +151,10 @@ class BoxSensor:
     def at(self, frames: FramePair) -> BoxSensor:
         """The same in every frame."""
         return self
+
+    def boxes(self, mean: Floats) -> Floats:
+        """As of every sensor: those of the states."""
+        return mean[:, :4]
 
     def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
         """As of every sensor; boxes that overlap the prediction by less than `min_overlap` are out, too."""

@@ -84,19 +84,20 @@ def confirmed(
     """Rows of a plate's unconfirmed tracks that exist probably enough at `time`, the most probable first."""
     ready = np.flatnonzero(unconfirmed.existence >= rule.existence.confirm)
     ready = ready[np.argsort(-unconfirmed.existence[ready], kind="stable")]
-    return {row: _candidate(rule.motion, unconfirmed, row, plate, time) for row in ready.tolist()}
+    return {row: _candidate(rule, unconfirmed, row, plate, time) for row in ready.tolist()}
 
 
 def _candidate(
-    motion: MotionModel, unconfirmed: UnconfirmedTracks, row: int, plate: str, time: float
+    rule: CrowdRule, unconfirmed: UnconfirmedTracks, row: int, plate: str, time: float
 ) -> Candidate:
     seen, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
     mean, born = unconfirmed.mean[row], float(unconfirmed.born[row])
-    first = mean[:4].copy()
-    first[:2] -= velocity(motion, mean) * (time - born)
+    first = mean.copy()
+    first[:2] -= velocity(rule.motion, mean) * (time - born)
+    box, first_box = rule.sensor.boxes(np.array([mean, first]))
     scores = (float(unconfirmed.score[row]) / seen,) * seen
     return Candidate(
-        mean[:4],
+        box,
         np.zeros(2),
         ((None,) * max(looks - seen, 0) + scores),
         int(unconfirmed.first[row]),
@@ -104,7 +105,7 @@ def _candidate(
         mean,
         unconfirmed.covariance[row],
         float(unconfirmed.existence[row]),
-        track=((born, first),),
+        track=((born, first_box),),
     )
 
 

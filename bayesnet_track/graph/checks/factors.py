@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.cues import cue_parameters, noises_of, plugin_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import Check, Plate, further_fields
+from bayesnet_track.graph.checks.plates import Check, Plate, further_fields, is_seen
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import (
     DRAWN,
@@ -111,9 +111,11 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         draws = belief is None or belief.particles is not None or latent == plate.roots[0]
         has_parent = draws and fuse.latent.draw != "kernel"
         own = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
+    elif is_seen(plate.spec, node):
+        own = BOX
     else:
         root = plate.inference[plate.roots[0]]
-        fields = BOX if plate.spec.state == "box" else BOX[:2]
+        fields = BOX[:2] if plate.spec.state == "point" else BOX
         own = (*fields, *further_fields(root), *(["mode"] if root.modes else []), *_modes(plate))
     return (*own, *FRAME_NAMES, *plate.frame_names, *plate.constants)
 

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.modes import modes_are_joined
-from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate, is_seen
 from bayesnet_track.graph.settings.joins import join_of
 from bayesnet_track.graph.settings.lifecycle import Confirm
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
@@ -142,7 +142,7 @@ def marginal_association_has_mixtures(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, allowed, key=("belief",) if node.belief else ())
     for name in _measuring(plate):
         above = plate.agents[name].parent
-        if above not in plate.roots:
+        if above not in plate.roots and not is_seen(plate.spec, above):
             found = f"associate: marginal with an agent that measures by detections below {above}"
             yield plate.message(name, found, f"parent: {plate.roots[0]}", key=("parent",))
 

@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from bayesnet_track.graph.checked import Calibration
 from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.planes import BEFORE
+from bayesnet_track.observation.protocols import BOX
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,7 @@ class Plate:
         constants: numbers that expressions use by name.
         inputs: names of what is known of every frame beside its image.
         masks: images by their paths as written; one that cannot be read as what is wrong with it.
+        cameras: cameras by name, in the same way.
     """
 
     name: str
@@ -35,6 +38,7 @@ class Plate:
     constants: Mapping[str, float] = field(default_factory=dict)
     masks: Mapping[str, Mask | str] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
+    cameras: Mapping[str, Calibration | str] = field(default_factory=dict)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
@@ -132,6 +136,19 @@ class Plate:
 Check = Callable[[Plate], Iterator[GraphMessage]]
 """One pass: yields every violation it finds in a plate."""
 
+
+def is_seen(target: Target, name: str | None) -> bool:
+    """True at a view and below it, where boxes are in pixels."""
+    passed: set[str] = set()
+    while name is not None and name in target.nodes and name not in passed:
+        passed.add(name)
+        node = target.nodes[name]
+        if isinstance(node, InferenceNode) and node.camera is not None:
+            return True
+        name = node.parent
+    return False
+
+
 FURTHER = {
     "constant_velocity": ("vx", "vy"),
     "damped_velocity": ("vx", "vy"),
@@ -152,6 +169,12 @@ def further_fields(root: InferenceNode) -> tuple[str, ...]:
     """Fields of a root's state beside the box that evidence may read: a grid takes it at places only."""
     on_grid = root.belief is not None and root.belief.grid is not None
     return () if on_grid else moving_fields(root)
+
+
+def ground_fields(target: Target) -> tuple[str, ...]:
+    """Numbers of a state on the ground, as results name them: in metres, then the motion's own fields."""
+    roots = (node for node in target.nodes.values() if isinstance(node, InferenceNode) and not node.parent)
+    return (*(f"{name}_m" for name in BOX), *moving_fields(next(roots)))
 
 
 def moving_fields(root: InferenceNode) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.checked import Calibration, CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.adapt import ADAPT_CHECKS, SCORE_CHECKS
 from bayesnet_track.graph.checks.beliefs import (
     PLACE_CHECKS,
@@ -18,6 +18,14 @@ from bayesnet_track.graph.checks.beliefs import (
     grid_resets_at_one_level,
     kalman_moves_linearly,
     sizes_in_order,
+)
+from bayesnet_track.graph.checks.cameras import (
+    CAMERA_CHECKS,
+    CAMERA_GRAPH_CHECKS,
+    calibrations_of,
+    cameras_can_be_read,
+    in_units_of_the_state,
+    read_views,
 )
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters, evidence_counts_once
 from bayesnet_track.graph.checks.factors import (
@@ -213,6 +221,7 @@ VALUE_CHECKS: tuple[Check, ...] = (
     *MODE_CHECKS,
     *START_CHECKS,
     *PLACE_CHECKS,
+    *CAMERA_CHECKS,
 )
 """These need no sound tree."""
 
@@ -241,11 +250,12 @@ def check(
     at: Positions | None = None,
     cues: Cues | None = None,
     masks: Mapping[str, Mask] | None = None,
+    calibrations: Mapping[str, Calibration] | None = None,
 ) -> CheckedGraph:
     """The graph with its trees resolved and its cues' parameters typed.
 
     `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given, `masks`
-    images that are known already, by their paths as written.
+    images that are known already, by their paths as written, and so `calibrations`.
 
     Raises:
         GraphError: every failure of every check in every target.
@@ -255,13 +265,17 @@ def check(
     named = cues_named(spec)
     own = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
     known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
-    images = masks_of(spec, FilePath(at.file).parent, masks)
-    around = (at, known, spec.constants, images, tuple(spec.inputs))
-    plates = [Plate(name, target, *around) for name, target in spec.targets.items()]
+    folder = FilePath(at.file).parent
+    images, read = masks_of(spec, folder, masks), calibrations_of(spec, folder, calibrations)
+    cameras = {name: read[source.key] for name, source in spec.cameras.items()}
+    around = (at, known, spec.constants, images, tuple(spec.inputs), cameras)
+    plates = [Plate(name, in_units_of_the_state(target), *around) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS, *QUERY_CHECKS, *INPUT_CHECKS):
+    errors += cameras_can_be_read(spec, at, read)
+    of_graphs = (*CONSTANT_CHECKS, *CAMERA_GRAPH_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS)
+    for find in (*of_graphs, *QUERY_CHECKS, *INPUT_CHECKS):
         errors += islice(find(spec, at), MAX_MESSAGES + 1)
-    spec, of_polygons = with_polygons(spec, FilePath(at.file).parent, at)
+    spec, of_polygons = with_polygons(spec, folder, at)
     errors += of_polygons
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
@@ -270,13 +284,15 @@ def check(
         raise GraphError(errors)
     kept = {name: own[name] for name in sorted(named) if name in own}
     asked = {name: one for name, one in images.items() if isinstance(one, Mask)}
-    return CheckedGraph(spec, {plate.name: _resolve(plate) for plate in plates}, text, kept, asked)
+    files = {name: one for name, one in read.items() if isinstance(one, Calibration)}
+    return CheckedGraph(spec, {plate.name: _resolve(plate) for plate in plates}, text, kept, asked, files)
 
 
 def check_graph(
     graph: GraphSpec | Mapping[str, Any],
     cues: Cues | None = None,
     masks: Mapping[str, Mask] | None = None,
+    calibrations: Mapping[str, Calibration] | None = None,
 ) -> CheckedGraph:
     """`check` for a graph written in Python, as a specification or as plain data with the words of YAML.
 
@@ -291,7 +307,7 @@ def check_graph(
             graph = GraphSpec.model_validate(graph)
         except ValidationError as error:
             raise GraphError(explain(error, GraphSpec, graph, at)) from None
-    return check(graph, at, cues, masks)
+    return check(graph, at, cues, masks, calibrations)
 
 
 def mapped_cues(cues: Cues | None) -> Mapping[str, CueDeclaration]:
@@ -333,4 +349,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
         givens=read_givens(plate),
         measures=read_measures(plate),
         inverses=read_inverses(plate),
+        views=read_views(plate),
     )

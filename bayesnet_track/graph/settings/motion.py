@@ -19,6 +19,7 @@ from bayesnet_track.graph.settings.base import (
     Truth,
     Whole,
 )
+from bayesnet_track.graph.settings.cameras import MetreSd
 from bayesnet_track.graph.settings.lifecycle import DetectorChoice
 
 
@@ -216,11 +217,19 @@ class Moving(Noise):
         )
 
 
-class RandomWalk(Moving):
+class OnGround(Moving):
+    """A motion that may be in metres."""
+
+    sd: MetreSd | None = Field(
+        default=None, description="of a state [on the ground](metres.md), instead of `sd_px`; default none"
+    )
+
+
+class RandomWalk(OnGround):
     """Position and size drift by independent noise."""
 
 
-class ConstantVelocity(Moving):
+class ConstantVelocity(OnGround):
     """White noise in acceleration: `sd_velocity_px` is the change of velocity in one frame interval.
 
     `sd_px`, `sd_box`, `sd_log` are added to position and size as in a random walk.
@@ -229,6 +238,14 @@ class ConstantVelocity(Moving):
     sd_velocity_px: NotNegative = Field(default=1.0, description="px per frame, per frame interval")
     start_velocity_sd_px: NotNegative = Field(
         default=5.0, description="sd of the unknown first velocity, px per frame"
+    )
+    sd_velocity: NotNegative | None = Field(
+        default=None,
+        description="of a state on the ground: m/s in one second, instead of `sd_velocity_px`; default 1",
+    )
+    start_velocity_sd: NotNegative | None = Field(
+        default=None,
+        description="of a state on the ground: m/s, instead of `start_velocity_sd_px`; default 5",
     )
 
 
@@ -243,7 +260,7 @@ class DampedVelocity(ConstantVelocity):
     )
 
 
-class ConstantAcceleration(Moving):
+class ConstantAcceleration(OnGround):
     """White noise in the derivative of acceleration."""
 
     sd_acceleration_px: NotNegative = Field(default=0.5, description="px per frame^2, per frame interval")
@@ -252,6 +269,19 @@ class ConstantAcceleration(Moving):
     )
     start_acceleration_sd_px: NotNegative = Field(
         default=1.0, description="sd of the unknown first acceleration, px per frame^2"
+    )
+    sd_acceleration: NotNegative | None = Field(
+        default=None,
+        description="of a state on the ground: m/s^2 in one second, instead of `sd_acceleration_px`; "
+        "default 0.5",
+    )
+    start_velocity_sd: NotNegative | None = Field(
+        default=None,
+        description="of a state on the ground: m/s, instead of `start_velocity_sd_px`; default 5",
+    )
+    start_acceleration_sd: NotNegative | None = Field(
+        default=None,
+        description="of a state on the ground: m/s^2, instead of `start_acceleration_sd_px`; default 1",
     )
 
 

@@ -277,6 +277,11 @@ class InferenceNode(Model):
     alarm: Alarm | None = Field(
         default=None, description="root only; an alarm that is seldom false in a whole video; needs `score`"
     )
+    camera: Name | None = Field(
+        default=None,
+        description="a view: the node's hypotheses are those of its parent, on the ground in metres, "
+        "projected into this [camera](metres.md); agents below see boxes in pixels",
+    )
 
     @property
     def start_texts(self) -> dict[str, str]:

@@ -53,6 +53,9 @@ class Counted(Model):
         return self
 
 
+HYSTERESIS_M = 0.1
+
+
 class CrossingLine(Model):
     """Crossings of a line, each counted once when the target is surely on the other side.
 
@@ -65,6 +68,9 @@ class CrossingLine(Model):
     line: tuple[Point, Point] = Field(description="its two ends [x, y], px")
     hysteresis_px: NotNegative = Field(
         default=2.0, description="distance from the line from which on a side is sure"
+    )
+    hysteresis: NotNegative | None = Field(
+        default=None, description="the same of targets [on the ground](metres.md), m; default 0.1"
     )
     point: Literal["center", "foot"] = Field(
         default="center", description="point of the box: its centre, or the middle of its lower edge"
@@ -155,6 +161,13 @@ class Query(Model):
     def is_pair(self) -> bool:
         """True of a query over pairs of targets."""
         return len(self.kinds) == 2
+
+    def on_ground(self) -> Query:
+        """The query in the unit of a state on the ground."""
+        if self.crosses is None:
+            return self
+        own = HYSTERESIS_M if self.crosses.hysteresis is None else self.crosses.hysteresis
+        return self.model_copy(update={"crosses": self.crosses.model_copy(update={"hysteresis_px": own})})
 
     def columns(self, name: str) -> tuple[str, ...]:
         """Columns of its numbers of one target, of a query of this name; none of a pair."""

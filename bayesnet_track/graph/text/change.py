@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checked import Calibration, CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.settings.net import ADAPTATION, node_kind
 from bayesnet_track.graph.text.messages import GraphError, listed, nearest, shown_name
@@ -25,7 +25,11 @@ class ChangeError(ValueError):
 
 
 def change_graph(
-    text: str, changes: Sequence[str], adaptation: bool = True, masks: Mapping[str, Mask] | None = None
+    text: str,
+    changes: Sequence[str],
+    adaptation: bool = True,
+    masks: Mapping[str, Mask] | None = None,
+    calibrations: Mapping[str, Calibration] | None = None,
 ) -> CheckedGraph:
     """The graph of a canonical text with other values.
 
@@ -35,6 +39,7 @@ def change_graph(
             and ``nodes`` may be left out (``square.adapt.activate.above.ud_px2=200``). The value is YAML.
         adaptation: False for all agents always on: no rule switches one, none stops itself.
         masks: images of its factors by their paths as written; others are read.
+        calibrations: its cameras in the same way.
 
     Raises:
         ChangeError: no such path, or one that may mean several; a value that is no YAML.
@@ -50,7 +55,7 @@ def change_graph(
         keys = resolve(data, tuple(path.strip().split(".")))
         data = _with(data, keys, _value(path, value))
     try:
-        return check_graph(data if adaptation else always_on(data), masks=masks)
+        return check_graph(data if adaptation else always_on(data), None, masks, calibrations)
     except GraphError as error:
         raise GraphError([replace(one, file=to_caller("--set", "changes")) for one in error.errors]) from None
 

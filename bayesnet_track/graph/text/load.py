@@ -245,7 +245,7 @@ def load_graph(
     if isinstance(graph, CheckedGraph):
         own = mapped_cues(cues)
         known: dict[str, CueDeclaration] = {**graph.declarations, **own}
-        return check(graph.spec, cues=known, masks=graph.masks) if own else graph
+        return check(graph.spec, None, known, graph.masks, graph.calibrations) if own else graph
     if isinstance(graph, GraphSpec | Mapping):
         return check_graph(graph, cues)
     if isinstance(graph, str) and not any(mark in graph for mark in "./\\"):

@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.engine.step import Engine
-from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checked import Calibration, CheckedGraph
+from bayesnet_track.graph.checks.cameras import AnyCalibration, read_file
 from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import describe_other
@@ -153,6 +155,7 @@ class Recipe:
         cue_files: cue name -> the file that declares it, of the cues that come from files.
         own_cues: names of the cues that were given as objects of a program.
         masks: images of the graph's factors, by their paths as the graph has them.
+        calibrations: files of its cameras, by path and name as the graph has them.
         models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
@@ -173,6 +176,7 @@ class Recipe:
     cue_files: Mapping[str, GivenFile] = field(default_factory=dict)
     own_cues: tuple[str, ...] = ()
     masks: Mapping[str, GivenFile] = field(default_factory=dict)
+    calibrations: Mapping[str, GivenFile] = field(default_factory=dict)
     models: Mapping[str, GivenFile] = field(default_factory=dict)
     options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=versions)
@@ -227,7 +231,7 @@ class Recipe:
     def text(self) -> str:
         """It as JSON."""
         plain = _codec().dump_python(self)
-        for name in ("cue_files", "own_cues", "masks", "models"):
+        for name in ("cue_files", "own_cues", "masks", "calibrations", "models"):
             if not plain[name]:  # as a recipe was before there were any
                 del plain[name]
         for name, usual in {"stride": 1, "value_range": None}.items():
@@ -290,6 +294,17 @@ class Recipe:
                 found[name] = read_mask(file.place)
         return found
 
+    def read_calibrations(self, spec: GraphSpec) -> dict[str, Calibration]:
+        """Cameras of the graph as their files are now, by path and name in it; any for one that is gone."""
+        found = {}
+        for source in spec.cameras.values():
+            file = self.calibrations.get(source.key)
+            if file is not None:
+                found[source.key] = AnyCalibration()[source.key]
+                with suppress(ValueError, OSError):
+                    found[source.key] = read_file(file.place, source.name)
+        return found
+
     @contextmanager
     def opened(self) -> Iterator[FrameSource]:
         """The same source again, let go of at the end; raises as `open_source`."""
@@ -319,7 +334,8 @@ class Recipe:
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
         masks = {name: AnyMask()[name] for name in self.masks} | self.read_masks()
-        return check(*read_graph(text, str(path)), tuple(cues), masks)
+        spec, at = read_graph(text, str(path))
+        return check(spec, at, tuple(cues), masks, self.read_calibrations(spec))
 
 
 def _check_format(path: Path, plain: object) -> None:
@@ -364,6 +380,10 @@ def make_recipe(
         masks={
             name: GivenFile(str(mask.path), str(mask.path.absolute()), mask.sha256)
             for name, mask in sorted(graph.masks.items())
+        },
+        calibrations={
+            name: GivenFile(str(one.path), str(one.path.absolute()), one.sha256)
+            for name, one in sorted(graph.calibrations.items())
         },
         models={path: given_file(path) for path in model_files(graph)},
         options=dict(sorted(options.items())),

@@ -146,8 +146,9 @@ def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel |
 
 
 def check_files(recipe: Recipe) -> None:
-    """Refuse masks and model files that are gone or are not those of the run; raises ResumeError."""
-    _refuse_changes([file.changes for file in (*recipe.masks.values(), *recipe.models.values())])
+    """Refuse files of the graph that are gone or are not those of the run; raises ResumeError."""
+    of = (*recipe.masks.values(), *recipe.calibrations.values(), *recipe.models.values())
+    _refuse_changes([file.changes for file in of])
 
 
 def _refuse_changes(asked: Iterable[Callable[[], Iterable[str]]]) -> None:

@@ -16,7 +16,6 @@ import numpy as np
 
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.frame_columns import lines_of
@@ -44,6 +43,7 @@ from bayesnet_track.runtime.recording.tracks import (
     QueryWriter,
     has_csv,
     has_only_points,
+    number_columns,
 )
 from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
 from bayesnet_track.runtime.results import Result
@@ -102,6 +102,7 @@ class Recorder:
         self._has_ids, self._hypotheses = not has_births(graph), "hypotheses" in optional
         self._points = has_only_points(graph.spec)
         self._has_csv = "csv" in optional or has_csv(graph.spec)
+        self._numbers = number_columns(graph.spec)
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self.longest_side = LONGEST_SIDE
@@ -124,7 +125,7 @@ class Recorder:
             self._mot = files.enter_context(mot)
             self._csv: CsvWriter | None = None
             if self._has_csv or "csv" in at:
-                csv = CsvWriter(directory.csv, at.get("csv"), query_columns(self._asked), self._points)
+                csv = CsvWriter(directory.csv, at.get("csv"), self._numbers, self._points)
                 self._csv = files.enter_context(csv)
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
             self._queries: QueryWriter | None = None

@@ -88,6 +88,7 @@ def page_html(
 
 def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
     """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
+    from bayesnet_track.graph.checks.cameras import AnyCalibration
     from bayesnet_track.graph.checks.run import check, cues_named
     from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import GraphError
@@ -96,7 +97,7 @@ def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
 
     try:
         spec, at = read_graph(directory.graph)
-        return check(spec, at, stand_ins(cues_named(spec)), AnyMask())
+        return check(spec, at, stand_ins(cues_named(spec)), AnyMask(), AnyCalibration())
     except (GraphError, OSError) as error:
         notice(f"{directory.graph}: the page shows no net: {error}")
         return None

@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from itertools import groupby
 from pathlib import Path
 
-from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.writer import JournalWriter, LineFile, Position
@@ -16,7 +15,13 @@ from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.recording.tracks import CsvWriter, MotWriter, has_csv, has_only_points
+from bayesnet_track.runtime.recording.tracks import (
+    CsvWriter,
+    MotWriter,
+    has_csv,
+    has_only_points,
+    number_columns,
+)
 from bayesnet_track.runtime.smoothing import SmoothedRun
 
 COPIED = ("graph", "recipe", "truth", "inputs", "timings")
@@ -56,7 +61,7 @@ def _write_lines(
         written: dict[str, LineFile] = {"journal": journal, "frames": frames, "mot": mot}
         csv: CsvWriter | None = None
         if with_csv or has_csv(graph):
-            csv = CsvWriter(directory.csv, queries=query_columns(graph.queries), points=points)
+            csv = CsvWriter(directory.csv, queries=number_columns(graph), points=points)
             written["csv"] = files.enter_context(csv)
         for event in smoothed.events:
             journal.write(event)

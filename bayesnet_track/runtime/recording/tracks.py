@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from bayesnet_track.graph.checks.plates import ground_fields
 from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics
@@ -28,7 +29,16 @@ def has_only_points(graph: GraphSpec) -> bool:
 
 def has_csv(graph: GraphSpec) -> bool:
     """True if ``tracks.csv`` is written without being asked for: it holds what ``tracks.txt`` cannot."""
-    return has_only_points(graph) or bool(query_columns(graph.queries))
+    return has_only_points(graph) or bool(number_columns(graph))
+
+
+def number_columns(graph: GraphSpec) -> tuple[str, ...]:
+    """The columns of ``tracks.csv`` besides `CSV_COLUMNS`: states on the ground, answers to queries."""
+    fields = dict.fromkeys(
+        name for plate in graph.targets.values() if plate.is_ground for name in ground_fields(plate)
+    )
+    own = (*fields, *(f"{name}_sd" for name in fields), *(("xy_corr",) if fields else ()))
+    return (*own, *query_columns(graph.queries))
 
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
@@ -54,7 +64,7 @@ class Tracked:
         scores: of each target, 0..1.
         uds: UD of each target, px^2.
         actives: agents that gave evidence of each target, separated by spaces.
-        answers: of each target the answers to queries by name; empty without queries.
+        answers: of each target the answers to queries, and fields of its state, by name.
     """
 
     frame: int
@@ -79,7 +89,7 @@ class Tracked:
             [line.score for line in lines],
             [line.ud_px2 for line in lines],
             [" ".join(line.active) for line in lines],
-            [line.queries for line in lines],
+            [{**line.state, **line.queries} for line in lines],
         )
 
     @cached_property
@@ -137,7 +147,7 @@ class _Lines:
 
 
 class CsvWriter(LineFile):
-    """CSV with the header `CSV_COLUMNS`, then a column for each number that queries ask of a target.
+    """CSV with the header `CSV_COLUMNS`, then a column for each of `number_columns` of a target.
 
     frame (from 0), time_s, target, x, y, w, h (top-left corner, width, height, px), status, score (0..1),
     ud_px2, active (agents that gave evidence, separated by spaces). Of `points` w and h are empty.

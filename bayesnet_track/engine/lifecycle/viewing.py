@@ -1,0 +1,155 @@
+"""Detections of boxes in the image of a camera, of targets on the ground: a sensor whose h is a projection.
+
+Association takes place in the image: of a target predicted as N(m, P) a box is expected as N(h(m), H P H' +
+R), R that of the detection itself. A target that starts stands where its box says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesnet_track.adapt.existence import DetectionModel, Pairs
+from bayesnet_track.belief.contract import LEAST_SIDE_M, MotionModel
+from bayesnet_track.engine.lifecycle.measuring import (
+    Expectation,
+    expect_by_points,
+    expect_by_slopes,
+    is_unscented,
+)
+from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.inference.views import UNSEEN, Sizes, Views, place
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import GroundView
+from bayesnet_track.numerics.gaussian import chi_square_quantile, symmetric
+from bayesnet_track.observation.cue import AssociationRule
+from bayesnet_track.observation.planes import FramePair
+
+WIDTH = 4
+"""Quantities of a box."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSensor:
+    """A detector of boxes in the image of a camera.
+
+    Attributes:
+        association: the agent's rule.
+        camera: the camera.
+        sizes: of targets that start.
+        is_unscented: whether moments are by sigma points.
+        has_extent: False: a target moves in metres, as its motion says, not in sides of a box.
+    """
+
+    association: AssociationRule
+    camera: GroundView
+    sizes: Sizes
+    is_unscented: bool = False
+    has_extent: bool = False
+    log_scale: float = -0.5 * WIDTH * LOG_TURN
+
+    def at(self, frames: FramePair) -> ViewSensor:
+        """The same in every frame."""
+        return self
+
+    def boxes(self, mean: Floats) -> Floats:
+        """(T, 4) boxes in the image of states (T, D)."""
+        found = self.camera.boxes(mean[:, :4])
+        return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, np.array(UNSEEN))
+
+    def expect(self, mean: Floats, covariance: Floats) -> Expectation:
+        """What targets (T, D), (T, D, D) are expected to be detected as, by a detector without errors."""
+        by = expect_by_points if self.is_unscented else expect_by_slopes
+        return by(self._of, self._near, mean, covariance, np.zeros((WIDTH, WIDTH)))
+
+    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
+        """As of every sensor."""
+        nothing = np.empty(0, np.int64)
+        if not len(mean) or not len(found.values):
+            return Pairs(nothing, nothing, np.empty(0))
+        d2, log_gains = self._distances(mean, covariance, found)
+        limit = chi_square_quantile(self.association.gate, WIDTH)
+        rows, columns = np.nonzero((d2 <= limit) & (d2 < np.inf))
+        return Pairs(rows, columns, log_gains[rows, columns])
+
+    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
+        """As of every sensor; -inf of a target that the camera cannot see."""
+        return self._distances(mean, covariance, found)[1]
+
+    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
+        """As of every sensor: each choice gives the update of the extended or unscented filter."""
+        rows = np.flatnonzero(np.diff(mixed.starts) > 0)
+        if not len(rows):
+            return
+        expected = self.expect(mean[rows], covariance[rows])
+        variances = self.association.variances(found.values)
+        for at, row in enumerate(rows.tolist()):
+            if not expected.is_known[at]:
+                continue
+            own = slice(mixed.starts[row], mixed.starts[row + 1])
+            columns, shares = mixed.columns[own], mixed.weights[own]
+            cross = expected.cross[at]
+            spread = expected.spread[at] + variances[columns][:, :, None] * np.eye(WIDTH)
+            gains = np.swapaxes(
+                np.linalg.solve(spread, np.broadcast_to(cross.T, (len(columns), *cross.T.shape))), 1, 2
+            )
+            moves = (gains @ (found.values[columns] - expected.values[at])[:, :, None])[:, :, 0]
+            shift = shares @ moves
+            between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
+            told = np.einsum("k,kij->ij", shares, gains @ cross.T)
+            mean[row] += shift
+            covariance[row] = symmetric(covariance[row] - told + between)
+        np.maximum(mean[:, 2:4], LEAST_SIDE_M, out=mean[:, 2:4])
+
+    def cover(self, mean: Floats, existence: Floats) -> Floats:
+        """By the share of the predicted box that the other's covers in the image."""
+        from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
+
+        boxes = np.ascontiguousarray(self.boxes(mean))
+        seen = boxes[:, 0] != UNSEEN[0]
+        order = np.argsort(boxes[:, 0] - boxes[:, 2] / 2, kind="stable")
+        return np.asarray(cover_rows(boxes, existence * seen, order, COVERED) * seen)
+
+    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+        """The sizes that detections have."""
+        return detection_model.with_sizes(found.values)
+
+    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+        """Uniform over the frame, of the sizes that detections have."""
+        return detection_model.log_density(found.values, area_px2)
+
+    def begin(self, motion: MotionModel, found: Found) -> Begun:
+        """Where the box stands, as surely as it says; none above the horizon."""
+        placed = place(self.camera, found.values, self.association.variances(found.values), self.sizes)
+        started = [motion.start_moments(state) for state in placed.states]
+        size = len(motion.fields)
+        mean = np.array([one for one, _ in started]).reshape(-1, size)
+        covariance = np.array([one for _, one in started]).reshape(-1, size, size)
+        covariance[:, :4, :4] += placed.covariances
+        return Begun(placed.which, mean, covariance)
+
+    def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
+        """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where the camera sees nothing."""
+        expected = self.expect(mean, covariance)
+        noise = self.association.variances(found.values)[:, :, None] * np.eye(WIDTH)
+        lower = np.linalg.cholesky(expected.spread[:, None] + noise)
+        away = found.values[None] - expected.values[:, None]
+        scaled = np.linalg.solve(lower, away[..., None])[..., 0]
+        d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
+        half = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
+        return d2, -0.5 * d2 - half
+
+    def _of(self, states: Floats) -> Floats:
+        return self.camera.boxes(states[:, :4])
+
+    def _near(self, states: Floats, expected: Floats) -> Floats:
+        return self.camera.boxes(states[:, :4])
+
+
+def make_view_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, views: Views) -> ViewSensor:
+    """The sensor of an agent below a view that is given detections of boxes."""
+    view = plate.parent[agent]
+    assert view is not None
+    return ViewSensor(rule, views.cameras[view], views.sizes, is_unscented(plate))

@@ -1,0 +1,369 @@
+"""Checks of cameras, of their views, and of states on the ground, whose units are metres and seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from bayesnet_track.graph.checked import Calibration
+from bayesnet_track.graph.checks.cues import cue_parameters
+from bayesnet_track.graph.checks.lifecycle import GraphCheck
+from bayesnet_track.graph.checks.plates import Check, Plate, is_seen
+from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
+from bayesnet_track.graph.settings.cameras import METRES, CameraSource
+from bayesnet_track.graph.settings.motion import Motion
+from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
+from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
+from bayesnet_track.graphs import graph_folder
+from bayesnet_track.numerics.cameras import Camera, GroundView
+from bayesnet_track.observation.calibrations import read_calibration
+
+
+class AnyCalibration(Mapping[str, Calibration]):
+    """One for every name, of a camera that looks down: to show a graph, not run it."""
+
+    def __getitem__(self, name: str) -> Calibration:
+        """Of a camera one metre above the ground."""
+        down = np.diag([1.0, -1.0, -1.0])
+        return Calibration(Path(name), "", Camera(np.eye(3), np.zeros(0), down, np.array([0.0, 0.0, 1.0])))
+
+    def __iter__(self) -> Iterator[str]:
+        """Nothing: there is one for every name."""
+        return iter(())
+
+    def __len__(self) -> int:
+        """None that can be listed."""
+        return 0
+
+
+ON_GROUND = "state: {ground: {unit: m}}"
+
+
+def calibrations_of(
+    spec: GraphSpec, folder: Path, given: Mapping[str, Calibration] | None = None
+) -> dict[str, Calibration | str]:
+    """Path as written -> the calibration, or what is wrong with it; of `given` as it is given there.
+
+    Others are looked for in `folder`, then among the installed graphs.
+    """
+    found: dict[str, Calibration | str] = {}
+    for source in spec.cameras.values():
+        key = source.key
+        if key not in found:
+            found[key] = given[key] if given is not None and key in given else _read(source, folder)
+    return found
+
+
+def _read(source: CameraSource, folder: Path) -> Calibration | str:
+    name = source.calibration
+    here, installed = folder / name, Path(graph_folder()) / name
+    path = here if here.exists() or not installed.is_file() else installed
+    try:
+        return read_file(path, source.name)
+    except (ValueError, OSError) as error:
+        return str(error)[:500]
+
+
+def read_file(path: Path, name: str | None) -> Calibration:
+    """The calibration in a file; raises ValueError and OSError."""
+    camera = read_calibration(path) if name is None else read_calibration(path, name)
+    camera.boxes(np.array([[0.0, 0.0, 1.0, 1.0]]))  # refuses a homography that says nothing of heights
+    return Calibration(path, sha256(path.read_bytes()).hexdigest(), camera, name)
+
+
+def cameras_can_be_read(
+    spec: GraphSpec, at: Positions, calibrations: Mapping[str, Calibration | str]
+) -> Iterator[GraphMessage]:
+    """Every camera has a calibration that can be read, and a view."""
+    seen = {node.camera for target in spec.targets.values() for _, node in _nodes(target)}
+    for name, source in spec.cameras.items():
+        path: KeyPath = ("cameras", name)
+        wrong = calibrations[source.key]
+        if isinstance(wrong, str):
+            found, _, allowed = wrong.partition("; allowed: ")
+            allowed = allowed or "a calibration file, its path from where the graph file is"
+            yield at.message((*path, "calibration"), f"calibration: {found}", allowed)
+        if name not in seen:
+            found = f"camera {name!r}, which no view looks through"
+            yield at.message(path, found, f"a node with camera: {name}, or no such camera", on_key=True)
+
+
+def units_are_of_the_state(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """A state in metres takes no key in pixels, and one in pixels none in metres."""
+    for name, target in spec.targets.items():
+        for node_name, node in _nodes(target):
+            path: KeyPath = ("targets", name, "nodes", node_name)
+            if target.is_ground and not is_seen(target, node_name):
+                yield from _in_pixels(node, path, at)
+            elif not target.is_ground and node.motion is not None:
+                yield from _in_metres(node.motion, (*path, "motion", node.motion.kind), at)
+    grounds = [name for name, target in spec.targets.items() if target.is_ground]
+    for name, query in spec.queries.items():
+        if len(query.kinds) == 1 and query.kinds[0] in grounds:
+            for kind, asked in (("count", query.count), ("crosses", query.crosses)):
+                if asked is not None and asked.point == "foot":
+                    path = ("queries", name, kind, "point")
+                    found = "point: foot of targets on the ground, whose x, y is the foot point"
+                    yield at.message(path, found, "no such key", on_key=True)
+        if query.crosses is None or len(query.kinds) != 1:
+            continue
+        is_ground, written = query.kinds[0] in grounds, query.crosses.model_fields_set
+        for key, unit in (("hysteresis_px", "pixels"), ("hysteresis", "metres")):
+            if key in written and is_ground == (unit == "pixels"):
+                path = ("queries", name, "crosses", key)
+                right = "hysteresis" if is_ground else "hysteresis_px"
+                state = "metres" if is_ground else "pixels"
+                found = f"{key}, which is in {unit}, and the state is in {state}"
+                yield at.message(path, found, right, on_key=True)
+
+
+def _in_pixels(value: Any, path: KeyPath, at: Positions) -> Iterator[GraphMessage]:
+    """Keys in pixels of a part of the graph that is about metres."""
+    if isinstance(value, PluginChoice) or not isinstance(value, Model):
+        return
+    for key in sorted(value.model_fields_set):
+        if key.endswith(("_px", "_px2")):
+            right = METRES.get(key) or ("ud_box" if key == "ud_px2" else "no such key")
+            found = f"{key}, which is in pixels, and the state is in metres"
+            yield at.message((*path, key), found, right, on_key=True)
+        elif getattr(value, key) is not None:
+            yield from _in_pixels(getattr(value, key), (*path, key), at)
+
+
+def _in_metres(motion: Motion, path: KeyPath, at: Positions) -> Iterator[GraphMessage]:
+    for pixels, metres in METRES.items():
+        if motion.expressions is None and metres in motion.settings.model_fields_set:
+            found = f"{metres}, which is in metres, and the state is in pixels"
+            yield at.message((*path, metres), found, f"{pixels}; or {ON_GROUND}", on_key=True)
+
+
+def grounds_stand_alone(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """All targets are on the ground, whose time is in seconds, or none is; and they are not joined."""
+    grounds = [name for name, target in spec.targets.items() if target.is_ground]
+    if not grounds:
+        return
+    for name, target in spec.targets.items():
+        if not target.is_ground:
+            found = f"a state in pixels beside {grounds[0]}, which is on the ground: its time is in seconds"
+            yield at.message(("targets", name), found, f"{ON_GROUND}, or a graph of its own", on_key=True)
+    if spec.joins:
+        found = "joins of targets on the ground, whose boxes depend on the camera"
+        yield at.message(("joins",), found, "no joins", on_key=True)
+
+
+def views_are_of_cameras(plate: Plate) -> Iterator[GraphMessage]:
+    """A view is below the state, looks through a known camera, and through one that no other view has."""
+    looked_through: dict[str, str] = {}
+    for name, node in plate.inference.items():
+        if node.camera is None:
+            continue
+        key = ("camera",)
+        if not plate.spec.is_ground:
+            found = f"camera at a node of {plate.name}, whose state is in pixels"
+            yield plate.message(name, found, ON_GROUND, key=key, on_key=True)
+            continue
+        if node.parent is None:
+            found = "camera at a node without a parent: a view is below the node that has the state"
+            yield plate.message(name, found, "parent: the node that has the motion", key=key, on_key=True)
+        elif node.camera not in plate.cameras:
+            found = f"unknown camera {node.camera!r}"
+            allowed = [*plate.cameras] or f"cameras: {{{node.camera}: {{calibration: ..}}}}"
+            yield plate.message(name, found, allowed, key=key, word=node.camera)
+        elif node.camera in looked_through:
+            other = looked_through[node.camera]
+            found = (
+                f"a second view of camera {node.camera!r}, after {other!r}: its evidence would count twice"
+            )
+            yield plate.message(name, found, f"agents below {other}", key=key)
+        else:
+            looked_through[node.camera] = name
+        above = node.parent
+        while above in plate.inference:
+            if plate.inference[above].camera is not None:
+                found = f"a view below the view {above!r}, whose boxes are in pixels already"
+                yield plate.message(name, found, "parent: the node that has the state", key=("parent",))
+                break
+            above = plate.inference[above].parent
+        if node.fuse is not None and node.fuse.latent is not None:
+            found = "fuse: latent at a view, whose hypotheses are those of its parent"
+            yield plate.message(name, found, ["product", "pool"], key=("fuse", "latent"), on_key=True)
+
+
+def grounds_are_seen(plate: Plate) -> Iterator[GraphMessage]:
+    """What looks at boxes in the image stands below a view."""
+    if not plate.spec.is_ground:
+        return
+    if not any(node.camera is not None for node in plate.inference.values()):
+        found = "a state on the ground, and no view of it"
+        allowed = "a node {parent: .., camera: ..}, and agents below it"
+        yield plate.at.message(("targets", plate.name, "state"), found, allowed)
+        return
+    views = ", ".join(name for name, node in plate.inference.items() if node.camera is not None)
+    for name, node in plate.spec.nodes.items():
+        if is_seen(plate.spec, name):
+            continue
+        if isinstance(node, AgentNode):
+            declaration = plate.cues.get(node.agent.cue)
+            if declaration is None or (declaration.gives is not None and not declaration.reads_detection):
+                continue
+            found = f"{node.agent.cue} at {node.parent}, which is in metres: it is about boxes in the image"
+            yield plate.message(name, found, f"parent: {views}", key=("parent",))
+        elif isinstance(node, FactorNode) and node.mask is not None:
+            found = f"a mask at {node.parent}, which is in metres"
+            yield plate.message(name, found, f"parent: {views}", key=("parent",))
+        elif isinstance(node, InferenceNode) and node.fuse is not None and node.fuse.latent is not None:
+            found = "fuse: latent at a node in metres"
+            yield plate.message(
+                name, found, f"a node below {views}, or no latent", key=("fuse", "latent"), on_key=True
+            )
+
+
+_WITHOUT = ("modes", "score", "localization_error", "distractors", "guarantee", "alarm")
+
+
+def grounds_need_no_pixels(plate: Plate) -> Iterator[GraphMessage]:
+    """Motion, belief and rules of a state in metres do not depend on the frame or on a box in it."""
+    if not plate.spec.is_ground:
+        return
+    for name in plate.roots:
+        node = plate.inference[name]
+        for key in _WITHOUT:
+            if getattr(node, key) is not None:
+                found = f"{key} of a target on the ground: it is of boxes in the image"
+                yield plate.message(name, found, "no such key", key=(key,), on_key=True)
+        if node.start_texts:
+            found = "start of a target on the ground, which starts where its first box stands"
+            allowed = "state: {ground: {width: .., height: ..}}"
+            yield plate.message(name, found, allowed, key=("start",), on_key=True)
+        if node.motion is not None:
+            yield from _moves_freely(plate, name, node.motion)
+        if node.belief is None:
+            continue
+        if node.belief.grid is not None:
+            found = "a grid, whose cells are pixels, and the state is in metres"
+            yield plate.message(name, found, "particles or gaussian", key=("belief", "grid"), on_key=True)
+        particles, gaussian = node.belief.particles, node.belief.gaussian
+        if particles is not None and particles.proposal.kind != "bootstrap":
+            found = f"proposal: {particles.proposal.kind} of a state on the ground"
+            yield plate.message(
+                name, found, "bootstrap", key=("belief", "particles", "proposal"), on_key=True
+            )
+        if gaussian is not None and gaussian.filter == "kalman":
+            found = "filter: kalman beside a view, whose boxes are not linear in the state"
+            yield plate.message(
+                name, found, ["extended", "unscented"], key=("belief", "gaussian"), on_key=True
+            )
+    for key in ("merge_duplicates", "reidentify"):
+        if getattr(plate.spec, key) not in (None, "never"):
+            found = f"{key} of targets on the ground, which compares boxes in one image"
+            path = ("targets", plate.name, key)
+            yield plate.at.message(path, found, "never, or no such key", on_key=True)
+
+
+def _moves_freely(plate: Plate, name: str, motion: Motion) -> Iterator[GraphMessage]:
+    key: KeyPath = ("motion", motion.kind)
+    if motion.box_velocity is not None:
+        yield plate.message(name, "box_velocity on the ground", "constant_velocity", key=key, on_key=True)
+        return
+    settings = motion.settings
+    if not settings.is_plain or settings.borders is not None or settings.sd_angle_deg > 0:
+        found = "a motion that depends on the image, and the state is on the ground"
+        yield plate.message(name, found, "noise and kinematics alone", key=key, on_key=True)
+
+
+def views_of_detections(plate: Plate) -> Iterator[GraphMessage]:
+    """Detections below views are weighed by `existence`, by their density around what is expected."""
+    if not plate.spec.is_ground:
+        return
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or not declaration.reads_detection:
+            continue
+        if plate.spec.existence is None:
+            found = "detections of targets on the ground without existence, which says what a false one is"
+            allowed = f"existence: {{}} in targets.{plate.name}"
+            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+        try:
+            parameters: Any = cue_parameters(node.agent, declaration)
+        except ValidationError:
+            continue  # said where parameters are checked
+        for key in _compares_boxes(parameters):
+            found = f"{key} compares boxes in the image from frame to frame, and the state is on the ground"
+            path = ("agent", node.agent.cue, key)
+            yield plate.message(name, found, "no such key", key=path, on_key=True)
+
+
+def _compares_boxes(parameters: Any) -> Iterator[str]:
+    if getattr(parameters, "sd", None):
+        yield "sd"
+    for key, usual in {
+        "similarity": "density",
+        "min_overlap": None,
+        "continue_box": None,
+        "recover": False,
+        "re_update": False,
+        "direction": 0.0,
+        "first_score": 0.0,
+    }.items():
+        if getattr(parameters, key, usual) not in (usual, 0):
+            yield key
+
+
+def _nodes(target: Target) -> Iterator[tuple[str, InferenceNode]]:
+    for name, node in target.nodes.items():
+        if isinstance(node, InferenceNode):
+            yield name, node
+
+
+def in_units_of_the_state(target: Target) -> Target:
+    """The target with its motions in one set of keys, those in pixels, whatever the state's unit is.
+
+    From here on a number is in the unit of the state.
+    """
+    if not target.is_ground:
+        return target
+    nodes = dict(target.nodes)
+    for name, node in _nodes(target):
+        if node.motion is None or node.motion.expressions is not None:
+            continue
+        settings = node.motion.settings
+        written = {
+            pixels: value
+            for pixels, metres in METRES.items()
+            if (value := getattr(settings, metres, None)) is not None
+        }
+        moved = node.motion.model_copy(update={node.motion.kind: settings.model_copy(update=written)})
+        nodes[name] = node.model_copy(update={"motion": _fresh(moved)})
+    return target.model_copy(update={"nodes": nodes})
+
+
+def read_views(plate: Plate) -> dict[str, GroundView]:
+    """View -> its camera, of a plate that passed the checks."""
+    views = {}
+    for name, node in plate.inference.items():
+        read = None if node.camera is None else plate.cameras[node.camera]
+        if isinstance(read, Calibration):
+            views[name] = read.camera
+    return views
+
+
+def _fresh(motion: Motion) -> Choice:
+    """The motion without what was remembered of it as it was written."""
+    for key in ("kind", "settings"):
+        motion.__dict__.pop(key, None)
+    return motion
+
+
+CAMERA_GRAPH_CHECKS: tuple[GraphCheck, ...] = (units_are_of_the_state, grounds_stand_alone)
+
+CAMERA_CHECKS: tuple[Check, ...] = (
+    views_are_of_cameras,
+    grounds_are_seen,
+    grounds_need_no_pixels,
+    views_of_detections,
+)

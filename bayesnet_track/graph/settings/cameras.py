@@ -1,0 +1,80 @@
+"""Settings of cameras, and of states on the ground in metres."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from bayesnet_track.graph.settings.base import Choice, Model, Name, NotNegative, Positive
+
+METRES = {
+    "sd_px": "sd",
+    "sd_velocity_px": "sd_velocity",
+    "start_velocity_sd_px": "start_velocity_sd",
+    "sd_acceleration_px": "sd_acceleration",
+    "start_acceleration_sd_px": "start_acceleration_sd",
+}
+"""Key of a motion in pixels -> the same key of a motion on the ground, in metres and seconds."""
+
+
+class MetreSd(Model):
+    """Standard deviations in metres, for a step of one second."""
+
+    x: NotNegative = Field(default=0.0, description="of the foot point's x, m")
+    y: NotNegative = Field(default=0.0, description="of the foot point's y, m")
+    w: NotNegative = Field(default=0.0, description="of the width, m")
+    h: NotNegative = Field(default=0.0, description="of the height, m")
+
+
+class CameraSource(Model):
+    """A camera that targets on the ground are seen by.
+
+    Example::
+
+        cameras:
+          north: {calibration: cameras/north.yaml}
+    """
+
+    calibration: Annotated[str, Field(min_length=1, max_length=1000)] = Field(
+        description="file of its lens and pose, or of the homography of the ground "
+        "([what can be read](metres.md)); a path from where the graph file is"
+    )
+    name: Name | None = Field(default=None, description="which camera, where the file has several")
+
+    @property
+    def key(self) -> str:
+        """What says which camera of which file this is."""
+        return self.calibration if self.name is None else f"{self.calibration}#{self.name}"
+
+
+class Size(Model):
+    """How large targets are, before one is seen."""
+
+    mean: Positive = Field(description="m")
+    sd: Positive = Field(description="m")
+
+
+class Ground(Model):
+    """Targets that stand on a plane, z = 0 of the calibrations."""
+
+    unit: Literal["m"] = Field(default="m", description="of x, y, w and h")
+    width: Size | None = Field(
+        default=None, description="of targets that start; default: as the first box says"
+    )
+    height: Size | None = Field(default=None, description="the same of the height")
+
+
+class WorldState(Choice):
+    """A state in the world, which cameras see by `view` nodes.
+
+    Example::
+
+        state: {ground: {unit: m}}
+    """
+
+    ground: Ground | None = Field(
+        default=None,
+        description="x, y: foot point on the ground, w, h: width and height, all in metres; velocities in "
+        "metres per second. `dt` and all numbers of the graph that count frame intervals count seconds",
+    )
