@@ -1,10 +1,11 @@
 """What a frame of many targets costs `kalman_detections`, SORT, ByteTrack, OC-SORT and norfair.
 
-    python benchmarks/crowd_speed.py [--peers-python PEERS/bin/python] [--counts 10,50,200,1000]
+    python benchmarks/crowd_speed.py [--peers-python PEERS/bin/python] [--counts 10,50,200,1000] [--false 0]
 
 Detections only, no pixels are read: people wander over 1920x1080 px, 10 % of detections are missed, sizes are
 off by 5 %, positions by 3 px; beyond 200 people the image grows, so that the crowd is as dense as with 200.
-With `--beside GRAPH` another graph is timed on the same detections, each frame once by either, turn by turn.
+With `--false 1` there is a false detection for each person in every frame. With `--beside GRAPH` another
+graph is timed on the same detections, each frame once by either, turn by turn.
 Everything runs on one thread, the peers first, then ours, in one run: ratios say more than times. Times are
 CPU time, medians over the frames after the thirtieth. Ours is the step, with association, UD, KL, metrics as
 columns and decisions: alone, and in a run that is written down ("recorded"). "Update" is the `update` of a
@@ -69,12 +70,12 @@ class Cost:
     bytes_a_target: float
 
 
-def crowd(count: int, frames: int) -> tuple[tuple[int, int], dict[int, Detections]]:
+def crowd(count: int, frames: int, false: float = 0.0) -> tuple[tuple[int, int], dict[int, Detections]]:
     """Width and height of the image, and the detections of each frame."""
     side = max(1.0, (count / 200) ** 0.5)
     size = round(1920 * side), round(1080 * side)
     people = CrowdSettings(*size, frames, count, births=0.0, life=1e9, crossings=0, beside=0)
-    reported = detect_crowd(make_crowd(people), DetectorSettings(missed=0.1, clutter=0.0))
+    reported = detect_crowd(make_crowd(people), DetectorSettings(missed=0.1, clutter=false * count))
     return size, {index: one.detections for index, one in enumerate(reported)}
 
 
@@ -177,6 +178,7 @@ def main() -> None:
     parser.add_argument("--graph", default="kalman_detections")
     parser.add_argument("--beside", help="another graph, timed on the same detections, instead")
     parser.add_argument("--counts", default="10,50,200,1000", help="numbers of people")
+    parser.add_argument("--false", type=float, default=0.0, help="false detections for each person")
     parser.add_argument("--frames", type=int, default=120, help="frames of each setting")
     parser.add_argument("--profile", action="store_true", help="say where the time goes, instead")
     chosen = parser.parse_args()
@@ -185,7 +187,7 @@ def main() -> None:
     rows: list[Sequence[str]] = []
     names: list[str] = []
     for count in (int(word) for word in chosen.counts.split(",")):
-        size, found = crowd(count, chosen.frames)
+        size, found = crowd(count, chosen.frames, chosen.false)
         if chosen.beside:
             rows.append([str(count), *beside(chosen.graph, chosen.beside, found, size)])
             continue

@@ -35,7 +35,7 @@ from bayesnet_track.belief.gaussian.update import (
 from bayesnet_track.belief.motion.borders import Confined, Reflecting
 from bayesnet_track.belief.motion.composed import Nested
 from bayesnet_track.belief.motion.formulas import FunctionMotion
-from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian, linear_moves
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import MeasurementGated
 from bayesnet_track.journal.events.event import Event
@@ -136,7 +136,8 @@ def require_linear(motion: MotionModel) -> None:
     if isinstance(free, Reflecting):
         raise ValueError("the kalman filter is of linear motion; take extended or unscented beside borders")
     if isinstance(free, KinematicMotion):
-        linear_gaussian(free, 1.0)
+        if linear_moves(free, 1.0) is None:
+            linear_gaussian(free, 1.0)  # says why it is not
     elif isinstance(free, FunctionMotion):
         raise ValueError("the kalman filter is of linear motion; take extended or unscented for functions")
 

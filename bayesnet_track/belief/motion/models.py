@@ -179,7 +179,7 @@ class KinematicMotion:
         """n, the length of an axis' chain."""
         return len(self.dynamics)
 
-    @property
+    @cached_property
     def fields(self) -> tuple[str, ...]:
         """x, y, w, h, then vx, vy (px per frame), then ax, ay (px per frame^2)."""
         return BOX_FIELDS + sum(DERIVATIVES[: self.order - 1], ())

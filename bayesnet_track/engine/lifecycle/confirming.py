@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -275,13 +274,12 @@ def find_continuation(
         last = now - unseen
         later = [(time, box) for time, box in candidate.track if time > last + 0.5]
         if later and later[0][0] - last <= MAX_GAP:
-            (time, box), mean = later[0], tracks.mean(target)
+            (time, box), mean, most = later[0], tracks.mean(target), MAX_RATIO**unseen
+            if not 1.0 / most <= box[2] * box[3] / max(mean[2] * mean[3], 1e-12) <= most:
+                continue
             moved = velocity(motion, mean)
             seen = mean[:2] - moved * unseen
-            away = min(
-                _sides_between(mean, place, box, MAX_RATIO**unseen)
-                for place in (seen, seen + moved * (time - last))
-            )
+            away = min(_sides_between(mean, at, box) for at in (seen, seen + moved * (time - last)))
             if (distance_box := away / max(time - last, 1.0)) <= reach_box:
                 places.append((Continuation(target, distance_box), mean))
     if not places:
@@ -299,9 +297,6 @@ def _is_covered(mean: Floats, others: Floats) -> bool:
     return bool((shared >= COVERED * mean[2] * mean[3]).any())
 
 
-def _sides_between(mean: Floats, place: Floats, box: Floats, most: float) -> float:
-    """From a place (2,) of a target to a box, in its sides; infinite if areas differ by more than `most`."""
-    ratio = box[2] * box[3] / max(mean[2] * mean[3], 1e-12)
-    if not 1.0 / most <= ratio <= most:
-        return math.inf
+def _sides_between(mean: Floats, place: Floats, box: Floats) -> float:
+    """From a place (2,) of a target to a box, in its sides."""
     return float(np.hypot(*(box[:2] - place)) / np.sqrt(mean[2] * mean[3]))

@@ -1,7 +1,8 @@
 """Which plates, and which targets of them, can be advanced as rows of a table; all others go one by one.
 
-A plate fits whose targets have a Kalman filter of a linear motion and one agent, which measures by the
-target's own detection. A target fits as long as nothing but its status was decided about it.
+A plate fits whose targets have a Gaussian belief, a linear motion and one agent that is switched on, which
+measures by the target's own detection; agents that are off may know its looks. A target fits as long as
+nothing but its status was decided about it.
 """
 
 from __future__ import annotations
