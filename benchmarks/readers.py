@@ -3,9 +3,10 @@
     python benchmarks/readers.py
     python benchmarks/readers.py --python OLD/.venv/bin/python .venv/bin/python
 
-One run of 200 frames is tracked with `kalman_detections`; the records of its last 100 frames are repeated,
-under the numbers of further frames, until it is as long as asked for. Each reader is a process of its own;
-memory is its largest resident size, and a reader that needs more than `--limit` is stopped and has none.
+One run of 200 frames is tracked with `kalman_detections`; the records of its last 100 frames, and their
+lines in tracks.txt, are repeated under the numbers of further frames, until it is as long as asked for.
+Ground truth are the same lines, shifted by 3 px. Each reader is a process of its own; memory is its largest
+resident size, and a reader that needs more than `--limit` is stopped and has none.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ READERS = {
     "open_run": (OPEN, "{run}"),
     "open_run, all measurements": (OPEN + "print(sum(line.score for line in run.metrics))", "{run}"),
     "compare": (CALL, "compare", "{run}", "{run}"),
+    "score": (CALL, "score", "{run}", "--truth", "{run}/truth_of_all.txt"),
+    "diagnose": (CALL, "diagnose", "{run}"),
     "report --frames none": (CALL, "report", "{run}", "--frames", "none", "--out", "{run}/../report.html"),
 }
 
@@ -72,7 +75,7 @@ def tracked(folder: Path) -> Path:
 def repeated(run: Path, frames: int) -> Path:
     """A copy of the run with so many frames."""
     longer = Path(shutil.copytree(run, run.with_name(f"run{frames}")))
-    for name in ("manifest.json", "tracks.txt", "tracks.csv", "timings.jsonl"):
+    for name in ("manifest.json", "tracks.txt", "timings.jsonl"):
         (longer / name).unlink()
     file = FrameFile(longer / "frames.npy.gz")
     last = [dict(columns) for columns in file.columns(file.places[-REPEATED:])]
@@ -82,6 +85,20 @@ def repeated(run: Path, frames: int) -> Path:
             columns["frame"], columns["time_s"] = np.array(frame, "<i8"), np.array(frame / 25.0)
             writer.write_columns(columns)
             writer.flush()
+    tracks = [line.split(",") for line in (run / "tracks.txt").read_text().splitlines()]
+    start = file.places[-1].frame + 1
+    repeated_lines = [[] for _ in range(REPEATED)]
+    for words in tracks:
+        if int(words[0]) > start - REPEATED:
+            repeated_lines[(int(words[0]) - 1) % REPEATED].append(words[1:])
+    with (longer / "tracks.txt").open("w") as boxes, (longer / "truth_of_all.txt").open("w") as truth:
+        for frame in range(frames):
+            lines = repeated_lines[frame % REPEATED]
+            boxes.writelines(f"{frame + 1},{','.join(words)}\n" for words in lines)
+            truth.writelines(
+                f"{frame + 1},{words[0]},{float(words[1]) + 3:.3f},{','.join(words[2:5])},1,-1,-1,-1\n"
+                for words in lines
+            )
     return longer
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp
-from statistics import median
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.courses import Course
 from bayesnet_track.journal.events.faults import Quarantined
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Floats
 
 FEW_FRAMES = 10
 """Below so many frames of a target nothing is said of it."""
@@ -40,15 +43,19 @@ class Finding:
     measure: str = ""
 
 
-Lines = Sequence[FrameMetrics]
+COLUMNS = (
+    *("status", "active", "ess", "particles", "log_evidence", "learn_rate"),
+    *("features/", "kl/", "contribution/", "p_values/"),
+)
+"""What the checks read of a run."""
 
 
-def find(lines: Lines, switches: int = 0) -> Iterator[Finding]:
-    """What stands out in the lines of one target, in the order of frames, without its first frame.
+def find(course: Course, switches: int = 0) -> Iterator[Finding]:
+    """What stands out in the course of one target, with its `COLUMNS`, without its first frame.
 
     `switches` is how many times an agent of its net was switched on or off.
     """
-    later = lines[1:]
+    later = course.part(1, len(course))
     if len(later) < FEW_FRAMES:
         return
     for check in CHECKS:
@@ -65,41 +72,47 @@ def find_failures(target: str, failures: Sequence[Quarantined]) -> Iterator[Find
         yield Finding(target, what, None, agent, own[0].frame, "failed")
 
 
-def until_lost(lines: Lines) -> Lines:
-    """The lines without the last stretch in which the target is lost: a target that leaves ends so."""
-    end = len(lines)
-    while end and lines[end - 1].is_gone:
-        end -= 1
-    return lines[:end]
+def until_lost(course: Course) -> Course:
+    """The course without the last stretch in which the target is lost: a target that leaves ends so."""
+    shown = np.flatnonzero(~course.is_gone)
+    return course.part(0, int(shown[-1]) + 1 if len(shown) else 0)
 
 
-def _effective(lines: Lines) -> Iterator[Finding]:
-    counts = [line.ess for line in lines if line.particles > 20]
-    if counts and median(counts) < FEWEST:
-        worst = min(lines, key=lambda line: line.ess)
-        what = f"the effective number of hypotheses is {median(counts):.1f} (median; below {FEWEST})"
-        yield Finding(lines[0].target, what, "sharp", _loudest(lines), worst.frame)
+def _effective(course: Course) -> Iterator[Finding]:
+    ess = course.numbers("ess")
+    counts = ess[course.numbers("particles") > 20]
+    if len(counts) and np.median(counts) < FEWEST:
+        worst = int(course.frame[ess.argmin()])
+        what = f"the effective number of hypotheses is {np.median(counts):.1f} (median; below {FEWEST})"
+        yield Finding(course.target, what, "sharp", _loudest(course), worst)
 
 
-def _doubt(lines: Lines) -> Iterator[Finding]:
+def _doubt(course: Course) -> Iterator[Finding]:
     from bayesnet_track.graph.settings.scores import CONFIDENCE, FEATURES
 
-    doubtful = [line for line in lines if line.status == "uncertain"]
-    if len(doubtful) <= len(lines) // 10:
+    is_doubtful = course.is_text("status", ("uncertain",))
+    count = int(is_doubtful.sum())
+    if count <= len(course) // 10:
         return
+    features = {
+        name: (is_there[is_doubtful], numbers[is_doubtful])
+        for name, (is_there, numbers) in course.by_name("features").items()
+        if is_there[is_doubtful].any()
+    }
     # Only a look-alike in reach bounds the score by exactly one half.
-    alike = sum(line.features.get("most") == 0.5 for line in doubtful)
-    decided = _decided(lines, doubtful[0])
-    what = f"uncertain in {len(doubtful)} of {len(lines)} frames, decided in frame {decided}"
-    if 2 * alike >= len(doubtful):
+    alike = int((features["most"][1] == 0.5).sum()) if "most" in features else 0
+    decided = _decided(course, is_doubtful)
+    what = f"uncertain in {count} of {len(course)} frames, decided in frame {decided}"
+    if 2 * alike >= count:
         what += f", in {alike} of them because of a look-alike"
-        yield Finding(lines[0].target, what, "alike", frame=decided)
+        yield Finding(course.target, what, "alike", frame=decided)
         return
-    fits = [line.features["log_fit"] for line in doubtful if "log_fit" in line.features]
-    if fits:
-        what += f"; the best box has {exp(median(fits)):.2g} of the likelihood of a perfect match (median)"
-    further = sorted({name for line in doubtful for name in line.features} - {*FEATURES, "most"})
-    said = {name: median(line.features.get(name, 0.0) for line in doubtful) for name in further}
+    if "log_fit" in features:
+        is_there, numbers = features["log_fit"]
+        fit = exp(np.median(numbers[is_there]))
+        what += f"; the best box has {fit:.2g} of the likelihood of a perfect match (median)"
+    further = sorted(features.keys() - {*FEATURES, "most"})
+    said = {name: float(np.median(np.where(*features[name], 0.0))) for name in further}
     verifiers = [name for name in said if not name.startswith(CONFIDENCE)]
     if verifiers:
         worst = min(verifiers, key=lambda name: said[name])
@@ -107,103 +120,105 @@ def _doubt(lines: Lines) -> Iterator[Finding]:
     for name in (name for name in said if name.startswith(CONFIDENCE)):
         sure = 1.0 / (1.0 + exp(-said[name]))
         what += f"; {name.removeprefix(CONFIDENCE)} is sure of it to {sure:.0%} (median)"
-    yield Finding(lines[0].target, what, None, frame=decided)
+    yield Finding(course.target, what, None, frame=decided)
 
 
-def _unforeseen(lines: Lines) -> Iterator[Finding]:
+def _unforeseen(course: Course) -> Iterator[Finding]:
     """Evidence is compared among frames with the same agents: one more agent lowers it."""
-    by_agents: dict[tuple[str, ...], list[FrameMetrics]] = {}
-    for line in lines:
-        by_agents.setdefault(line.active, []).append(line)
-    poor = [line for same in by_agents.values() for line in _far_below(same)]
-    if poor and len(poor) <= len(lines) // 5:
-        first = min(line.frame for line in poor)
+    evidence, groups = course.numbers("log_evidence"), course.block.codes("active")
+    is_poor = np.zeros(len(course), dtype=bool)
+    for group in np.unique(groups).tolist():
+        same = groups == group
+        is_poor[same] = _is_far_below(evidence[same])
+    count = int(is_poor.sum())
+    if 0 < count <= len(course) // 5:
+        first = int(course.frame[is_poor.argmax()])
         what = (
-            f"in {len(poor)} of {len(lines)} frames the evidence is far below that of other frames, "
+            f"in {count} of {len(course)} frames the evidence is far below that of other frames, "
             f"first in frame {first}"
         )
-        yield Finding(lines[0].target, what, "bursts", frame=first)
+        yield Finding(course.target, what, "bursts", frame=first)
 
 
-def _far_below(lines: Lines) -> Lines:
-    if len(lines) < FEW_FRAMES:
-        return []
-    values = [line.log_evidence for line in lines]
-    usual = median(values)
-    spread = median(abs(value - usual) for value in values)
-    return [line for line in lines if line.log_evidence < usual - max(8 * spread, 3.0)]
+def _is_far_below(values: Floats) -> NDArray[np.bool_]:
+    if len(values) < FEW_FRAMES:
+        return np.zeros(len(values), dtype=bool)
+    usual = np.median(values)
+    spread = float(np.median(np.abs(values - usual)))
+    return np.asarray(values < usual - max(8 * spread, 3.0))
 
 
-def _contradiction(lines: Lines) -> Iterator[Finding]:
-    agents = dict.fromkeys(agent for line in lines for agent in line.kl)
-    for agent in agents:
-        values = [line.kl[agent] for line in lines if agent in line.kl and len(line.kl) > 1]
-        if len(values) >= FEW_FRAMES and median(values) > 4.0:
-            what = f"{agent} contradicts the belief: KL {median(values):.1f} nats (median; above 4)"
-            yield Finding(lines[0].target, what, "sharp", agent)
+def _contradiction(course: Course) -> Iterator[Finding]:
+    divergences = course.by_name("kl")
+    beside = sum(is_there.astype(np.int64) for is_there, _ in divergences.values())
+    for agent, (is_there, numbers) in divergences.items():
+        values = numbers[is_there & (beside > 1)]
+        if len(values) >= FEW_FRAMES and np.median(values) > 4.0:
+            what = f"{agent} contradicts the belief: KL {np.median(values):.1f} nats (median; above 4)"
+            yield Finding(course.target, what, "sharp", agent)
 
 
-def _predicted(lines: Lines) -> Iterator[Finding]:
+def _predicted(course: Course) -> Iterator[Finding]:
     """p-values are uniform where measurements are as the motion and the agent's error say."""
-    for agent in dict.fromkeys(agent for line in lines for agent in line.p_values):
-        own = [line for line in lines if agent in line.p_values]
-        if len(own) < FEW_P_VALUES:
+    for agent, (is_there, numbers) in course.by_name("p_values").items():
+        count = int(is_there.sum())
+        if count < FEW_P_VALUES:
             continue
-        far = [line for line in own if line.p_values[agent] < 0.05]
-        usual = median(line.p_values[agent] for line in own)
-        if len(far) > 0.15 * len(own):
+        far = course.frame[is_there & (numbers < 0.05)]
+        usual = np.median(numbers[is_there])
+        if len(far) > 0.15 * count:
             what = (
-                f"{agent} measures outside of the predicted 95 % in {len(far)} of {len(own)} frames, first "
-                f"in frame {far[0].frame} (expected 5 %; above 15 %)"
+                f"{agent} measures outside of the predicted 95 % in {len(far)} of {count} frames, first "
+                f"in frame {far[0]} (expected 5 %; above 15 %)"
             )
-            yield Finding(lines[0].target, what, "narrow", agent, far[0].frame)
+            yield Finding(course.target, what, "narrow", agent, int(far[0]))
         elif usual > 0.8:
             what = (
                 f"{agent} measures closer to the prediction than predicted: p-value {usual:.2f} (median; "
                 "above 0.8, expected 0.5)"
             )
-            yield Finding(lines[0].target, what, "wide", agent)
+            yield Finding(course.target, what, "wide", agent)
 
 
-def _lost(lines: Lines) -> Iterator[Finding]:
-    lost = [line for line in lines if line.status == "lost"]
-    if not lost:
+def _lost(course: Course) -> Iterator[Finding]:
+    is_lost = course.is_text("status", ("lost",))
+    if not is_lost.any():
         return
-    decided = _decided(lines, lost[0])
-    what = f"lost in {len(lost)} of {len(lines)} frames, decided in frame {decided}"
-    is_gone = lines[-1].is_gone
-    yield Finding(lines[0].target, what, "gone" if is_gone else None, frame=decided)
+    decided = _decided(course, is_lost)
+    what = f"lost in {is_lost.sum()} of {len(course)} frames, decided in frame {decided}"
+    yield Finding(course.target, what, "gone" if course.is_gone[-1] else None, frame=decided)
 
 
-def _decided(lines: Lines, first: FrameMetrics) -> int:
-    """The frame in which the status of a line was decided, as `log` has it: it applies from the next one."""
-    place = lines.index(first)
-    return lines[place - 1].frame if place else first.frame - 1
+def _decided(course: Course, rows: NDArray[np.bool_]) -> int:
+    """The frame in which the status of the first of some rows was decided, as `log` has it: it applies from
+    the next one."""
+    place = int(rows.argmax())
+    return int(course.frame[place - 1] if place else course.frame[0] - 1)
 
 
-def _learning(lines: Lines) -> Iterator[Finding]:
-    learnt = sum(line.learn_rate > 0 for line in lines)
-    if learnt < len(lines) // 10:
-        what = f"references learned in {learnt} of {len(lines)} frames only (below 10 %)"
-        yield Finding(lines[0].target, what, "stale")
+def _learning(course: Course) -> Iterator[Finding]:
+    learnt = int((course.numbers("learn_rate") > 0).sum())
+    if learnt < len(course) // 10:
+        what = f"references learned in {learnt} of {len(course)} frames only (below 10 %)"
+        yield Finding(course.target, what, "stale")
 
 
-def _switching(lines: Lines, switches: int) -> Iterator[Finding]:
-    if switches > len(lines) // 4:
-        what = f"agents are switched {switches} times in {len(lines)} frames (above once in four)"
-        yield Finding(lines[0].target, what, "flicker", measure="switching")
+def _switching(course: Course, switches: int) -> Iterator[Finding]:
+    if switches > len(course) // 4:
+        what = f"agents are switched {switches} times in {len(course)} frames (above once in four)"
+        yield Finding(course.target, what, "flicker", measure="switching")
 
 
-def _loudest(lines: Lines) -> str | None:
+def _loudest(course: Course) -> str | None:
     """The agent with the largest contribution, on average."""
-    totals: dict[str, float] = {}
-    for line in lines:
-        for agent, value in line.contribution.items():
-            totals[agent] = totals.get(agent, 0.0) + value
+    totals = {
+        agent: float(numbers[is_there].sum())
+        for agent, (is_there, numbers) in course.by_name("contribution").items()
+    }
     return max(totals, key=lambda agent: totals[agent], default=None)
 
 
-CHECKS: Sequence[Callable[[Lines], Iterator[Finding]]] = (
+CHECKS: Sequence[Callable[[Course], Iterator[Finding]]] = (
     _lost,
     _doubt,
     _effective,

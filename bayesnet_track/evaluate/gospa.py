@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.truth import FramePairs, Pairs, assign
+from bayesnet_track.evaluate.frame_pairs import FramePairs
+from bayesnet_track.evaluate.truth import Pairs, assign
 from bayesnet_track.numerics.arrays import Floats, Ints
 
 CUTOFF_PX = 50.0

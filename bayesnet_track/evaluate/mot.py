@@ -10,9 +10,10 @@ from typing import Annotated
 
 import numpy as np
 
+from bayesnet_track.evaluate.frame_pairs import FramePairs
 from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa, ospa2, trajectory_gospa
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import EPSILON, FramePairs, Pairs, Tracks, assign, pair, read_pair
+from bayesnet_track.evaluate.truth import EPSILON, Pairs, Tracks, assign, pair, read_pair
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 

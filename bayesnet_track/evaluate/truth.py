@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -11,8 +11,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.evaluate.frame_pairs import ByFrame, FramePairs, frame_pairs
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner, overlap
+from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation.settings import setting, to_caller
 from bayesnet_track.sources.entrances.boxes import (
     count_up,
@@ -25,6 +26,7 @@ from bayesnet_track.sources.entrances.boxes import (
 from bayesnet_track.sources.entrances.columns import CORNERS, is_kitti, layout_of, plain
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import Lines, explain_word, is_number, split_lines
+from bayesnet_track.sources.mot_blocks import read_plain_boxes, starts_plain
 from bayesnet_track.sources.mot_lines import LARGEST_FRAME, MotLines, parse_mot, read_text
 
 TruthForm = Literal["mot", "boxes", "corners", "polygons"]
@@ -100,8 +102,9 @@ def is_mot(path: str | Path, form: TruthForm | None = None) -> bool:
         OSError: the file cannot be read.
         ValueError: it is not text, or can be MOT as well as something else.
     """
-    text = read_text(path)
-    return has_frames_and_ids(split_lines(text, str(path))) if form is None else form == "mot"
+    if form is not None:
+        return form == "mot"
+    return starts_plain(path) or has_frames_and_ids(split_lines(read_text(path), str(path)))
 
 
 def has_frames_and_ids(lines: Lines) -> bool:
@@ -266,35 +269,17 @@ class Tracks:
 
 
 @dataclass(frozen=True, eq=False)
-class FramePairs:
-    """All pairs of a true and a tracked box in one frame.
-
-    Attributes:
-        index: number of the frame, from 0.
-        true: (G,) numbers of the true targets, from 0 without gaps over the sequence.
-        tracked: (K,) the same of the tracks.
-        iou: (G, K) intersection over union.
-        distance: (G, K) Euclidean distance of the box centres in px.
-    """
-
-    index: int
-    true: Ints
-    tracked: Ints
-    iou: Floats
-    distance: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class Pairs:
     """All pairs of a sequence.
 
     Attributes:
-        frames: of each frame with a box, in order.
+        frames: of each frame with a box, in order; of a long sequence they are made anew whenever they are
+            asked for.
         true_boxes: how many boxes each true target has.
         tracked_boxes: the same of each track.
     """
 
-    frames: tuple[FramePairs, ...]
+    frames: Sequence[FramePairs]
     true_boxes: Ints
     tracked_boxes: Ints
 
@@ -306,17 +291,8 @@ class Pairs:
 
 def pair(truth: Tracks, tracks: Tracks) -> Pairs:
     """Every true box beside every tracked box of its frame; of identities only equality matters."""
-    (true, true_boxes), (tracked, tracked_boxes) = _number(truth.ids), _number(tracks.ids)
-    centres, tracked_centres = centre_from_corner(truth.boxes), centre_from_corner(tracks.boxes)
-    rows, tracked_rows = _rows_of_frames(truth.frames), _rows_of_frames(tracks.frames)
-    nothing = np.empty(0, dtype=np.int64)
-    frames = []
-    for frame in sorted(rows.keys() | tracked_rows.keys()):
-        i, j = rows.get(frame, nothing), tracked_rows.get(frame, nothing)
-        a, b = centres[i][:, None], tracked_centres[j][None, :]
-        distance = np.hypot(a[..., 0] - b[..., 0], a[..., 1] - b[..., 1])
-        frames.append(FramePairs(frame, true[i], tracked[j], overlap(a, b), distance))
-    return Pairs(tuple(frames), true_boxes, tracked_boxes)
+    true, tracked = (ByFrame.of(one.frames, one.ids, one.boxes) for one in (truth, tracks))
+    return Pairs(frame_pairs(true, tracked), true.counts, tracked.counts)
 
 
 def assign(gains: Floats) -> tuple[Ints, Ints]:
@@ -325,17 +301,6 @@ def assign(gains: Floats) -> tuple[Ints, Ints]:
 
     rows, columns = linear_sum_assignment(gains, maximize=True)
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
-
-
-def _number(ids: Ints) -> tuple[Ints, Ints]:
-    _, numbers, counts = np.unique(ids, return_inverse=True, return_counts=True)
-    return numbers.astype(np.int64), counts.astype(np.int64)
-
-
-def _rows_of_frames(frames: Ints) -> dict[int, Ints]:
-    order = np.argsort(frames, kind="stable")
-    present, starts = np.unique(frames[order], return_index=True)
-    return dict(zip(present.tolist(), np.split(order, starts[1:]), strict=True)) if len(frames) else {}
 
 
 def read_mot_truth(path: str | Path, form: TruthForm | None = None) -> Tracks:
@@ -350,6 +315,9 @@ def read_mot_truth(path: str | Path, form: TruthForm | None = None) -> Tracks:
         OSError: the file cannot be read.
         ValueError: a malformed line, an identity twice in a frame (says file and line), or nothing to score.
     """
+    plain = read_plain_boxes(path)
+    if plain is not None and not (plain.confidences == IGNORED).any():
+        return Tracks(plain.frames, plain.ids, plain.boxes)
     lines = parse_mot(read_text(path), str(path), is_given=form is not None)
     scored = lines.only(lines.rest[:, 0] != IGNORED)
     if not len(scored):
@@ -372,6 +340,9 @@ def read_mot_tracks(path: str | Path) -> Tracks:
         OSError: the file cannot be read.
         ValueError: a malformed line, or an identity twice in a frame; says file and line.
     """
+    plain = read_plain_boxes(path)
+    if plain is not None:
+        return Tracks(plain.frames, plain.ids, plain.boxes)
     lines = parse_mot(read_text(path), str(path))
     pairs = set(zip(lines.frames.tolist(), lines.ids.tolist(), strict=True))
     return _tracks(lines, by_class=len(pairs) < len(lines))

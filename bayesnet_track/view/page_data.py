@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.settings.queries import Query
 from bayesnet_track.journal.blocks import CLOUD, Block, Blocks
+from bayesnet_track.journal.courses import Course, courses
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.frame_columns import is_absent
-from bayesnet_track.journal.metrics import NOT_SHOWN, FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.view.page_tables import choose, event_rows, plates, short_floats
 
@@ -320,33 +321,15 @@ class History:
 
 def histories(metrics: Sequence[FrameMetrics], targets: Iterable[str]) -> dict[str, History]:
     """The histories of some targets, read in one pass; empty ones of those without measurements."""
-    blocks = Blocks(metrics, COLUMNS)
-    parts: dict[str, list[Block]] = {target: [] for target in targets}
-    for block in blocks:
-        codes = block.codes("target")
-        order = np.argsort(codes, kind="stable")
-        present, starts = np.unique(codes[order], return_index=True)
-        for code, rows in zip(present.tolist(), np.split(order, starts[1:]), strict=True):
-            of_target = parts.get(blocks.texts["target"].texts[code])
-            if of_target is not None:
-                columns = {name: column[rows] for name, column in block.columns.items() if name in COLUMNS}
-                of_target.append(Block(block.frame[rows].astype(np.int32), columns))
-    actives = [tuple(text.split()) for text in blocks.texts["active"].texts]
-    lost = np.array([status in NOT_SHOWN for status in blocks.texts["status"].texts], dtype=bool)
-    return {target: _history(some, actives, lost) for target, some in parts.items()}
+    return {name: _history(course) for name, course in courses(metrics, COLUMNS, targets).items()}
 
 
-def _history(parts: Sequence[Block], actives: Sequence[tuple[str, ...]], lost: NDArray[np.bool_]) -> History:
-    nothing = np.zeros(0, dtype=np.int32)
-
-    def joined(name: str) -> Floats:
-        return np.concatenate([nothing.astype(np.float64), *(part.numbers(name) for part in parts)])
-
+def _history(course: Course) -> History:
     return History(
-        frame=np.concatenate([nothing, *(part.frame for part in parts)]),
-        ud_px2=joined("ud_px2"),
-        quiet_px2=joined("quiet_px2"),
-        is_lost=lost[np.concatenate([nothing, *(part.codes("status") for part in parts)])],
-        actives=actives,
-        active=np.concatenate([nothing, *(part.codes("active") for part in parts)]),
+        frame=course.frame,
+        ud_px2=course.numbers("ud_px2"),
+        quiet_px2=course.numbers("quiet_px2"),
+        is_lost=course.is_gone,
+        actives=[tuple(text.split()) for text in course.texts.get("active", ())],
+        active=course.block.codes("active"),
     )

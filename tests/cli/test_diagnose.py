@@ -9,16 +9,28 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track import load_graph
+from bayesnet_track.cli import findings
 from bayesnet_track.cli.commands import diagnose
 from bayesnet_track.cli.commands.diagnose import advise, find_all, names_of
-from bayesnet_track.cli.findings import FEW_FRAMES, REMEDIES, Finding, find, until_lost
+from bayesnet_track.cli.findings import COLUMNS, FEW_FRAMES, REMEDIES, Finding, until_lost
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
+from bayesnet_track.journal.courses import courses
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 
 FRAMES = 40
+
+
+def course_of(lines):
+    """The course of the only target of some lines."""
+    (course,) = courses(lines, COLUMNS, None if lines else ["1"]).values()
+    return course
+
+
+def find(lines, switches=0):
+    return findings.find(course_of(lines), switches)
 
 
 @pytest.fixture
@@ -140,7 +152,7 @@ def test_an_agent_that_failed_stands_out_however_short_the_run(lines):
 
 def test_a_target_that_detections_started_may_end_as_lost(lines):
     left = [replace(line, status="lost") if line.frame >= 30 else line for line in lines]
-    assert until_lost(left) == lines[:30] and not until_lost([])
+    assert until_lost(course_of(left)).frame.tolist() == list(range(30)) and not until_lost(course_of([]))
     born = OpenRun(load_graph("kalman_detections").text, {"1": "target"}, left)
     assert not list(find_all(born)) and list(find_all(replace(born, graph_text=load_graph("general").text)))
 

@@ -12,29 +12,28 @@ from bayesnet_track.cli.arguments import OK, UsageError, complain, say
 if TYPE_CHECKING:
     from bayesnet_track.cli.findings import Finding
     from bayesnet_track.journal.events.faults import Quarantined
-    from bayesnet_track.journal.metrics import FrameMetrics
     from bayesnet_track.runtime.recording.run_reader import Run
 
 
 def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
     """The findings of one target, or of all."""
-    from bayesnet_track.cli.findings import find, find_failures, until_lost
+    from bayesnet_track.cli.findings import COLUMNS, find, find_failures, until_lost
+    from bayesnet_track.journal.courses import courses
     from bayesnet_track.journal.events.faults import Quarantined
     from bayesnet_track.journal.net.net import Switch
 
-    lines: dict[str, list[FrameMetrics]] = {}
     switches: dict[str, int] = {}
     failures: dict[str, list[Quarantined]] = {}
-    for line in run.metrics:
-        lines.setdefault(line.target, []).append(line)
     for event in run.events:
         if isinstance(event, Switch):
             switches[event.target] = switches.get(event.target, 0) + 1
         if isinstance(event, Quarantined):  # a switch, too
             failures.setdefault(event.target, []).append(event)
-    for one in run.targets if target is None else (target,):
+    chosen = run.targets if target is None else (target,)
+    measured = courses(run.metrics, COLUMNS, chosen)
+    for one in chosen:
         yield from find_failures(one, failures.get(one, ()))
-        own = lines.get(one, [])
+        own = measured[one]
         shown = until_lost(own) if is_born(run, one) else own
         for finding in find(shown, switches.get(one, 0)):
             if finding.remedy != "stale" or "learn:" in run.graph_text:  # else nothing is meant to learn
