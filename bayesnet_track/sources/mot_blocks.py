@@ -50,10 +50,9 @@ def read_plain_boxes(path: str | Path) -> PlainBoxes | None:
     Raises:
         OSError: it cannot be read.
     """
-    place = Path(path)
-    if place.stat().st_size < LARGE:
+    if not _is_large(path):
         return None
-    with place.open("rb") as file:
+    with Path(path).open("rb") as file:
         count = sum(block.count(b"\n") for block in iter(lambda: file.read(_BLOCK), b""))
         found = PlainBoxes(
             np.empty(count, np.int32),
@@ -74,16 +73,22 @@ def read_plain_boxes(path: str | Path) -> PlainBoxes | None:
     return None if start < count or is_ambiguous or _has_twins(found) else found
 
 
+def _is_large(path: str | Path) -> bool:
+    try:
+        return Path(path).stat().st_size >= LARGE
+    except OSError:
+        return False  # whoever reads it says what is wrong
+
+
 def starts_plain(path: str | Path) -> bool:
     """True if a large file begins with plain MOT lines, so that it need not be read to know what it holds.
 
     Raises:
         OSError: it cannot be read.
     """
-    place = Path(path)
-    if place.stat().st_size < LARGE:
+    if not _is_large(path):
         return False
-    with place.open("rb") as file:
+    with Path(path).open("rb") as file:
         head, _, _ = file.read(1 << 16).rpartition(b"\n")
     rows = _numbers(head, head.count(b"\n") + 1, head.partition(b"\n")[0].count(b",") + 1)
     return rows is not None and _is_plain(rows, 0.0)
