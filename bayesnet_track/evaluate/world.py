@@ -92,11 +92,14 @@ class WorldScore:
 def is_world_truth(path: Path) -> bool:
     """True for a CSV file whose header line has t, id, x and y, and no width or height.
 
-    Raises:
-        OSError: the file cannot be read.
+    False where it cannot be read: whoever reads it as something else says what is wrong.
     """
-    with path.open("rb") as file:
-        words = file.readline(4096).decode("utf-8-sig", "replace").lower().replace(";", ",").split(",")
+    try:
+        with path.open("rb") as file:
+            first = file.readline(4096)
+    except OSError:
+        return False
+    words = first.decode("utf-8-sig", "replace").lower().replace(";", ",").split(",")
     names = {word.strip() for word in words}
     return names >= set(TRUTH) and not names & {"w", "h", "width", "height"}
 
