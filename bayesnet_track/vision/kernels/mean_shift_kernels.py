@@ -313,8 +313,8 @@ def shift(
 
     Each pixel weighs sqrt(q_u / p_u), p the histogram where the window stands: for the Epanechnikov kernel
     the mean of these weights climbs the Bhattacharyya coefficient, linearised there. A step after which rho
-    itself is lower is halved. Stops below `tolerance` px a step, after `max_steps` steps, or where no pixel has a
-    colour of the model (0 steps then, if at once).
+    itself is lower is halved. Stops below `tolerance` px a step, after `max_steps` steps, or where no pixel
+    has a colour of the model (0 steps then, if at once).
     """
     rows, columns = cells.shape
     rx, ry = max(rx, 1.0), max(ry, 1.0)
