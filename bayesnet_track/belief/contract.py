@@ -65,6 +65,8 @@ class Evidence:
         sampled: (N,) the net's log-likelihood without `gaussians`; None when there are none.
         measured: agent that measures -> what it measured; None when it saw nothing and is left out.
         factors: factor -> (N,) its log density at the node that it weighs.
+        log_constants: agent that measured -> what the net's log-likelihood lacks, by it, to be the log
+            density of what was measured. Agents that score, or that are given detections, have none.
     """
 
     log_likelihood: Floats
@@ -75,6 +77,7 @@ class Evidence:
     sampled: Floats | None = None
     measured: Mapping[str, Measurement | None] = field(default_factory=dict)
     factors: Mapping[str, Floats] = field(default_factory=dict)
+    log_constants: Mapping[str, float] = field(default_factory=dict)
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]
@@ -201,6 +204,7 @@ class Step(Generic[P_co]):
         predicted: the belief before the evidence where that is Gaussians, those of visible modes; empty where
             the support stands for it.
         ancestors: (N,) hypotheses of the belief before that those after it come from; None where unknown.
+        log_gated: log of the floors of measurements that were gated out: the likelihood of outliers.
     """
 
     posterior: P_co
@@ -213,6 +217,12 @@ class Step(Generic[P_co]):
     reports: tuple[Report, ...] = ()
     predicted: tuple[Predicted, ...] = ()
     ancestors: Ancestors | None = None
+    log_gated: float = 0.0
+
+    @property
+    def log_density(self) -> float:
+        """`log_evidence` with the constants of what was measured: comparable between models of one sensor."""
+        return self.log_evidence + sum(self.evidence.log_constants.values()) + self.log_gated
 
     @cached_property
     def map_state(self) -> Floats:

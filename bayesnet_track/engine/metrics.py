@@ -24,7 +24,7 @@ from bayesnet_track.engine.scoring.outcome import e_value, reported_status
 from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import InferenceNode
-from bayesnet_track.inference.predictive import p_values
+from bayesnet_track.inference.predictive import log_predictive, p_values
 from bayesnet_track.inference.views import Views
 from bayesnet_track.journal.encoder import encode_clouds
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
@@ -117,6 +117,7 @@ def frame_metrics(
         parts=_part_metrics(measures),
         e_value=None if root.alarm is None else e_value(measured.scored.cusum, root.alarm),
         p_values=dict(summary.p_values),
+        log_predictive=dict(summary.log_predictive),
         state=state_numbers(summary.belief, plate.spec.is_ground),
     )
 
@@ -199,6 +200,7 @@ class Summary:
         belief: the belief itself, where more than these numbers may be asked for.
         join: what a joint belief says of the target; None for a target that is in none.
         p_values: agent -> probability of a measurement farther from the prediction than its own.
+        log_predictive: agent -> log density of what it measured under the prediction.
     """
 
     variances: Floats
@@ -212,6 +214,7 @@ class Summary:
     belief: Posterior
     join: JoinMetrics | None = None
     p_values: Mapping[str, float] = field(default_factory=dict)
+    log_predictive: Mapping[str, float] = field(default_factory=dict)
 
 
 def find_summaries(
@@ -298,14 +301,16 @@ Numbers = tuple[Floats, float, float, Rows, tuple[tuple[int, ...], ...]]
 def _summary(work: FrameContext, one: Filtered, numbers: Numbers) -> Summary:
     """A summary, of which `numbers` come first."""
     step, compiled = one.step, work.plate_of(one.target)
+    hidden = () if compiled.modes is None else compiled.modes.hidden
     return Summary(
         *numbers,
         step.map_state[:4],
-        step.log_evidence,
+        step.log_density,
         len(step.support.weights),
         step.posterior,
         one.join,
-        p_values(compiled.plate, step, () if compiled.modes is None else compiled.modes.hidden),
+        p_values(compiled.plate, step, hidden),
+        log_predictive(compiled.plate, step, hidden, compiled.association_rules),
     )
 
 

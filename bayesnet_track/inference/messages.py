@@ -23,7 +23,7 @@ from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import at_prediction, note_undefined, read_as
 from bayesnet_track.inference.views import project, through
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.cue import AssociatingCue, Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.observation.protocols import BOX
 
@@ -52,6 +52,7 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     at = {plan.root: hypotheses, **latent}
     messages: dict[str, Floats] = {}
     measured: dict[str, Measurement | None] = {}
+    constants: dict[str, float] = {}
     faults: dict[str, str] = {}
     question = Question(at, prior_log, _region(latent if plan.views else at))
     answers = known_answers(plan.observations, observer)
@@ -68,6 +69,8 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
                 if answer.errors is not None:
                     answer = _at_prediction(answer, step, observer, at[step.at], prior_log)
                 note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
+            if not answer.choices and not isinstance(observer.cues[step.agent], AssociatingCue):
+                constants[step.agent] = answer.log_constant / step.temperature
             answer = to_power(answer, 1.0 / step.temperature)
             messages[step.agent] = measurement_message(answer, at[step.at])
             camera = plan.camera(step.at)
@@ -86,7 +89,23 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     joined = join_messages(plan, messages | factors, measured, latent, hypotheses, prior_log)
     total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
     said = {node: message for node, message in joined.messages.items() if node not in factors}
-    return Evidence(total, said, latent, faults, joined.gaussians, joined.sampled, measured, factors)
+    present = {name for name in (*messages, *factors) if measured.get(name, ()) is not None}
+    at_root = _log_constants(plan, constants, present)
+    heard = (joined.gaussians, joined.sampled, measured, factors, at_root)
+    return Evidence(total, said, latent, faults, *heard)
+
+
+def _log_constants(plan: Plan, constants: Mapping[str, float], present: set[str]) -> dict[str, float]:
+    """Agent -> its constant as products and pools bring it to the root."""
+    at_root = {}
+    for agent, constant in constants.items():
+        powers = dict.fromkeys(present, 0.0) | {agent: 1.0}
+        for fusion in plan.fusions:
+            weights = fusion.weights(powers)
+            if weights:
+                powers[fusion.node] = sum(weight * powers[child] for child, weight in weights.items())
+        at_root[agent] = powers.get(plan.root, 0.0) * constant
+    return at_root
 
 
 def _at_prediction(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bayesnet_track.belief.contract import Step
+from bayesnet_track.belief.gaussian.error_update import update_by_errors
 from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.numerics.arrays import Floats
@@ -25,30 +27,97 @@ def p_values(plate: CheckedTarget, step: Step[Any], hidden: Sequence[bool] = ())
     taken.
     """
     found = {}
+    for agent, one in _measured(plate, step):
+        if one.errors is None and (mixture := _predicted(one, step, hidden)) is not None:
+            found[agent] = p_value(one.mean, *mixture)
+    return found
+
+
+def log_predictive(
+    plate: CheckedTarget, step: Step[Any], hidden: Sequence[bool] = (), given: Container[str] = ()
+) -> dict[str, float]:
+    """Agent -> log density of what it measured, under the belief before the frame, in its quantities' units.
+
+    Of the same agents as `p_values`, without those that are `given` detections, and without floors. Errors
+    that are written as expressions have theirs, too.
+    """
+    found = {}
+    for agent, one in _measured(plate, step):
+        if agent in given:
+            continue
+        if one.errors is not None:
+            log = _by_errors(one, step)
+            if log is not None:
+                found[agent] = log
+        elif (mixture := _predicted(one, step, hidden)) is not None:
+            found[agent] = max(_log_mixture(one.mean, *mixture), LEAST_LOG)
+    return found
+
+
+LEAST_LOG = -1e6
+"""Log densities are cut here, so that sums of them are numbers."""
+
+
+def _measured(plate: CheckedTarget, step: Step[Any]) -> Iterator[tuple[str, Measurement]]:
     for agent in plate.agents:
         one = step.evidence.gaussians.get(agent)
-        above = plate.agent(agent).parent
-        if one is None or one.choices or one.errors is not None or above not in (plate.root, *plate.views):
-            continue
-        fields = step.posterior.fields
-        if step.predicted:
-            parts = [part for part in step.predicted if part.weight > 0]
-            weights = np.array([part.weight for part in parts])
-            each = [_of_gaussian(one, fields, part.mean, part.covariance) for part in parts]
-            means, covariances = np.array([mean for mean, _ in each]), np.array([own for _, own in each])
-        else:
-            states, weights = step.support.states, step.prior.weights
-            if any(hidden):
-                weights = np.where(np.asarray(hidden)[states[:, -1].astype(np.intp)], 0.0, weights)
-            means, covariances = _values(one, fields, states), one.covariance[None]
-        known = np.isfinite(means).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
-        weights = np.where(known, weights, 0.0)
-        total = float(weights.sum())
-        if total > 0:
-            kept = np.flatnonzero(weights > 0)
-            spreads = covariances if len(covariances) == 1 else covariances[kept]
-            found[agent] = p_value(one.mean, weights[kept] / total, means[kept], spreads)
-    return found
+        seen_by_root = plate.agent(agent).parent in (plate.root, *plate.views)
+        if one is not None and not one.choices and seen_by_root:
+            yield agent, one
+
+
+def _predicted(
+    one: Measurement, step: Step[Any], hidden: Sequence[bool]
+) -> tuple[Floats, Floats, Floats] | None:
+    """Weights (P,), means (P, K) and covariances (P, K, K) or (1, K, K) of the predicted measurement."""
+    fields = step.posterior.fields
+    if step.predicted:
+        parts = [part for part in step.predicted if part.weight > 0]
+        weights = np.array([part.weight for part in parts])
+        each = [_of_gaussian(one, fields, part.mean, part.covariance) for part in parts]
+        means, covariances = np.array([mean for mean, _ in each]), np.array([own for _, own in each])
+        if not parts:
+            return None
+    else:
+        states, weights = step.support.states, step.prior.weights
+        if any(hidden):
+            weights = np.where(np.asarray(hidden)[states[:, -1].astype(np.intp)], 0.0, weights)
+        means, covariances = _values(one, fields, states), one.covariance[None]
+    known = np.isfinite(means).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
+    weights = np.where(known, weights, 0.0)
+    total = float(weights.sum())
+    if not total > 0:
+        return None
+    kept = np.flatnonzero(weights > 0)
+    spreads = covariances if len(covariances) == 1 else covariances[kept]
+    return weights[kept] / total, means[kept], spreads
+
+
+def _log_mixture(value: Floats, weights: Floats, means: Floats, covariances: Floats) -> float:
+    """log density of a mixture of Gaussians at `value` (K,)."""
+    away = value - means
+    inverse = np.linalg.inv(covariances)
+    d2 = np.einsum("pi,pij,pj->p", away, np.broadcast_to(inverse, (len(away), *inverse.shape[1:])), away)
+    log = np.log(weights) - 0.5 * (d2 + np.linalg.slogdet(2.0 * np.pi * covariances)[1])
+    top = float(log.max())
+    return top + float(np.log(np.exp(log - top).sum()))
+
+
+def _by_errors(one: Measurement, step: Step[Any]) -> float | None:
+    """The same where the distribution of the errors is written as an expression."""
+    exact, fields = replace(one, floor=0.0), step.posterior.fields
+    if step.predicted:
+        parts = [part for part in step.predicted if part.weight > 0]
+        each = [update_by_errors(part.mean, part.covariance, fields, exact) for part in parts]
+        log = np.array([-np.inf if own is None else own.log_likelihood for own in each])
+        log = log + np.log([part.weight for part in parts])
+    else:
+        states = dict(zip(fields, step.support.states.T, strict=True))
+        log = exact.log_by_errors(states) + step.prior.log
+    top = float(log.max()) if len(log) else -np.inf
+    if not np.isfinite(top):
+        return None
+    return max(top + float(np.log(np.exp(log - top).sum())) + one.log_constant, LEAST_LOG)
 
 
 def _values(one: Measurement, fields: Sequence[str], states: Floats) -> Floats:

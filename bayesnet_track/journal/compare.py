@@ -15,6 +15,7 @@ from bayesnet_track.journal.compare_measures import (
     Distances,
     Evidence,
     Figures,
+    Predictive,
     Total,
     pair_targets,
     target_ids,
@@ -170,6 +171,7 @@ class Comparison:
         first_apart: first frame in which an estimate differs at all; None when none does.
         totals: figures of both, over the frames that are compared.
         evidence: log-evidence of both, which compares graphs with the same agents.
+        predictive: predictive log densities of both, of each sensor that both have.
         last_frames: last frame of each; what is beyond the earlier one is not compared.
     """
 
@@ -182,6 +184,7 @@ class Comparison:
     totals: tuple[Total, ...]
     evidence: Total
     last_frames: tuple[int, int]
+    predictive: tuple[Total, ...] = ()
 
 
 def compare(first: RunRecord, second: RunRecord) -> Comparison:
@@ -197,12 +200,15 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
     pairs = pair_targets(events, [Blocks(run.metrics, ["box"]) for run in runs], end)
     decisions = [[event for event in of_run if isinstance(event, Decision)] for of_run in events]
     agreed, moments = find_moments(decisions[0], decisions[1], pairs)
-    apart, evidence, figures = Apart(pairs, sides), Evidence(), [Figures(side) for side in sides]
+    apart, figures = Apart(pairs, sides), [Figures(side) for side in sides]
+    evidence, predictive = Evidence(), Predictive()
     for span in spans(sides, end):
         blocks = [side.read(*span) for side in sides]
         for of_run, block in zip(figures, blocks, strict=True):
             of_run.add(block)
-        evidence.add(blocks[0], blocks[1], *apart.add(blocks[0], blocks[1]))
+        rows = apart.add(blocks[0], blocks[1])
+        evidence.add(blocks[0], blocks[1], *rows)
+        predictive.add(blocks[0], blocks[1], *rows)
     ids = [target_ids(of_run) for of_run in events]
     paired = [{pair[side] for pair in pairs} for side in (0, 1)]
     a, b = (
@@ -224,4 +230,5 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
         totals=tuple(Total(name, a[name], b[name], True if name in better else None) for name in a),
         evidence=evidence.total(),
         last_frames=(last[0], last[1]),
+        predictive=predictive.totals(),
     )

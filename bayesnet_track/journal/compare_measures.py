@@ -22,7 +22,7 @@ from bayesnet_track.numerics.arrays import Floats
 Pair = tuple[str, str]
 Rows = NDArray[np.int64]
 
-COLUMNS = ("box", "ud_px2", "status", "active", "particles", "log_evidence", "kl/")
+COLUMNS = ("box", "ud_px2", "status", "active", "particles", "log_evidence", "kl/", "log_predictive/")
 """What a comparison reads of a frame."""
 
 MOST = 0.9
@@ -234,6 +234,41 @@ class Evidence:
         name = f"log-evidence, nats ({self._frames} of {plural(self._common, 'frame')})"
         return Total(
             name, self._sums[0], self._sums[1], False if self._frames >= MOST * self._common else None
+        )
+
+
+class Predictive:
+    """Log densities of what each sensor that both runs have measured, under their predictions.
+
+    Of the frames of their pairs in which both have one. It compares models with other agents beside the
+    sensor, which then has to be the same: its quantities, their units and its readings.
+    """
+
+    def __init__(self) -> None:
+        self._sums: dict[str, list[float]] = {}
+        self._frames: Counter[str] = Counter()
+
+    def add(self, first: Block, second: Block, mine: Rows, theirs: Rows) -> None:
+        """Add rows of the same pair and frame."""
+        names = [one for one in first.columns if one.startswith("log_predictive/") and one in second.columns]
+        for name in names if len(mine) else ():
+            values = [first.numbers(name)[mine], second.numbers(name)[theirs]]
+            counts = ~is_absent(values[0]) & ~is_absent(values[1])
+            if counts.any():
+                sums = self._sums.setdefault(name.partition("/")[2], [0.0, 0.0])
+                sums[:] = [total + float(one[counts].sum()) for total, one in zip(sums, values, strict=True)]
+                self._frames[name.partition("/")[2]] += int(counts.sum())
+
+    def totals(self) -> tuple[Total, ...]:
+        """The sums of both, a sensor each."""
+        return tuple(
+            Total(
+                f"predictive log density of {agent}, nats ({plural(self._frames[agent], 'frame')})",
+                sums[0],
+                sums[1],
+                False,
+            )
+            for agent, sums in self._sums.items()
         )
 
 

@@ -127,7 +127,8 @@ class FrameMetrics(HasBox):
         status: tracking, uncertain, lost, or hidden: lost because it is probably hidden, by its modes.
         score: probability of being on target (an IoU above 0.5) if the graph has coefficients for it; else an
             uncalibrated index in 0..1 from UD and evidence, high when certain.
-        log_evidence: log normalising constant of the frame.
+        log_evidence: log normalising constant of the frame. Of agents that measure it is a density, in the
+            units of what they measured; others give a likelihood of at most 1.
         surprise: KL(posterior || prior) over the hypotheses, nats: how far the frame moved the belief.
         ess: effective sample size of the hypotheses' posterior weights.
         particles: number of hypotheses that the agents scored.
@@ -154,6 +155,8 @@ class FrameMetrics(HasBox):
         e_value: evidence that the target is not held; left out when the graph has no `alarm`.
         p_values: agent that measured -> probability of a measurement farther from its prediction than it was;
             left out when there are none.
+        log_predictive: agent that measured -> log density of what it measured under the belief before the
+            frame, in the units of its quantities; left out when there are none.
         queries: answers by the names of queries: a probability or a mean, ``NAME_sd``, ``NAME_low`` and
             ``NAME_high`` of a number, ``NAME/TARGET`` of a pair with another target, ``NAME_count`` of all
             targets together; left out when the graph has no `queries`.
@@ -207,6 +210,7 @@ class FrameMetrics(HasBox):
 
     e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
     p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    log_predictive: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     queries: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     state: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 

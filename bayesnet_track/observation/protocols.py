@@ -5,6 +5,7 @@ How a cue is declared and found is in `cue`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -235,6 +236,15 @@ class Measurement:
         if self.floor > 0:
             relative = floored(relative, self.floor)
         return np.where(exists, relative + peak - (self.log_peak or 0.0), -np.inf)
+
+    @property
+    def log_constant(self) -> float:
+        """What the log-likelihood lacks to be the log density of what was measured: -log|2 pi R| / 2."""
+        if self.log_peak is not None:
+            return self.log_peak
+        if self.variances is not None:
+            return -0.5 * sum(math.log(2.0 * math.pi * one) for one in self.variances)
+        return -0.5 * float(np.linalg.slogdet(2.0 * np.pi * self.covariance)[1])
 
     @property
     def missed(self) -> float:

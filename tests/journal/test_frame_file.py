@@ -46,6 +46,7 @@ FULL = line(
     modes_predicted={"seen": 0.5, "behind": 0.5},
     hidden=0.75,
     e_value=1e200,
+    log_predictive={"radar": -3.5},
     p_values={"color": 1e-60},
     queries={"near/2": 0.5, "speed_sd": 1.5},
     state={"vx": -1.5, "vx_sd": 0.25},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
@@ -255,7 +255,19 @@ class GaussianFilter:
             evidence,
             tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
         )
-        return evolve(stepped, predicted=predicted)
+        return evolve(stepped, predicted=predicted, log_gated=log_floors(after.gated, evidence))
+
+
+def log_floors(gated: Iterable[Gated], evidence: Evidence) -> float:
+    """log of the floors of what was gated out: an outlier is as probable as its agent's floor says.
+
+    Of agents whose log-likelihood is a density.
+    """
+    agents = [one.agent for one in gated if one.agent in evidence.log_constants]
+    return sum(math.log(max(evidence.gaussians[agent].floor, LEAST_FLOOR)) for agent in agents)
+
+
+LEAST_FLOOR = 1e-300
 
 
 def draws_of(settings: spec.Gaussian, width: int) -> int:

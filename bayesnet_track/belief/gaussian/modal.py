@@ -26,6 +26,7 @@ from bayesnet_track.belief.contract import (
 from bayesnet_track.belief.gaussian.belief import (
     GaussianPosterior,
     draws_of,
+    log_floors,
     predict,
     report_gated,
     require_linear,
@@ -231,7 +232,10 @@ class ModalFilter:
                 predicted.parts, predicted.mode_probabilities, self.modes.hidden, strict=True
             )
         )
-        return replace(_step(posterior, total, together, held, evidence, reports), predicted=visible)
+        step = _step(posterior, total, together, held, evidence, reports)
+        # Where it can hide, what lies outside of every gate is weighed as of the background.
+        floors = 0.0 if self.modes.can_hide else log_floors(gated, evidence)
+        return replace(step, predicted=visible, log_gated=floors)
 
     def _predict(self, part: GaussianPosterior, motion: MotionModel, dt: float) -> GaussianPosterior:
         mean, covariance = predict(part.mean, part.covariance, motion, dt, self.settings)

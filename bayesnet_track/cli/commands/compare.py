@@ -6,7 +6,7 @@ import argparse
 import itertools
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ from bayesnet_track.cli.arguments import (
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
-    from bayesnet_track.graph.spec import GraphSpec
+    from bayesnet_track.graph.spec import AgentChoice, GraphSpec
     from bayesnet_track.journal.compare import Comparison
     from bayesnet_track.journal.compare_measures import Total
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
@@ -142,19 +142,33 @@ def _pictures(first: Run, second: Run, compared: Comparison) -> list[str]:
 
 
 def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
-    """Which graph explains the video better, where both have the same agents."""
+    """Which graph explains the video better, where both have the same agents.
+
+    Agents that measure a density are the same with other errors, too; beside it stands how well each of the
+    sensors that both have was predicted.
+    """
     from bayesnet_track.graph.spec import AgentNode
 
     agents = [
         {
-            (plate, name): node.agent
+            (plate, name): _evidence_of(node.agent)
             for plate, target in run.spec.targets.items()
             for name, node in target.nodes.items()
             if isinstance(node, AgentNode)
         }
         for run in (first, second)
     ]
-    return [compared.evidence] if agents[0] == agents[1] else []
+    return [*([compared.evidence] if agents[0] == agents[1] else []), *compared.predictive]
+
+
+def _evidence_of(chosen: AgentChoice) -> tuple[str, Mapping[str, Any]]:
+    """The cue and its parameters, without those that its density depends on."""
+    from bayesnet_track.observation.cue import installed_cues
+
+    declared = installed_cues([chosen.cue]).get(chosen.cue)
+    is_density = declared is not None and declared.measures and not declared.reads_detection
+    left_out = {"sd", "floor"} if is_density else set()
+    return chosen.cue, {key: value for key, value in chosen.parameters.items() if key not in left_out}
 
 
 def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Namespace) -> list[Total]:
