@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from bayesnet_track.cli.commands.annotate import add_annotate, annotate
 from bayesnet_track.cli.commands.batch import add_batch, batch
 from bayesnet_track.cli.commands.calibrate import add_calibrate, calibrate
+from bayesnet_track.cli.commands.cameras import add_cameras, cameras
 from bayesnet_track.cli.commands.compare import add_compare, add_what_if, compare, what_if
 from bayesnet_track.cli.commands.detect import add_detect, detect
 from bayesnet_track.cli.commands.diagnose import add_diagnose, diagnose
@@ -55,7 +56,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "measure": ("score", "compare", "what-if"),
     "write a graph": ("init", "validate", "graph", "simulate", "schema"),
     "fit to your videos": ("fit", "learn-shape", "learn-stereo"),
-    "detect; calibrate cameras": ("detect", "calibrate"),
+    "detect; calibrate cameras": ("detect", "calibrate", "cameras"),
 }
 """Title -> its commands."""
 
@@ -86,6 +87,7 @@ EXAMPLES: Mapping[str, str] = {
     "learn-shape": "learn-shape person.npz --source a.mp4 --truth a.txt",
     "learn-stereo": "learn-stereo --source left --right right --calibration pair.yaml --truth a.txt",
     "detect": "detect motion --source video.mp4 --out detections.txt",
+    "cameras": "cameras street.yaml --source street.mp4 --out cameras.png",
     "calibrate": "calibrate ground street.mp4 --points points.csv --out street.yaml",
 }
 """Command -> one that does something useful, without the program's name."""
@@ -217,6 +219,7 @@ COMMANDS: Mapping[str, tuple[Adding, Action | None]] = {
     "simulate": (add_simulate, simulate),
     "detect": (add_detect, detect),
     "calibrate": (add_calibrate, calibrate),
+    "cameras": (add_cameras, cameras),
     "schema": (add_schema, schema),
     "list": (add_list, list_installed),
     "log": (add_log, log),

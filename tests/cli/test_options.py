@@ -94,7 +94,7 @@ def test_a_run_is_a_folder_not_a_video():
 
 def test_a_board_has_two_numbers_of_inner_corners(capsys):
     for text in ("9", "9x", "x6", "2x6", "9x101", "9×6"):
-        line = f"calibrate left right --board {text} --square 0.025 --out none.yaml"
+        line = f"calibrate stereo left right --board {text} --square 0.025 --out none.yaml"
         assert "--board" in refused(line, capsys)
 
 

@@ -65,7 +65,7 @@ def calibrate_ground(options: argparse.Namespace) -> int:
     check_free(out, options.overwrite)
     if bool(options.points) == bool(options.point):
         raise UsageError("give the points either by --points FILE or by --point, four or more of them")
-    image = _frame(options.source, options.frame, options.value_range)
+    image = read_frame(options.source, options.frame, options.value_range)
     size = (image.shape[1], image.shape[0])
     with users_mistake():
         numbers = read_points(Path(options.points)) if options.points else parse_points(options.point)
@@ -140,7 +140,7 @@ def calibrate_poses(options: argparse.Namespace) -> int:
             f"cameras {', '.join(sources)} have a --source, and {', '.join(files)} --intrinsics; "
             "two cameras or more are needed, each with both"
         )
-    images = {name: _frame(text, options.frame, options.value_range) for name, text in sources.items()}
+    images = {name: read_frame(text, options.frame, options.value_range) for name, text in sources.items()}
     with users_mistake():
         lenses = {name: read_intrinsics(text) for name, text in files.items()}
         fit = fit_poses(images, lenses, board, options.square_m)
@@ -246,7 +246,7 @@ def _images(text: str, value_range: tuple[float, float] | None, stride: int | No
             raise SourceError(text, "images of several sizes", "one size", "take out the others")
 
 
-def _frame(text: str, number: int, value_range: tuple[float, float] | None) -> Image:
+def read_frame(text: str, number: int, value_range: tuple[float, float] | None) -> Image:
     """One frame of a source."""
     from bayesnet_track.observation.planes import Frame
     from bayesnet_track.sources.sources import open_source

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Frame
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.sources.scenes.library import SceneSource
 
 
 SCENE_GRAPHS = {
@@ -59,6 +60,7 @@ SCENE_GRAPHS = {
     "person_same_clothes": "person_same_clothes",
     "person_same_clothes_nearer": "person_same_clothes",
     "two_people_color_stereo_shape": "two_people_color_stereo_shape",
+    "street": "street",
 }
 """Scenes that do not run with the graph `two_squares`."""
 
@@ -94,6 +96,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     ]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     has_truth = bool(starts) and starts[0].box == scene.start_box
+    world = None if scene.ground is None else _write_inputs(options, source, out)
     code = track_source(options, graph, source, starts, out, video=True, view=view)
     directory = RunDirectory.open(out) if code == OK else None
     if options.json and directory is not None:
@@ -111,12 +114,40 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
         whose = f" of {kinds['1']} 1" if name_target else ""
         say(f"\nagainst the ground truth{whose}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))
+    if world is not None:
+        _say_world(directory, world)
     explained_frame = min(29, source.expected_frames - 1)
     say(
         f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` writes a page about it; "
         f"`bayesnet-track log {out} --why {explained_frame}` explains a frame"
     )
     return code
+
+
+def _write_inputs(options: argparse.Namespace, source: SceneSource, out: Path) -> Path:
+    """Write the scene's detections, calibration and places in metres beside the run; the last one's path."""
+    from bayesnet_track.vision.camera_calibration import write_camera
+
+    ground = source.scene.ground
+    assert ground is not None
+    folder = out.with_name(f"{out.name}_inputs")
+    truth = folder / "truth.csv"
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "detections.txt").write_text(ground.detections_mot(), encoding="utf-8")
+        truth.write_text(ground.truth_csv(source.expected_frames), encoding="utf-8")
+        write_camera(folder / "camera.yaml", ground.camera, {})
+    options.detections = str(folder / "detections.txt")
+    return truth
+
+
+def _say_world(directory: RunDirectory, truth: Path) -> None:
+    """Print the scores in metres, and what to look at."""
+    from bayesnet_track.evaluate.world import read_world_tracks, read_world_truth, score_world
+
+    say("\nagainst the ground truth in metres:")
+    say(score_world(read_world_truth(truth), read_world_tracks(directory.csv)).text())
+    say(f"\n{directory.csv} has places, speeds and their intervals; {truth.parent} the inputs")
 
 
 def add_demo(commands: argparse._SubParsersAction[Any]) -> None:

@@ -129,11 +129,11 @@ FRAMES = (
     ),
     Entrance(
         "cameras over a ground",
-        "`cameras:` of a graph, `calibrate camera`, `calibrate ground`, `calibrate poses`, `--intrinsics`, "
-        "`--points`",
+        "`cameras:` of a graph, `calibrate camera`, `ground` and `poses`, `cameras`, `--points`",
         (
             "observation.calibration_files: read_tree _storage",
             "cli.commands.calibrate_cameras: read_points",
+            "cli.commands.cameras: read_cameras",
         ),
         "entries that are not used; a principal point outside the image; a camera over 100 m above the "
         "ground",

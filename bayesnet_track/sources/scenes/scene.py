@@ -68,7 +68,7 @@ class GroundTruth:
     Attributes:
         camera: the camera that sees it.
         paths: (cars, n, 4) foot point x, y, width and height, m.
-        seen: (cars, n) whether more than half of the car's box is visible.
+        seen: (cars, n) True where a detector can find the car: near enough, and mostly visible.
         detections: (rows, 6) frame, left, top, width, height in px, score; sorted by frame.
         frame_interval_s: seconds between frames.
     """

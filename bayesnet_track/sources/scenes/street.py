@@ -11,6 +11,8 @@ from bayesnet_track.sources.scenes.scene import GroundTruth, Movie, Scene, Sprit
 
 WIDTH, HEIGHT, FPS = 640, 360, 25.0
 CAMERA_HEIGHT_M = 6.0
+SMALLEST_PX = 12.0
+"""Height of the smallest box that the detector finds: cars within 60 m."""
 ROAD = (7.0, 16.0)
 """Nearer and farther kerb, m from the camera's foot point."""
 COLOURS = (
@@ -61,7 +63,7 @@ def street(seed: int = 0, frames: int = 300) -> Scene:
             for place, car in enumerate(order)
         ]
     )[np.argsort(order, kind="stable")]
-    seen = shares > 0.5
+    seen = (shares > 0.5) & (np.nan_to_num(boxes[..., 3]) > SMALLEST_PX)
     ground = GroundTruth(camera, paths, seen, _detections(boxes, seen, rng), 1 / FPS)
     corners = corner_from_centre(apart)
     movie = Movie(_background(camera, rng), sprites, 2.0, seed)
