@@ -16,10 +16,11 @@ from typing import Annotated
 
 import numpy as np
 
+from bayesnet_track.evaluate.frame_pairs import FramePairs
 from bayesnet_track.evaluate.gospa import ORDER, gospa
 from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import FramePairs, Pairs, assign
+from bayesnet_track.evaluate.truth import Pairs, assign
 from bayesnet_track.journal.metrics import NOT_SHOWN
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
 from bayesnet_track.sources.entrances.notices import few, notice
