@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, load_graph, track
+from bayesnet_track.graph.text.explain import describe_error
 from bayesnet_track.graph.text.messages import GraphError
 
 RADIO = "{readings: {file: FILE, sd: {x: 2, y: 2}}}"
@@ -86,6 +87,11 @@ RUNS = {
     ),
     "heavy tails of a measurement": model(
         MOVES, 's: {parent: a, agent: {readings: {file: FILE, sd: {x: "student_t(2, 3)", y: 2}}}}'
+    ),
+    "a prior of a constant as a field": model(
+        "{belief: {particles: {size: 300}}, motion: {expressions: {fields: {q: {}}, sd: {x: q, y: 2}, "
+        'static_discount: 0.98}}, start: {q: "lognormal(0, 1)"}}',
+        SEEN,
     ),
     "an input and the time": HEAD
     + "inputs: {pan: {file: FILE, column: x}}\n"
@@ -188,6 +194,23 @@ def test_a_model_runs(name, tmp_path, images):
     results = list(track(graph, images, starts, seed=2))
     assert len(results) == 4 and len(results[-1].targets) == len(starts)
     assert all(np.isfinite(line.centre_box).all() for line in results[-1].targets)
+
+
+HINTS = {
+    "a prior of a constant": 'start: {q: "lognormal(0, 1)"}',
+    "a delay of a sensor": "drift: {x1: x} in the motion, and measures: {u: x1}",
+    "a source of an agent's own": "readings: {file: FILE.csv, sd: {u: 3}}",
+    "a confusion matrix of a detector": "errors of labels are not modelled",
+    "an input": "inputs: {pan: {file: FILE.csv}}",
+    "the time": "t is the time in frame intervals",
+}
+
+
+@pytest.mark.parametrize("name", HINTS)
+def test_a_refused_model_is_hinted_at_another_form(name, tmp_path):
+    with pytest.raises(GraphError) as error:
+        load_graph(with_readings(REFUSED[name][0], tmp_path))
+    assert HINTS[name] in describe_error(error.value)
 
 
 @pytest.mark.parametrize("name", REFUSED)

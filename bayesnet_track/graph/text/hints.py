@@ -131,7 +131,7 @@ def hint_of(message: GraphMessage) -> str:
     if message.hint:
         return message.hint
     text = f"{message.found}; allowed: {message.allowed}"
-    for pattern, words in RULES:
+    for pattern, words in (*RULES, *OTHER_FORMS):
         found = re.search(pattern, text)
         if found:
             return words(found, message)
@@ -271,3 +271,32 @@ RULES: Sequence[Rule] = (
     ),
 )
 """Pattern of found and allowed -> the hint; the first that fits."""
+
+OTHER_FORMS: Sequence[Rule] = (
+    (
+        r"^(?P<key>\w+) is '(?P<text>[a-z_]+\(.*\))'; allowed: a number$",
+        lambda found, _: (
+            f"an unknown constant is a field of a motion by expressions, fields: {{{found['key']}: {{}}}}, "
+            f'with a start prior beside the motion, start: {{{found["key"]}: "{found["text"]}"}}'
+        ),
+    ),
+    (
+        r"^unknown key 'delay'",
+        _always(
+            "a sensor that is late by one frame measures a field that keeps the state of the frame before: "
+            "drift: {x1: x} in the motion, and measures: {u: x1}"
+        ),
+    ),
+    (
+        r"^unknown key 'source'",
+        _always(
+            "what another camera measured is given as a file: agent: "
+            "{readings: {file: FILE.csv, sd: {u: 3}}} with measures: {u: ..}"
+        ),
+    ),
+    (
+        r"^unknown key 'confusion'",
+        _always("errors of labels are not modelled: min_score and labels say which detections count"),
+    ),
+)
+"""The same of what is said in another form: what a model would need -> how this language says it."""
