@@ -14,6 +14,7 @@ from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.queries import forecast_numbers
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.metrics import FrameMetrics, HasBox
 from bayesnet_track.numerics.streams import moment_of
 from bayesnet_track.observation.timed_columns import values_at
@@ -41,6 +42,15 @@ class Forecast(HasBox):
     region50: tuple[float, ...]
     region90: tuple[float, ...]
     queries: Mapping[str, float] = field(default_factory=dict)
+
+
+def check_forecasts(graph: GraphSpec) -> None:
+    """Refuse forecasts of targets on the ground; raises ValueError."""
+    name = next((name for name, target in graph.targets.items() if target.is_ground), None)
+    if name is not None:
+        raise ValueError(
+            f"forecasts are of boxes in the image, and the state of {name} is on the ground, in m"
+        )
 
 
 def forecast(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.engine.forecasting import check_forecasts
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_given
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
@@ -187,6 +188,8 @@ def track(
     checked = load_graph(graph, tuple(cues))
     if keep_beliefs:
         check_kept(checked.spec)
+    if horizon:
+        check_forecasts(checked.spec)
     starts = _starts(box)
     if budget_ms is not None and inputs is not None and not callable(inputs):
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")

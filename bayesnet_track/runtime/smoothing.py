@@ -131,10 +131,14 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
 
     Raises:
         KeptBeliefsError: the run kept no beliefs, or has been smoothed.
-        SmoothingError: the most probable trajectory is asked for, and its particles were not all drawn from
-            the motion.
+        SmoothingError: targets are on the ground; or the most probable trajectory is asked for, and its
+            particles were not all drawn from the motion.
         JournalError: beliefs.jsonl is damaged.
     """
+    if any(target.is_ground for target in run.spec.targets.values()):
+        raise SmoothingError(
+            f"{run.name}: its targets are on the ground, in metres, and only boxes in the image are smoothed"
+        )
     streams = Streams(seed)
     found: dict[tuple[str, int], Smoothed] = {}
     best: dict[tuple[str, int], Floats] = {}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.modes import mode_probabilities
-from bayesnet_track.engine.forecasting import Forecast, forecast
+from bayesnet_track.engine.forecasting import Forecast, check_forecasts, forecast
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.modes import status_by_modes
 from bayesnet_track.engine.scoring.outcome import reported_status
@@ -257,7 +257,7 @@ class Tracker(HasBox, Storable):
 
         Raises:
             RuntimeError: `init` was not called.
-            ValueError: `frames` is less than 1.
+            ValueError: `frames` is less than 1, or targets are on the ground.
 
         Example::
 
@@ -267,6 +267,7 @@ class Tracker(HasBox, Storable):
         now = self._started
         if frames < 1:
             raise ValueError(f"predict({frames}): at least 1 frame ahead is needed")
+        check_forecasts(self._graph.spec)
         size, states, births = now.resizing.tracked, now.state.targets, now.state.history.births
         return tuple(
             now.resizing.estimate(one)

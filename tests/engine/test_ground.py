@@ -6,11 +6,14 @@ import csv
 import json
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker, track
 from bayesnet_track.numerics.cameras import Camera
+from bayesnet_track.runtime.recording.run_reader import open_run
+from bayesnet_track.runtime.smoothing import smooth
 
 FPS, NOISE, SPEED_SD, START_SD, SIZE_SD = 10.0, 0.03, 0.5, 1.5, 0.02
 WIDTH, HEIGHT = (0.6, 0.1), (1.7, 0.1)
@@ -288,8 +291,6 @@ def test_frames_of_another_size_are_refused(tmp_path):
 
 
 def test_metres_are_columns_of_a_run(tmp_path):
-    import cv2
-
     path = write_graph(tmp_path, {"particles": {"size": 300}}, "color_histogram")
     images = tmp_path / "images"
     images.mkdir()
@@ -305,6 +306,69 @@ def test_metres_are_columns_of_a_run(tmp_path):
     np.testing.assert_allclose(float(rows[-1]["h_m"]), 1.7, atol=0.3)
     boxes = np.loadtxt(tmp_path / "run" / "tracks.txt", delimiter=",")[:, 2:6]
     np.testing.assert_allclose(boxes[-1], corner_of(frames[-1][1]), atol=12.0)
+
+
+def test_what_is_not_built_on_the_ground_says_so(tmp_path):
+    path = write_graph(tmp_path, {"particles": {"size": 100}}, "color_histogram")
+    images = tmp_path / "images"
+    images.mkdir()
+    first = next(scene(walk(1)))
+    for number in range(2):
+        cv2.imwrite(str(images / f"{number:03}.png"), first[0])
+    tracker = Tracker(path, fps=FPS)
+    tracker.init(first[0], corner_of(first[1]))
+    with pytest.raises(ValueError, match="the state of person is on the ground"):
+        tracker.predict(3)
+    with pytest.raises(ValueError, match="the state of person is on the ground"):
+        next(track(path, str(images), corner_of(first[1]), horizon=3))
+    for _ in track(path, str(images), corner_of(first[1]), out=tmp_path / "run", keep_beliefs=True):
+        pass
+    with pytest.raises(ValueError, match="targets are on the ground"):
+        smooth(open_run(tmp_path / "run"))
+
+
+def test_parts_looks_and_rules_work_below_a_view(tmp_path):
+    path = of_detections(tmp_path)
+    graph = json.loads(path.read_text())
+    nodes = graph["targets"]["person"]["nodes"]
+    nodes["person"]["learn"] = {"below": {"ud_box": 0.5}}
+    nodes["person"]["adapt"] = {
+        "activate": {"above": {"ud_box": 0.4}},
+        "deactivate": {"below": {"ud_box": 0.2}},
+        "keep": 1,
+    }
+    nodes["view"]["fuse"] = "product"
+    nodes["seen"]["agent"]["detection"]["appearance"] = 1.0
+    nodes["color"] = {"parent": "view", "agent": "color_histogram"}
+    given = {"offset_box": {"y": -0.4}, "size_box": {"w": 0.4, "h": 0.2}, "sd_px": {"x": 1, "y": 1}}
+    nodes["head"] = {"parent": "view", "fuse": {"latent": {"given": given}}}
+    nodes["hue"] = {"parent": "head", "agent": {"color_histogram": {"bins": 16}}}
+    path.write_text(json.dumps(graph))
+    tracker = DetectionsTracker(path, fps=FPS)
+    places = walk(15)
+    for image, box in scene(places):
+        tracker.update(detections_of(box[None]), image)
+    (target,) = tracker.targets
+    np.testing.assert_allclose([target.state["x_m"], target.state["y_m"]], places[-1], atol=0.15)
+    head = target.parts["head"].cxcywh
+    np.testing.assert_allclose(head[:2], [box[0], box[1] - 0.4 * box[3]], atol=4.0)
+    assert len(target.active) < 3
+
+
+def test_a_stored_tracker_goes_on_and_knows_its_camera(tmp_path):
+    tracker = DetectionsTracker(of_detections(tmp_path), fps=FPS)
+    boxes = noisy(boxes_of(walk(15)), np.random.default_rng(1))
+    for box in boxes[:10]:
+        tracker.update(detections_of(box[None]))
+    tracker.save(tmp_path / "tracker")
+    again = DetectionsTracker.load(tmp_path / "tracker")
+    for box in boxes[10:]:
+        tracker.update(detections_of(box[None]))
+        again.update(detections_of(box[None]))
+    assert tracker.targets[0].state == again.targets[0].state
+    write_camera(tmp_path, camera_of(29.0))
+    with pytest.raises(ValueError, match=r"north.json is not what it was when the tracker was stored"):
+        DetectionsTracker.load(tmp_path / "tracker")
 
 
 @pytest.mark.slow

@@ -163,7 +163,7 @@ def score_looks(
         messages, apart = ask_together(work, (compiled, plan, known), Hypotheses(boxes), starts)
         log = join_plain(plan, messages, (len(boxes),))[plan.root]
     for row in apart:
-        own = {agent: of[row] for agent, of in known.items()}
+        own = {agent: known[agent][row] for agent in agents}
         its = slice(*starts[row : row + 2].tolist())
         log[its] = _score_looks_of(work, plan, targets[row], own, boxes[its])
     return np.clip(log, LEAST_LOG, 0.0)
