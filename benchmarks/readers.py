@@ -84,7 +84,6 @@ def repeated(run: Path, frames: int) -> Path:
             columns = last[frame % REPEATED]
             columns["frame"], columns["time_s"] = np.array(frame, "<i8"), np.array(frame / 25.0)
             writer.write_columns(columns)
-            writer.flush()
     tracks = [line.split(",") for line in (run / "tracks.txt").read_text().splitlines()]
     start = file.places[-1].frame + 1
     repeated_lines = [[] for _ in range(REPEATED)]
@@ -129,7 +128,9 @@ def cost(python: str, reader: str, run: Path, limit_mb: int, seconds: float) -> 
     if done.returncode:
         return f"failed: {done.stderr.strip().splitlines()[-1][:60]}"
     kilobytes, spent = done.stdout.split()[-2:]
-    return f"{int(kilobytes) * 1024 / MB:.0f} MB, {float(spent):.1f} s"
+    taken = f"{int(kilobytes) * 1024 / MB:.0f} MB, {float(spent):.1f} s"
+    print(f"{reader}, {run.name}: {taken}", file=sys.stderr, flush=True)
+    return taken
 
 
 def main() -> None:
