@@ -46,6 +46,16 @@ CELLS: dict[str, dict[str, Any]] = {
     for clutter in (0.5, 5.0, 20.0)
 }
 CELLS["merging, 10 % missed, clutter 5"] = {"missed": 0.1, "clutter": 5.0, "merging": "front"}
+RUNS = {"missed": 0.05, "blind": 0.15, "blind_frames": 6.0}
+CELLS["runs of misses, clutter 1"] = RUNS | {"clutter": 1.0}
+CELLS["runs of misses and of false boxes"] = RUNS | {"clutter": 0.5, "doubles": 0.02, "spots": 0.1}
+CELLS["the same, twice as many, merging"] = RUNS | {
+    "clutter": 0.5,
+    "blind": 0.25,
+    "doubles": 0.04,
+    "spots": 0.2,
+    "merging": "front",
+}
 NO_OVERLAPS = {"covered": 0.99}
 """Covered targets are detected as surely as others: at most as surely as in the open."""
 

@@ -15,10 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.presence import Chain, Known, Presence, count_lasting, estimate_chain, share_hidden
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.association import marginalise
@@ -36,11 +38,24 @@ START_DETECTION, START_CHANCES = 0.85, 100.0
 START_COVERED, START_COVERED_CHANCES = 0.6, 20.0
 """The same of targets that another one covers."""
 
-START_CLUTTER, START_FRAMES = 1.0, 5.0
-"""What is assumed of false detections a frame before any, and for how many frames this counts."""
+START_AGAIN = 0.87
+"""What is assumed of a detection right after one."""
+
+START_CLUTTER, START_NEAR, START_FRAMES = 1.0, 0.1, 5.0
+"""What is assumed of false detections a frame before any, also on targets; for how many frames it counts."""
+
+START_LASTING, START_FALSE = (0.001, 0.01), 20.0
+"""Shares of false detections of the background and on targets that begin a lasting one before any; for how
+many of them this counts."""
 
 MEMORY_FRAMES, MEMORY_CHANCES, MEMORY_SIZES = 100.0, 2000.0, 500.0
 """How much of the past the estimates rest on: frames, chances of a detection, and detections."""
+
+MOST_LASTING = 0.9
+"""Largest share of false detections that last."""
+
+LEAST_ON_TARGETS = 1e-3
+"""Least share of the frame that is taken to be on targets."""
 
 SIZE_SD, LEAST_SIZE_SD = 0.5, 0.1
 """Sd of the logarithms of width and height before any detection, and the least that is assumed."""
@@ -60,6 +75,7 @@ class UnconfirmedTracks:
         seen: (K,) looks in which it was more probably detected than not.
         looks: (K,) looks since.
         score: (K,) sum of the scores of its detections.
+        presence: of each, beside its existence.
     """
 
     mean: Floats
@@ -71,28 +87,52 @@ class UnconfirmedTracks:
     seen: Ints
     looks: Ints
     score: Floats
+    presence: Presence
 
     def __len__(self) -> int:
         return len(self.existence)
 
     def take(self, rows: NDArray[np.bool_] | Ints) -> UnconfirmedTracks:
         """Some of them."""
-        return UnconfirmedTracks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        parts: dict[str, Any] = {name: part[rows] for name, part in self._arrays().items()}
+        return UnconfirmedTracks(**parts, presence=self.presence.take(rows))
+
+    def _arrays(self) -> dict[str, Any]:
+        return {name: part for name, part in vars(self).items() if name != "presence"}
 
     def extend(self, others: UnconfirmedTracks) -> UnconfirmedTracks:
         """These, then others."""
         if not len(others):
             return self
-        names = self.__dataclass_fields__
-        return UnconfirmedTracks(*(np.concatenate([getattr(self, n), getattr(others, n)]) for n in names))
+        more = others._arrays()
+        parts = {name: np.concatenate([part, more[name]]) for name, part in self._arrays().items()}
+        return UnconfirmedTracks(**parts, presence=self.presence.extend(others.presence))
 
     @classmethod
     def none(cls, width: int) -> UnconfirmedTracks:
         """None, of a state of so many fields."""
         none, whole = np.empty(0), np.empty(0, np.int64)
-        return cls(
-            np.empty((0, width)), np.empty((0, width, width)), none, whole, none, whole, whole, whole, none
-        )
+        moments = np.empty((0, width)), np.empty((0, width, width))
+        return cls(*moments, none, whole, none, whole, whole, whole, none, Presence.sure(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Begins:
+    """N detections that are none of the targets', and what they begin.
+
+    Attributes:
+        density: (N,) density of all such, in units of one a frame anywhere.
+        target: (N,) probability that it begins a target.
+        spot: (N,) that it begins a lasting false alarm of the background.
+        double: (N,) that it begins a lasting second box on a target.
+        near: (N,) that it is a second box on a target, lasting or not, if it is no target's.
+    """
+
+    density: Floats
+    target: Floats
+    spot: Floats
+    double: Floats
+    near: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +150,12 @@ class DetectionModel:
         sizes: how many detections that rests on.
         covered_hits: detections of targets that another one covered.
         covered_chances: how many there could have been.
-        hidden: target -> probability that it is hidden, of those that another one covered in the last look.
+        again_hits: detections of targets that nothing covered, right after one.
+        again_chances: how many there could have been.
+        near: false detections a frame on targets: those that a target covers.
+        begun: (2, 2) shares of false detections, of the background and on targets, that begin a lasting false
+            alarm, and how many false detections that rests on.
+        known: presence of the targets after the last look.
         further: sensor after the first one -> what its own detections have told, without unconfirmed tracks.
     """
 
@@ -124,41 +169,77 @@ class DetectionModel:
     sizes: float = 0.0
     covered_hits: float = START_COVERED * START_COVERED_CHANCES
     covered_chances: float = START_COVERED_CHANCES
-    hidden: Mapping[str, float] = field(default_factory=dict)
+    again_hits: float = START_AGAIN * START_CHANCES
+    again_chances: float = START_CHANCES
+    near: float = START_NEAR
+    begun: Floats = field(default_factory=lambda: np.array([START_LASTING, [START_FALSE] * 2]))
+    known: Known = field(default_factory=Known)
     further: Mapping[str, DetectionModel] = field(default_factory=dict)
 
     def by(self, sensor: str | None) -> DetectionModel:
         """The same tracks, with what the detections of a further sensor have told; None: the first one."""
         if sensor is None:
             return self
-        return evolve(
-            self.further.get(sensor) or DetectionModel(self.unconfirmed), unconfirmed=self.unconfirmed
-        )
+        own = self.further.get(sensor) or DetectionModel(self.unconfirmed)
+        known, shared = own.known, self.known
+        if known.names != shared.names:
+            known = Known(shared.names, known.of(shared.names))
+        presence = evolve(known.presence, spot=shared.presence.spot, double=shared.presence.double)
+        return evolve(own, unconfirmed=self.unconfirmed, known=evolve(known, presence=presence))
 
     def after(self, sensor: str | None, told: DetectionModel) -> DetectionModel:
         """After a look of that sensor, which gave `told`."""
         if sensor is None:
             return told
         own = evolve(told, unconfirmed=told.unconfirmed.take(np.empty(0, np.int64)))
-        return evolve(self, unconfirmed=told.unconfirmed, further={**self.further, sensor: own})
+        after = told.known.presence
+        presence = evolve(self.known.presence, spot=after.spot, double=after.double)
+        known = evolve(self.known, presence=presence)
+        further = {**self.further, sensor: own}
+        return evolve(self, unconfirmed=told.unconfirmed, known=known, further=further)
 
-    def detection(self, rule: Existence) -> float:
-        """Probability that a target which nothing covers is detected."""
-        return rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
+    def chain(self, rule: Existence) -> Chain:
+        """How the states of a target follow each other, by the rates of detections in the open."""
+        seen = rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
+        again = self.again_hits / self.again_chances
+        return estimate_chain(seen, again, rule.missed_frames, rule.false_frames)
 
-    def covered(self, rule: Existence) -> float:
-        """The same while another target covers at least half of its box."""
-        most = self.detection(rule)
-        own = rule.covered if rule.covered is not None else self.covered_hits / self.covered_chances
-        return min(own, most)
+    def share_hidden(self, rule: Existence) -> float:
+        """Share of covered targets that are hidden."""
+        chain = self.chain(rule)
+        usual = chain.detection * (1.0 - chain.blind_share)
+        covered = rule.covered if rule.covered is not None else self.covered_hits / self.covered_chances
+        return share_hidden(usual, covered)
 
     def clutter_rate(self, rule: Existence) -> float:
-        """False detections a frame."""
+        """False detections a frame that no target covers."""
         return rule.clutter if rule.clutter is not None else self.clutter
 
     def new_share(self, rule: Existence) -> float:
-        """Probability that a detection which is none of the targets' is a new one's."""
+        """Probability that a detection which is none of the targets', and on none, is a new one's."""
         return rule.births / (rule.births + self.clutter_rate(rule))
+
+    def lasting(self, rule: Existence) -> Floats:
+        """(2,) shares of false detections, of the background and on targets, that begin a lasting one."""
+        if rule.false_frames <= 1.0:
+            return np.zeros(2)
+        return np.asarray(self.begun[0])
+
+    def begin(self, rule: Existence, cover: Floats, on_targets: float) -> Begins:
+        """Detections that are none of the targets', each covered by one with probability `cover` (N,).
+
+        `on_targets` is the share of the frame that is on targets.
+        """
+        new, spots = rule.births, self.clutter_rate(rule)
+        doubles = cover * self.near / max(on_targets, LEAST_ON_TARGETS)
+        density, lasting = new + spots + doubles, self.lasting(rule)
+        return Begins(
+            density,
+            new / density,
+            lasting[0] * spots / density,
+            lasting[1] * doubles / density,
+            doubles / (spots + doubles),
+        )
 
     def with_sizes(self, boxes: Floats) -> DetectionModel:
         """After detections (N, 4)."""
@@ -179,17 +260,37 @@ class DetectionModel:
         sizes = log_size_densities(np.ascontiguousarray(boxes), *known, LEAST_SIZE_SD**2)
         return np.asarray(sizes - math.log(area_px2))
 
-    def after_look(self, false: float) -> DetectionModel:
-        """After a frame with so many false detections."""
+    def after_look(self, false: float, near: float = 0.0) -> DetectionModel:
+        """After a frame with so many false detections of the background, and on targets."""
         frames = min(self.frames + 1.0, MEMORY_FRAMES)
         clutter = max(self.clutter + (false - self.clutter) / frames, 1e-3)
-        return evolve(self, clutter=clutter, frames=frames)
+        return evolve(
+            self, clutter=clutter, near=max(self.near + (near - self.near) / frames, 1e-3), frames=frames
+        )
 
-    def after_chances(self, cover: Floats, seen: Floats, existence: Floats) -> DetectionModel:
-        """After T targets could be detected; `cover` (T,) is how probably another one covers each."""
+    def after_over(self, over: Presence, rule: Existence) -> DetectionModel:
+        """After these tracks and targets ended."""
+        if rule.false_frames <= 1.0 or not over.begun.any():
+            return self
+        lasting, false = count_lasting(over, rule.survival, rule.false_frames)
+        count = self.begun[1] + false
+        mean = np.minimum(self.begun[0] + (lasting - self.begun[0] * false) / count, MOST_LASTING)
+        return evolve(self, begun=np.array([mean, np.minimum(count, MEMORY_SIZES)]))
+
+    def after_chances(
+        self, cover: Floats, seen: Floats, existence: Floats, before: Floats | None = None
+    ) -> DetectionModel:
+        """After T targets could be detected; `cover` (T,) is how probably another one covers each.
+
+        `before` (T,) is how probably each was detected in the last look while nothing covered it.
+        """
         hits, chances = _faded(self.hits, self.chances, 1.0 - cover, seen, existence)
         covered = _faded(self.covered_hits, self.covered_chances, cover, seen, existence)
-        return evolve(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
+        after = evolve(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
+        if before is None:
+            return after
+        again = _faded(self.again_hits, self.again_chances, (1.0 - cover) * before, seen, existence)
+        return evolve(after, again_hits=again[0], again_chances=again[1])
 
 
 def _faded(

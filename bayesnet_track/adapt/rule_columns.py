@@ -249,7 +249,8 @@ def _judge(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> bool:
     target is known to be hidden, nor where its modes say whether it is; that UD is high is one.
     """
     rule = inputs.plate.lost
-    score, low, columns = inputs.existence, rule.existence_below, memory.layout.streaks
+    score, columns = inputs.existence, memory.layout.streaks
+    low = None if rule.existence_rule is None else rule.existence_rule[1]
     if score is None or low is None:
         score, low = inputs.score, rule.score_below
     high = low if rule.uncertain_below is None else rule.uncertain_below

@@ -136,9 +136,9 @@ def judge_status(now: RuleInputs, memory: RuleMemory, decisions: list[Decision])
     if now.hiding is not None and now.hiding.hidden > now.hiding.level:
         if now.net.status != "lost":
             decisions.append(StatusChanged(now.frame, now.target, "lost", hidden=now.hiding))
-    elif now.existence is not None and rule.existence_below is not None:
-        scale = Scale("existence", now.existence, rule.existence_below)
-        _by_score(now, memory, rule, scale, decisions)
+    elif now.existence is not None and rule.existence_rule is not None:
+        name, level = rule.existence_rule
+        _by_score(now, memory, rule, Scale(name, now.existence, level), decisions)
     elif now.score is not None and rule.score_below is not None:
         _by_score(now, memory, rule, Scale("", now.score, rule.score_below), decisions)
     else:

@@ -107,6 +107,10 @@ class FilteredGroup(Protocol[Table]):
         """(T,) probabilities that they exist; None where the plate has no `existence`."""
 
     @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Means (T, D) and covariances (T, D, D) of the beliefs."""
+
+    @property
     def is_hidden(self) -> Bools | None:
         """(T,) whether targets probably cannot be seen, by their modes; None where these do not say."""
 
@@ -224,6 +228,12 @@ class FilteredEach:
         """(T,) probabilities that they exist; None where the plate has no `existence`."""
         known = [one.before.existence for one in self.targets]
         return None if known[0] is None else np.array(known)
+
+    @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Means (T, D) and covariances (T, D, D) of the beliefs."""
+        beliefs = [one.step.posterior for one in self.targets]
+        return np.array([one.mean for one in beliefs]), np.array([one.covariance for one in beliefs])
 
     @property
     def is_hidden(self) -> Bools | None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.adapt.presence import probability_in_box
 from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, RuleInputs
 from bayesnet_track.adapt.rules import decide
@@ -124,10 +125,18 @@ def rule_columns(
         adaptable=compiled.adaptable,
         hidden=np.array(hidden) if any(hidden) else None,
         score=np.array([one.score for one in scores]) if scores else None,
-        existence=filtered.existence,
+        existence=_existence(filtered),
         is_hidden=filtered.is_hidden,
         pending=filtered.asks(nets),
     )
+
+
+def _existence(filtered: FilteredGroup[Any]) -> Floats | None:
+    """(T,) the probabilities of existence that say which targets are lost."""
+    existence = filtered.existence
+    if existence is None or filtered.compiled.plate.lost.existence_in_box_below is None:
+        return existence
+    return existence * probability_in_box(*filtered.moments)
 
 
 def _see(
@@ -139,7 +148,7 @@ def _see(
 ) -> RuleInputs:
     """All that the rules of one target see; `frame` is its number and stride: it is not to be held."""
     filtered, compiled, (index, stride) = group.filtered, group.filtered.compiled, frame
-    one, existence = filtered.beside(row), filtered.existence
+    one, existence = filtered.beside(row), _existence(filtered)
     return RuleInputs(
         index,
         filtered.ids[row],

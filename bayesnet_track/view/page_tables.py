@@ -273,7 +273,7 @@ def _rules(target: CheckedTarget) -> list[dict[str, Any]]:
             if node.learn is not None:
                 add(name, "learn", node.learn.below)
             lost = target.lost if name == target.root else None
-            if lost is not None and lost.score_below is None and lost.existence_below is None:
+            if lost is not None and lost.score_below is None and lost.existence_rule is None:
                 add(name, "lost", lost.above, lost.frames)
             for key in ("score_below", "uncertain_below"):
                 level = None if lost is None else getattr(lost, key)

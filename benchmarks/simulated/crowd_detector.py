@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
@@ -30,6 +31,12 @@ class DetectorSettings:
         merging: what it makes of people who overlap, directly or through others: `none`, a box of each;
             `front`, the box of the one nearest to the camera alone; `hull`, one box around all of them.
         merge_iou: overlap (IoU) of two true boxes from which on it merges them.
+        blind: share of time in which a person cannot be detected, in runs of `blind_frames` on average.
+        blind_frames: mean length of such a run, geometrically distributed.
+        doubles: mean number of runs of second boxes that begin on a person in a frame; such a box has a place
+            and a size of its own, relative to the person's box, in every frame of its run.
+        spots: mean number of runs of false boxes that begin at a place of the background in a frame.
+        false_frames: mean length of both kinds of runs, geometrically distributed.
     """
 
     missed: float = 0.1
@@ -38,11 +45,21 @@ class DetectorSettings:
     size: float = 0.05
     merging: Merging = "none"
     merge_iou: float = 0.3
+    blind: float = 0.0
+    blind_frames: float = 6.0
+    doubles: float = 0.0
+    spots: float = 0.0
+    false_frames: float = 5.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.missed <= 1:
             raise ValueError(f"missed {self.missed:g}; expected a probability from 0 to 1")
-        for name in ("clutter", "place_px", "size"):
+        for name in ("blind_frames", "false_frames"):
+            if not 1 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} {getattr(self, name):g}; expected a number from 1 on")
+        if not 0 <= self.blind < 1:
+            raise ValueError(f"blind {self.blind:g}; expected a share of at least 0, below 1")
+        for name in ("clutter", "place_px", "size", "doubles", "spots"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} {getattr(self, name):g}; expected a number from 0 on")
         if self.merging not in get_args(Merging):
@@ -65,12 +82,55 @@ class Reported:
 
 
 def detect_crowd(crowd: Crowd, settings: DetectorSettings, seed: int = 0) -> tuple[Reported, ...]:
-    """What a detector reports of every frame; a frame's draws depend on the seed and its number alone."""
+    """What a detector reports of every frame; a frame's draws depend on the seed and its number alone.
+
+    Which people cannot be detected, and runs of false boxes, are drawn for all frames at once.
+    """
     streams = Streams(seed)
+    blind = _blind(crowd, settings, streams.of("crowd", "detector", 0, "blind"))
+    false = _runs(crowd, settings, streams.of("crowd", "detector", 0, "false runs"))
     return tuple(
-        _detect(boxes, crowd, settings, streams.of("crowd", "detector", frame, "detect"))
+        _detect(
+            boxes,
+            crowd,
+            settings,
+            (blind[frame], false[frame]),
+            streams.of("crowd", "detector", frame, "detect"),
+        )
         for frame, boxes in enumerate(crowd.boxes)
     )
+
+
+def _blind(crowd: Crowd, settings: DetectorSettings, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(frames, n) whether each person cannot be detected, a Markov chain from its long-run share on."""
+    frames, people = crowd.boxes.shape[:2]
+    leave = 1.0 / settings.blind_frames
+    enter = leave * settings.blind / (1.0 - settings.blind)
+    draws = rng.random((frames, people))
+    blind = np.zeros((frames, people), np.bool_)
+    blind[0] = draws[0] < settings.blind
+    for frame in range(1, frames):
+        blind[frame] = draws[frame] < np.where(blind[frame - 1], 1.0 - leave, enter)
+    return blind
+
+
+def _runs(crowd: Crowd, settings: DetectorSettings, rng: np.random.Generator) -> list[list[Floats]]:
+    """For each frame the boxes (4,) of false detections that come in runs."""
+    frames = len(crowd.boxes)
+    false: list[list[Floats]] = [[] for _ in range(frames)]
+    for frame in range(frames):
+        for person in np.flatnonzero(np.isfinite(crowd.boxes[frame, :, 0])).tolist():
+            for _ in range(rng.poisson(settings.doubles)):
+                shift, size = rng.uniform(-0.35, 0.35, 2), np.exp(rng.uniform(np.log(0.5), np.log(1.4), 2))
+                for later in range(frame, min(frame + rng.geometric(1.0 / settings.false_frames), frames)):
+                    x, y, w, h = crowd.boxes[later, person]
+                    if np.isfinite(x):
+                        own = (x + shift[0] * w, y + shift[1] * h, size[0] * w, size[1] * h)
+                        false[later].append(np.array(own))
+        for box in _clutter(crowd, rng.poisson(settings.spots), rng):
+            for later in range(frame, min(frame + rng.geometric(1.0 / settings.false_frames), frames)):
+                false[later].append(box.copy())
+    return false
 
 
 def detections_text(reported: tuple[Reported, ...]) -> str:
@@ -79,13 +139,26 @@ def detections_text(reported: tuple[Reported, ...]) -> str:
     return "".join(line + "\n" for line in lines)
 
 
-def _detect(boxes: Floats, crowd: Crowd, settings: DetectorSettings, rng: np.random.Generator) -> Reported:
+def _detect(
+    boxes: Floats,
+    crowd: Crowd,
+    settings: DetectorSettings,
+    runs: tuple[NDArray[np.bool_], list[Floats]],
+    rng: np.random.Generator,
+) -> Reported:
     people = _groups(boxes, settings)
+    blind, lasting = runs
     seen = rng.random(len(people)) >= settings.missed
+    seen &= ~np.array([blind[list(group)].all() for group in people], dtype=np.bool_)
     true = np.array([_merge(boxes[list(group)], settings) for group in people]).reshape(-1, 4)
     true[:, :2] += settings.place_px * rng.standard_normal((len(true), 2))
     true[:, 2:] *= np.exp(settings.size * rng.standard_normal((len(true), 2)))
     false = _clutter(crowd, rng.poisson(settings.clutter), rng)
+    if lasting:
+        more = np.array(lasting)
+        more[:, :2] += settings.place_px * rng.standard_normal((len(more), 2))
+        more[:, 2:] *= np.exp(settings.size * rng.standard_normal((len(more), 2)))
+        false = np.concatenate([false, more])
     found = np.concatenate([true[seen], false])
     whose = [group for group, is_seen in zip(people, seen, strict=True) if is_seen] + [()] * len(false)
     order = rng.permutation(len(found))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, UnconfirmedTracks, share
+from bayesnet_track.adapt.presence import UNSEEN
 from bayesnet_track.graph.spec import Existence
 
 
@@ -70,16 +71,19 @@ def test_clutter_and_detection_are_estimated():
     rule = Existence()
     # sds of the means over the last 100 frames and 2000 chances: .26 and .01
     assert detection_model.clutter_rate(rule) == pytest.approx(7.0, abs=1.1)
-    assert detection_model.detection(rule) == pytest.approx(0.7, abs=0.05)
-    assert detection_model.covered(rule) == pytest.approx(0.3, abs=0.05)
+    chain = detection_model.chain(rule)
+    in_the_open = chain.detection * (1 - chain.blind_share)
+    assert in_the_open == pytest.approx(0.7, abs=0.05)
+    hidden = detection_model.share_hidden(rule)
+    assert (1 - hidden) * in_the_open + hidden * UNSEEN == pytest.approx(0.3, abs=0.05)
     fixed = Existence(clutter=3.0, detection=0.6, covered=0.5)
-    found = (
-        detection_model.clutter_rate(fixed),
-        detection_model.detection(fixed),
-        detection_model.covered(fixed),
-    )
-    assert found == (3.0, 0.6, 0.5)
-    assert detection_model.covered(Existence(detection=0.2, covered=0.5)) == 0.2  # no surer than in the open
+    chain = detection_model.chain(fixed)
+    assert detection_model.clutter_rate(fixed) == 3.0
+    assert chain.detection * (1 - chain.blind_share) == pytest.approx(0.6)
+    assert detection_model.share_hidden(fixed) == pytest.approx(0.1 / 0.55)
+    assert (
+        detection_model.share_hidden(Existence(detection=0.2, covered=0.5)) == 0.0
+    )  # no surer than in the open
     assert detection_model.new_share(Existence(clutter=0.9, births=0.1)) == pytest.approx(0.1)
 
 

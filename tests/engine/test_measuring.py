@@ -41,7 +41,9 @@ SPEED_SD, START_SD, SURVIVAL = 0.5, 5.0, 0.99
 
 
 def graph(sensors, associate="assignment", filter_="extended", **existence):
-    settings = {"detection": 0.9, "clutter": 2.0, "births": 0.1, "survival": SURVIVAL, **existence}
+    """Independent misses and false detections, so that what is enumerated is all there is."""
+    settings = {"detection": 0.9, "clutter": 2.0, "births": 0.1, "survival": SURVIVAL}
+    settings |= {"missed_frames": 1, "false_frames": 1, **existence}
     root = {
         "belief": {"gaussian": {"filter": filter_, "likelihood": "sigma_points", "gate": 1}},
         "motion": {"constant_velocity": {"sd_velocity_px": SPEED_SD, "start_velocity_sd_px": START_SD}},

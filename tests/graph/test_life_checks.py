@@ -148,6 +148,12 @@ def errors_of_crowd(life, belief=GAUSSIAN, lost=""):
             "lost: {existence_below: 0.5, fit_below: 0.1}",
             "s: lost.fit_below has no effect: with existence_below existence alone says what is lost",
         ),
+        (
+            BIRTH + "    existence: {}",
+            GAUSSIAN,
+            "lost: {existence_below: 0.5, existence_in_box_below: 0.4}",
+            "s: lost.existence_below has no effect: with existence_in_box_below existence alone",
+        ),
         (BIRTH + "    associate: jpda", GAUSSIAN, "", "associate is 'jpda'; allowed: "),
     ],
 )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, alike, associate
+from bayesnet_track.adapt.existence import UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import ALONE_BOX, Candidate, FreeDetections, feed, is_confirmed, keep_best
+from bayesnet_track.adapt.presence import Known
 from bayesnet_track.engine.lifecycle.confirming import (
     TESTED,
     Births,
@@ -80,12 +82,26 @@ def give_birth_by_existence(now: Births, found: Found, owners: tuple[str | None,
     ready = confirmed(rule, detection_model.unconfirmed, plate, now.frame.time)
     if ready:
         done = start_confirmed(now, list(ready.values()), found)
-        left = np.ones(len(detection_model.unconfirmed), dtype=bool)
-        left[[row for row, one in ready.items() if any(one is other for other in done)]] = False
-        detection_model = evolve(detection_model, unconfirmed=detection_model.unconfirmed.take(left))
+        unconfirmed = detection_model.unconfirmed
+        rows = [row for row, one in ready.items() if any(one is other for other in done)]
+        left = np.ones(len(unconfirmed), dtype=bool)
+        left[rows] = False
+        known = _with_born(detection_model.known, tracks.history.births, ready, unconfirmed)
+        detection_model = evolve(detection_model, unconfirmed=unconfirmed.take(left), known=known)
     tracks.history = evolve(
         tracks.history, detection_models={**tracks.history.detection_models, plate: detection_model}
     )
+
+
+def _with_born(
+    known: Known, births: Mapping[str, str], ready: Mapping[int, Candidate], unconfirmed: UnconfirmedTracks
+) -> Known:
+    """The presence of targets, with that of those which unconfirmed tracks have become."""
+    rows = {one.birth: row for row, one in ready.items()}
+    born = {target: rows[birth] for target, birth in births.items() if birth in rows}
+    names = [name for name in known.names if name not in born]
+    both = known.of(names).extend(unconfirmed.presence.take(np.array([*born.values()], np.int64)))
+    return Known((*names, *born), both)
 
 
 def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:

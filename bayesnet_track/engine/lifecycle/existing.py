@@ -7,15 +7,27 @@ given is up to their beliefs; unconfirmed tracks are Gaussian beliefs that move 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, assign_pairs
-from bayesnet_track.adapt.existence import DetectionModel, Expected, Pairs, Shared, share
-from bayesnet_track.adapt.joins import detection_of, expect_hidden, learn_hidden, share_hidden
+from bayesnet_track.adapt.existence import (
+    Begins,
+    DetectionModel,
+    Expected,
+    Pairs,
+    Shared,
+    share,
+)
+from bayesnet_track.adapt.presence import (
+    Known,
+    Presence,
+    Weights,
+    expect_cover,
+    pass_time,
+)
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes
 from bayesnet_track.belief.motion.borders import framed
 from bayesnet_track.engine.lifecycle.sensing import Found, Mixed, Sensor, with_looks
@@ -92,10 +104,26 @@ def expect_crowd(
     if found is not None and rule.sensor.has_extent:
         fast = with_fast(rule, before, unconfirmed, found.boxes, dt)
         unconfirmed = unconfirmed.extend(predict_unconfirmed(fast, motion, dt, size))
-    unconfirmed = evolve(unconfirmed, existence=survival * unconfirmed.existence)
-    return evolve(crowd, existence=survival * crowd.existence), evolve(
-        detection_model, unconfirmed=unconfirmed
+    chain = detection_model.chain(rule.existence)
+    unconfirmed = evolve(
+        unconfirmed,
+        existence=survival * unconfirmed.existence,
+        presence=pass_time(unconfirmed.presence, chain, dt),
     )
+    names, known = tuple(crowd.names), detection_model.known
+    live = set(names)
+    over = np.array([name not in live for name in known.names], dtype=np.bool_)
+    model = detection_model.after_over(known.presence.take(over), rule.existence)
+    model = evolve(model, unconfirmed=unconfirmed, known=_later(model, rule, names, dt))
+    further = {
+        sensor: evolve(one, known=_later(one, rule, names, dt)) for sensor, one in model.further.items()
+    }
+    return evolve(crowd, existence=survival * crowd.existence), evolve(model, further=further)
+
+
+def _later(model: DetectionModel, rule: CrowdRule, names: tuple[str, ...], dt: float) -> Known:
+    """The presence of targets as a sensor expects it, `dt` frame intervals later."""
+    return Known(names, pass_time(model.known.of(names), model.chain(rule.existence), dt))
 
 
 def given_nothing(crowd: Crowd, detection_model: DetectionModel) -> MarginalAssociation:
@@ -123,20 +151,48 @@ def associate_marginal(
         covariance=np.concatenate([crowd.covariance, unconfirmed.covariance]),
         existence=np.concatenate([crowd.existence, unconfirmed.existence]),
     )
-    cover = rule.sensor.cover(all_of.mean, all_of.existence)
-    hidden = _expect_hidden(rule, crowd.names, cover, detection_model)
-    most = detection_model.detection(rule.existence)
-    detection = detection_of(most, cover, hidden)
+    presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
+    settings, area = rule.existence, float(frame.width * frame.height)
+    chain, cover = detection_model.chain(settings), rule.sensor.cover(all_of.mean, all_of.existence)
+    presence = expect_cover(presence, cover, detection_model.share_hidden(settings))
+    visible = np.ones(len(cover))
     for row, expected in crowd.modes.items():
-        detection[row] *= expected.visible
-    area = float(frame.width * frame.height)
-    shared = _share(rule, all_of, detection, detection_model, found, area)
+        visible[row] = expected.visible
+    weights = Weights.of(all_of.existence, presence, chain, visible)
+    if not rule.is_first:  # a false alarm is one of the first sensor
+        weights.detection[:, 3:] = 0.0
+    near = rule.sensor.near(crowd.mean, crowd.existence, found, area)
+    begins = detection_model.begin(settings, *near)
+    if not rule.is_first:
+        nothing = np.zeros(len(found.values))
+        begins = evolve(begins, spot=nothing, double=nothing)
+    log_nobody = rule.sensor.log_density(detection_model, found, area) + np.log(begins.density)
+    shared = _share(rule, all_of, weights, found, log_nobody)
+    existence, presence = weights.after(shared.seen)
+    shared = evolve(shared, existence=existence)
     pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.values))
+    count = len(crowd.mean)
+    detection_model = _learn(rule, detection_model, shared, crowd, (cover, begins))
+    open_seen = shared.seen[:count] * (1.0 - cover[:count])
+    known = Known(tuple(crowd.names), evolve(presence.take(slice(count)), open_seen=open_seen))
+    waiting = _seen_by(rule, unconfirmed.presence, presence.take(slice(count, None)))
+    unconfirmed = evolve(unconfirmed, presence=waiting)
     unconfirmed = advance_unconfirmed(rule, unconfirmed, pairs, shared, found)
-    unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, detection_model, found, shared.free, frame))
-    detection_model = _learn(rule, detection_model, shared, crowd, (cover, hidden))
-    kept = evolve(detection_model, unconfirmed=prune(rule, detection_model, unconfirmed))
-    return _of_targets(pairs, shared, len(crowd.mean), kept)
+    unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, begins, found, shared.free, frame))
+    model = evolve(detection_model, unconfirmed=unconfirmed, known=known)
+    return _of_targets(pairs, shared, count, prune(rule, model))
+
+
+def _as_seen_by(rule: CrowdRule, presence: Presence) -> Presence:
+    """That of unconfirmed tracks: what makes them blind or hidden is known of the first sensor alone."""
+    if rule.is_first:
+        return presence
+    nothing = np.zeros(len(presence))
+    return evolve(presence, blind=nothing, hidden=nothing)
+
+
+def _seen_by(rule: CrowdRule, before: Presence, after: Presence) -> Presence:
+    return after if rule.is_first else evolve(after, blind=before.blind, hidden=before.hidden)
 
 
 def after_look(rule: CrowdRule, crowd: Crowd, found: Found, done: MarginalAssociation) -> Crowd:
@@ -146,25 +202,16 @@ def after_look(rule: CrowdRule, crowd: Crowd, found: Found, done: MarginalAssoci
     return evolve(crowd, mean=mean, covariance=covariance)
 
 
-def _share(
-    rule: CrowdRule,
-    crowd: Crowd,
-    detection: Floats,
-    detection_model: DetectionModel,
-    found: Found,
-    area_px2: float,
-) -> Shared:
-    """Whose the detections are, of targets and unconfirmed tracks that are detected so surely (T,)."""
-    settings, sensor = rule.existence, rule.sensor
-    rate = detection_model.clutter_rate(settings) + settings.births
-    log_nobody = sensor.log_density(detection_model, found, area_px2) + math.log(rate)
+def _share(rule: CrowdRule, crowd: Crowd, weights: Weights, found: Found, log_nobody: Floats) -> Shared:
+    """Whose the detections are, of targets and unconfirmed tracks in states of these weights."""
+    sensor = rule.sensor
     pairs = sensor.gate(crowd.mean, crowd.covariance, found)
     if crowd.modes:
         pairs = _in_modes(sensor, pairs, crowd.modes, found)
     if crowd.log_looks is not None and sensor.association.appearance > 0:
         pairs = with_looks(sensor.association, pairs, crowd.log_looks, found.boxes)
     likelihoods = evolve(pairs, values=pairs.values + sensor.log_scale)
-    return share(Expected(crowd.existence, detection), likelihoods, log_nobody)
+    return share(Expected(weights.total, weights.mean_detection), likelihoods, log_nobody)
 
 
 def _in_modes(sensor: Sensor, pairs: Pairs, modes: Mapping[int, ExpectedInModes], found: Found) -> Pairs:
@@ -188,41 +235,26 @@ def _assigned(shared: Shared, found: int) -> Pairs:
     return Pairs(rows, owner[rows].astype(np.int64), np.ones(len(rows)))
 
 
-def _expect_hidden(
-    rule: CrowdRule, names: Sequence[str], cover: Floats, detection_model: DetectionModel
-) -> Floats:
-    """(T,) how probable it is that each target and prospect is hidden, if another covers it."""
-    share = share_hidden(detection_model.detection(rule.existence), detection_model.covered(rule.existence))
-    before = np.full(len(cover), share)
-    if detection_model.hidden:
-        known = detection_model.hidden
-        before[: len(names)] = [known.get(name, share) for name in names]
-    return expect_hidden(before, cover, share)
-
-
 def _learn(
     rule: CrowdRule,
     detection_model: DetectionModel,
     shared: Shared,
     crowd: Crowd,
-    covers: tuple[Floats, Floats],
+    places: tuple[Floats, Begins],
 ) -> DetectionModel:
-    """The estimates after the look; `covers` are how probably each is covered, and hidden if it is."""
-    names, count = crowd.names, len(crowd.names)
-    cover, hidden = (one[:count] for one in covers)
-    seen, existence = shared.seen[:count], shared.existence[:count]
-    false = float(shared.free.sum()) * (1.0 - detection_model.new_share(rule.existence))
-    rows = np.flatnonzero(cover > 0.0)
-    given = np.minimum(seen[rows] / np.maximum(existence[rows], 1e-300), 1.0)
-    after = learn_hidden(hidden[rows], given, detection_model.detection(rule.existence))
-    now = {names[row]: value for row, value in zip(rows.tolist(), after.tolist(), strict=True)}
-    chances = existence.copy()
+    """The estimates after the look; `places`: how probably targets are covered, and what detections begin."""
+    count, (cover, begins) = len(crowd.names), places
+    cover, seen, existence = cover[:count], shared.seen[:count], shared.existence[:count]
+    false, chances = shared.free * (1.0 - begins.target), existence.copy()
+    detection = detection_model.chain(rule.existence).detection
     for row, expected in crowd.modes.items():  # one that its mode hides was not missed
-        missed = expected.visible * (1.0 - detection_model.detection(rule.existence))
+        missed = expected.visible * (1.0 - detection)
         chances[row] -= (existence[row] - seen[row]) * (
             1.0 - missed / (missed + 1.0 - expected.visible + 1e-300)
         )
-    return evolve(detection_model.after_look(false).after_chances(cover, seen, chances), hidden=now)
+    after = detection_model.after_look(float(false @ (1.0 - begins.near)), float(false @ begins.near))
+    before = detection_model.known.presence.open_seen
+    return after.after_chances(cover, np.minimum(seen, existence), chances, before)
 
 
 def _of_targets(

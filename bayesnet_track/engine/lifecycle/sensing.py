@@ -123,6 +123,9 @@ class Sensor(Protocol):
     def cover(self, mean: Floats, existence: Floats) -> Floats:
         """(T,) how probable it is that another target covers each."""
 
+    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+        """(N,) how probably a target covers each detection, and the share of the frame that is on targets."""
+
     def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
         """What is learnt of detections as such."""
 
@@ -183,6 +186,10 @@ class BoxSensor:
         order = np.argsort(mean[:, 0] - mean[:, 2] / 2, kind="stable")
         return np.asarray(cover_rows(np.ascontiguousarray(mean), existence, order, COVERED))
 
+    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+        """By the share of the detection that a predicted box covers."""
+        return near_boxes(mean[:, :4], existence, found.values, area_px2)
+
     def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
         """The sizes that detections have."""
         return detection_model.with_sizes(found.values)
@@ -198,6 +205,19 @@ class BoxSensor:
         diagonal = np.arange(4)
         covariance[:, diagonal, diagonal] += self.association.variances(boxes)
         return Begun(np.arange(len(boxes)), mean, covariance)
+
+
+def near_boxes(boxes: Floats, existence: Floats, found: Floats, area_px2: float) -> tuple[Floats, float]:
+    """(N,) how probably a box (T, 4) covers each of those found (N, 4), and the area's share on boxes."""
+    from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
+
+    count, nothing = len(boxes), np.zeros(len(found))
+    if not count or not len(found):
+        return nothing, 1.0
+    both = np.concatenate([boxes, found])
+    order = np.argsort(both[:, 0] - both[:, 2] / 2, kind="stable")
+    cover = cover_rows(both, np.concatenate([existence, nothing]), order, COVERED)[count:]
+    return cover, min(float(existence @ (boxes[:, 2] * boxes[:, 3])) / area_px2, 1.0)
 
 
 def gate_boxes(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: Floats) -> Pairs:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.existence import DetectionModel, Pairs, Shared, UnconfirmedTracks
+from bayesnet_track.adapt.existence import Begins, DetectionModel, Pairs, Shared, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import FOLLOW_BOX, Candidate
+from bayesnet_track.adapt.presence import Presence
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
@@ -32,6 +33,9 @@ LEAST_FREE = 0.2
 FAST_SHARE = 0.1
 """Prior probability that a new target is faster than the graph's start velocities say."""
 
+LASTING = 0.05
+"""A lasting false alarm of so much probability is kept, so that its detections are no births."""
+
 PROSPECTS = 4
 """Unconfirmed tracks that are kept, in multiples of `birth.max_targets`."""
 
@@ -46,6 +50,7 @@ class CrowdRule:
         is_marginal: whether targets use all detections that may be theirs, or those assigned to them.
         motion: how targets move.
         most: unconfirmed tracks that are kept.
+        is_first: whether the sensor is the plate's first.
     """
 
     sensor: Sensor
@@ -53,6 +58,7 @@ class CrowdRule:
     is_marginal: bool
     motion: MotionModel
     most: int
+    is_first: bool = True
 
     @classmethod
     def of(cls, compiled: CompiledPlate, agent: str | None = None) -> CrowdRule | None:
@@ -63,7 +69,8 @@ class CrowdRule:
         sensor = next(iter(compiled.sensors.values())) if agent is None else compiled.sensors[agent]
         is_marginal = compiled.plate.spec.associate == "marginal"
         most = max(PROSPECTS * life.birth.max_targets, 32)
-        return cls(sensor, life.existence, is_marginal, compiled.moments, most)
+        is_first = agent is None or agent == next(iter(compiled.sensors))
+        return cls(sensor, life.existence, is_marginal, compiled.moments, most, is_first)
 
 
 def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionModel:
@@ -72,10 +79,9 @@ def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionMo
         DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))), found
     )
     free = np.ones(len(found.values))
-    detection_model = detection_model.after_look(
-        float(free.sum()) * (1.0 - detection_model.new_share(rule.existence))
-    )
-    return evolve(detection_model, unconfirmed=begin_unconfirmed(rule, detection_model, found, free, frame))
+    begins = detection_model.begin(rule.existence, np.zeros(len(free)), 1.0)
+    detection_model = detection_model.after_look(float(free @ (1.0 - begins.target)))
+    return evolve(detection_model, unconfirmed=begin_unconfirmed(rule, begins, found, free, frame))
 
 
 def confirmed(
@@ -153,7 +159,8 @@ def with_fast(
     d2 = ((found[:, :2] - expected.mean[once, :2]) ** 2 / spread).sum(axis=1)
     fast = before.take(once[d2 > chi_square_quantile(rule.sensor.association.gate, 4)])
     covariance = fast_covariance(motion, fast.covariance, fast.mean)
-    return evolve(fast, covariance=covariance, existence=FAST_SHARE * fast.existence)
+    presence = Presence.sure(len(fast))  # a false alarm that lasts does not move so fast
+    return evolve(fast, covariance=covariance, existence=FAST_SHARE * fast.existence, presence=presence)
 
 
 def advance_unconfirmed(
@@ -181,38 +188,49 @@ def advance_unconfirmed(
         unconfirmed.seen + is_seen,
         unconfirmed.looks + 1,
         unconfirmed.score + np.where(is_seen, scores, 0.0),
+        unconfirmed.presence,
     )
 
 
 def begin_unconfirmed(
-    rule: CrowdRule, detection_model: DetectionModel, found: Found, free: Floats, frame: Frame
+    rule: CrowdRule, begins: Begins, found: Found, free: Floats, frame: Frame
 ) -> UnconfirmedTracks:
     """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
     new = np.flatnonzero(free >= LEAST_FREE)
     if not len(new):
         return UnconfirmedTracks.none(len(rule.motion.fields))
-    begun = rule.sensor.begin(rule.motion, found.only(new))
-    new, count = new[begun.which], len(begun.which)
-    ones = np.ones(count, dtype=np.int64)
+    start = rule.sensor.begin(rule.motion, found.only(new))
+    new, count = new[start.which], len(start.which)
+    ones, begun = np.ones(count, dtype=np.int64), free[new]
+    lasting = {"spot": begun * begins.spot[new], "double": begun * begins.double[new]}
+    presence = evolve(Presence.sure(count), **lasting, begun=begun, near=begins.near[new])
     return UnconfirmedTracks(
-        begun.mean,
-        begun.covariance,
-        free[new] * detection_model.new_share(rule.existence),
+        start.mean,
+        start.covariance,
+        begun * begins.target[new],
         frame.index * ones,
         np.full(count, frame.time),
         found.numbers[new],
         ones,
         ones,
         found.scores[new].astype(np.float64),
+        presence,
     )
 
 
-def prune(
-    rule: CrowdRule, detection_model: DetectionModel, unconfirmed: UnconfirmedTracks
-) -> UnconfirmedTracks:
-    """Those that may still become targets, the most probable."""
-    kept = np.flatnonzero(unconfirmed.existence >= HOPELESS * detection_model.new_share(rule.existence))
+def prune(rule: CrowdRule, detection_model: DetectionModel) -> DetectionModel:
+    """With those tracks that may still become targets, the most probable, or whose detections are no births.
+
+    Of those that are dropped it is learnt how many false detections last.
+    """
+    unconfirmed = detection_model.unconfirmed
+    may_be = unconfirmed.existence >= HOPELESS * detection_model.new_share(rule.existence)
+    is_kept = may_be | (unconfirmed.presence.false >= LASTING)
+    if rule.is_first:
+        over = unconfirmed.presence.take(~is_kept)
+        detection_model = detection_model.after_over(over, rule.existence)
+    kept = np.flatnonzero(is_kept)
     if len(kept) > rule.most:
         best = np.argsort(-unconfirmed.existence[kept], kind="stable")[: rule.most]
         kept = np.sort(kept[best])
-    return unconfirmed.take(kept)
+    return evolve(detection_model, unconfirmed=unconfirmed.take(kept))

@@ -18,7 +18,7 @@ from bayesnet_track.engine.lifecycle.measuring import (
     expect_by_slopes,
     is_unscented,
 )
-from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed
+from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.views import UNSEEN, Sizes, Views, place
 from bayesnet_track.numerics.arrays import Floats
@@ -111,6 +111,11 @@ class ViewSensor:
         seen = boxes[:, 0] != UNSEEN[0]
         order = np.argsort(boxes[:, 0] - boxes[:, 2] / 2, kind="stable")
         return np.asarray(cover_rows(boxes, existence * seen, order, COVERED) * seen)
+
+    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+        """By the share of the detection that a predicted box covers in the image."""
+        boxes = np.ascontiguousarray(self.boxes(mean))
+        return near_boxes(boxes, existence * (boxes[:, 0] != UNSEEN[0]), found.values, area_px2)
 
     def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
         """The sizes that detections have."""

@@ -98,6 +98,11 @@ class FilteredGaussians:
         return None if self.before.rule.crowd is None else self.columns.existence
 
     @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Means (T, D) and covariances (T, D, D) of the beliefs."""
+        return self.columns.mean, self.columns.covariance
+
+    @property
     def is_hidden(self) -> None:
         """No modes say whether a target can be seen."""
 

@@ -180,6 +180,12 @@ class FilteredRows(Mapping[str, Filtered]):
         return None if known[0] is None else np.array(known)
 
     @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Means (T, D) and covariances (T, D, D) of the beliefs."""
+        beliefs = [self.of(row).step.posterior for row in range(len(self.ids))]
+        return np.array([one.mean for one in beliefs]), np.array([one.covariance for one in beliefs])
+
+    @property
     def is_hidden(self) -> None:
         """No modes say whether a target can be seen."""
 

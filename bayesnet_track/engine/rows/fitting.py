@@ -104,7 +104,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
         return None
     node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
     lost = compiled.plate.lost
-    if lost.existence_below is not None and lost.uncertain_below is not None:
+    if lost.existence_rule is not None and lost.uncertain_below is not None:
         return None
     if association.floor is None:
         return None

@@ -151,20 +151,24 @@ def lost_by_existence_has_existence(plate: Plate) -> Iterator[GraphMessage]:
     """`lost.existence_below` needs `existence`, lies above `existence.end`, and is the only rule."""
     rule = plate.spec.existence
     for name, node in plate.inference.items():
-        level = None if node.lost is None else node.lost.existence_below
-        if node.lost is None or level is None:
+        by = None if node.lost is None else node.lost.existence_rule
+        if node.lost is None or by is None:
             continue
-        key = ("lost", "existence_below")
+        (of, level), key = by, ("lost", f"{by[0]}_below")
         if rule is None:
-            found = "lost.existence_below without existence"
+            found = f"lost.{of}_below without existence"
             yield plate.message(name, found, "existence for the target, or no such key", key=key, on_key=True)
         elif level <= rule.end:
-            found = f"lost.existence_below is {level:g}, not above existence.end, {rule.end:g}"
+            found = f"lost.{of}_below is {level:g}, not above existence.end, {rule.end:g}"
             yield plate.message(name, found, f"above {rule.end:g}", key=key)
-        others = {"above", "fit_below", "score_below"} & node.lost.model_fields_set
+        if of == "existence_in_box" and plate.spec.state != "box":
+            found = "lost.existence_in_box_below of a state that has no box in the image"
+            yield plate.message(name, found, "existence_below", key=key, on_key=True)
+        others = {"above", "fit_below", "score_below", "existence_below"} & node.lost.model_fields_set
+        others.discard(f"{of}_below")
         for other in sorted(others):
-            found = f"lost.{other} has no effect: with existence_below existence alone says what is lost"
-            allowed = f"one of {other}, existence_below"
+            found = f"lost.{other} has no effect: with {of}_below existence alone says what is lost"
+            allowed = f"one of {other}, {of}_below"
             yield plate.message(name, found, allowed, key=("lost", other), on_key=True)
 
 

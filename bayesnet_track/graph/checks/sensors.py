@@ -251,7 +251,7 @@ def points_have_no_size(plate: Plate) -> Iterator[GraphMessage]:
         lost, motion = above.lost, above.motion
         if (
             lost is not None
-            and lost.existence_below is None
+            and lost.existence_rule is None
             and lost.score_below is None
             and lost.above.kind == "ud_box"
         ):

@@ -229,7 +229,8 @@ class Lost(Model):
     With `score_below` the score alone decides, and has to be a probability (`score`): lost below it,
     uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
     While a target is uncertain, references do not learn, unless `learn` has a `score_above`, and baselines
-    are not measured. With `existence_below` the probability that it exists says so (`existence`).
+    are not measured. With `existence_below` the probability that it exists says so (`existence`), with
+    `existence_in_box_below` the probability that it exists and its box is right.
     """
 
     above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
@@ -246,6 +247,11 @@ class Lost(Model):
     existence_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
         default=None,
         description="probability of existence below which it counts as lost; instead of the others",
+    )
+    existence_in_box_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="the same of the probability that it exists and is where its box is: shifted by at most "
+        "a third of a side in x and in y, as far as the belief says; instead of the others",
     )
     found_fit: Annotated[Number, Field(gt=0, le=1)] | None = Field(
         default=None,
@@ -264,3 +270,10 @@ class Lost(Model):
         "still poor; needs `score_below`, and `full_fit` or `found_fit`; default: only the fit does",
     )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
+
+    @property
+    def existence_rule(self) -> tuple[str, float] | None:
+        """The probability of existence that says what is lost, and its level; None where none does."""
+        if self.existence_in_box_below is not None:
+            return "existence_in_box", self.existence_in_box_below
+        return None if self.existence_below is None else ("existence", self.existence_below)

@@ -47,6 +47,16 @@ class Existence(Model):
     clutter: NotNegative | None = Field(
         default=None, description="false detections a frame, on average; default: estimated"
     )
+    missed_frames: Annotated[Number, Field(ge=1)] = Field(
+        default=6.0,
+        description="mean length of runs of frames in which a target that nothing covers cannot be detected; "
+        "how often they begin is estimated; 1: each miss is independent",
+    )
+    false_frames: Annotated[Number, Field(ge=1)] = Field(
+        default=5.0,
+        description="mean length of runs of false detections in one place; how often they begin is "
+        "estimated; 1: each false detection is independent",
+    )
     births: Positive = Field(default=0.1, description="new targets a frame, on average")
     confirm: Inner = Field(default=0.9, description="probability from which on it is a target")
     end: Inner = Field(default=0.05, description="probability below which a target ends")

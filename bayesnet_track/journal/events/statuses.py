@@ -205,7 +205,7 @@ def _by_hiding(cause: HiddenCause, result: str) -> str:
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     score, level = distinct_texts(cause.score, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
-    found = f"{cause.of or 'score'} {score} {'<' if cause.fell else '≥'} {level} {span}"
+    found = f"{(cause.of or 'score').replace('_', ' ')} {score} {'<' if cause.fell else '≥'} {level} {span}"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
     key = f"lost.{cause.key}" if cause.key else "a threshold"
     status = event.status

@@ -21,6 +21,7 @@ from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
 from bayesnet_track.adapt.memory import Baseline, InformationRate, Layout, RuleMemory
+from bayesnet_track.adapt.presence import Known, Presence
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
@@ -79,6 +80,8 @@ CLASSES: tuple[type, ...] = (
     TrackRecord,
     DetectionModel,
     UnconfirmedTracks,
+    Known,
+    Presence,
     JoinMemory,
     PairMemory,
     Level,
