@@ -420,3 +420,25 @@ def test_two_plates_are_a_table_each(found, unlike):
     assert sorted(table.rule.plate for table in tables) == ["bike", "person"]
     assert not rows[-1].state.targets.others and all(len(table.ids) > 1 for table in tables)
     assert_alike(rows, apart(graph, two, None, 25), unlike)
+
+
+def test_a_target_whose_looks_cannot_be_learnt_leaves_the_table_alone(graph, found, monkeypatch):
+    own, asked = with_nodes(graph, "looks"), []
+    engine = steps.make_engine(own, 0, detectors={"detections": FileDetector(found)})
+    kind = type(engine.plates["target"].cues["color"])
+    blend = kind.blend
+
+    def fail_once(cue, old, new, rate):
+        asked.append(rate)
+        if len(asked) == 40:
+            raise RuntimeError("no colour here")
+        return blend(cue, old, new, rate)
+
+    monkeypatch.setattr(kind, "blend", fail_once)
+    monkeypatch.delattr(kind, "follow_each", raising=False)
+    done = outcomes(own, found, None, 34)
+    failed = [event for one in done for event in one.events if type(event).__name__ == "Quarantined"]
+    assert [event.node for event in failed] == ["color"] and len(asked) > 200
+    at = next(k for k, one in enumerate(done) if failed[0] in one.events)
+    after = done[at + 1].state.targets
+    assert [*after.others] == [failed[0].target] and len(after.gaussians[0].ids) > 3

@@ -274,7 +274,11 @@ class LiveTable:
                 tables[plate] = tables[plate].extended(rows) if plate in tables else rows
                 for target in rows.ids:
                     del self.states[target], self.records[target]
-        gaussians = [rows.changed(checked=nets) for rows in tables.values()]
+        known = before.state.net.targets
+        unsure = {plate for plate, rows in self.tables.items() if rows.checked is not known}
+        gaussians = [
+            rows.changed(checked=None if plate in unsure else nets) for plate, rows in tables.items()
+        ]
         targets: Mapping[str, TargetState] = self.states
         records: Mapping[str, TrackRecord] = self.records
         if gaussians:

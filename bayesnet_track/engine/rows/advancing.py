@@ -193,13 +193,14 @@ class FilteredGaussians:
         nets: Mapping[str, TargetNet],
     ) -> Rows:
         """The table after the frame: targets about which something was `decided` are lost, or found."""
-        is_lost, checked = self.before.columns.is_lost, nets
+        is_lost = self.before.columns.is_lost
+        checked: Mapping[str, TargetNet] | None = nets
         if decided:
             live = [nets[self.ids[row]] for row in decided]
             is_lost = is_lost.copy()
             is_lost[[*decided]] = [net.status == "lost" for net in live]
             if not all(net_fits(self.before.rule, net) for net in live):
-                checked = {}
+                checked = None
         columns = self.columns.changed(memory=memory, is_lost=is_lost)
         return self.before.changed(columns=columns, references=references, time=time, checked=checked)
 
