@@ -22,6 +22,7 @@ from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.scores import meanings
 from bayesnet_track.evaluate.truth import Pairs, assign
 from bayesnet_track.journal.metrics import NOT_SHOWN
+from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
 from bayesnet_track.sources.entrances.notices import few, notice
 
@@ -161,6 +162,21 @@ def _read(path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: 
             rows.append((x, y, sd_x**2, sd_y**2, corr * sd_x * sd_y))
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     return Places(np.array(times), ids, table[:, :2], table[:, [2, 4, 4, 3]].reshape(-1, 2, 2))
+
+
+def end_of_run(folder: Path, tracks: Path) -> float:
+    """Time of a run's last frame, s; infinity where no frame with a target tells how long frames last.
+
+    Raises:
+        OSError: the tracks cannot be read.
+    """
+    frames = [frame for frame, _ in read_seconds(folder / "timings.jsonl")]
+    with tracks.open(encoding="utf-8", newline="") as file:
+        times = {int(row["frame"]): float(row["time_s"]) for row in csv.DictReader(file)}
+    if not frames or not times or max(times) == 0:
+        return math.inf
+    last = max(times)
+    return times[last] + (max(frames) - last + 0.5) * times[last] / last
 
 
 def score_world(

@@ -39,7 +39,7 @@ NOT_RUN = (
     (r"--source 0\b|rtsp:", "needs a camera"),
     (r"--view\b|wait_for_page|annotate (?!.*--no-view)", "waits for a browser; tests/browser has one"),
     (r"\bonnx\b|my_deep", "needs a network, and none is shipped; tests/vision makes one"),
-    (r"^bayesnet-track calibrate", "needs pictures of a chessboard; tests/vision makes some"),
+    (r"^bayesnet-track calibrate (?!ground)", "needs pictures of a chessboard; tests/vision makes some"),
     (r"--calibration|learn-stereo", "needs two cameras; tests/cli renders a pair"),
     (r"learn-shape", "needs masks; tests/cli makes some"),
     (r"^rerun ", "opens a window"),

@@ -226,8 +226,13 @@ def _score_world(
     """Score places on the ground, in metres."""
     import math
 
-    from bayesnet_track.evaluate.runs import frames_of_run
-    from bayesnet_track.evaluate.world import MATCH_M, read_world_tracks, read_world_truth, score_world
+    from bayesnet_track.evaluate.world import (
+        MATCH_M,
+        end_of_run,
+        read_world_tracks,
+        read_world_truth,
+        score_world,
+    )
 
     for option, value in (
         ("--target", options.target),
@@ -239,8 +244,7 @@ def _score_world(
             raise UsageError(f"{option}: {truth} is a ground truth in metres (t,id,x,y); leave it out")
     with users_mistake():
         tracked = read_world_tracks(tracks)
-        is_whole = run is None or frames_of_run(run.path)[1] is not None
-        until = math.inf if is_whole or not len(tracked.times) else float(tracked.times.max())
+        until = math.inf if run is None else end_of_run(run.path, tracks)
         cutoff = MATCH_M if options.cutoff is None else options.cutoff
         result = score_world(read_world_truth(truth), tracked, until=until, cutoff_m=cutoff)
     say(result.json() if options.json else result.text())
