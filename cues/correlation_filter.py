@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.numerics.arrays import Spectra
 from bayesnet_track.observation.cue import (
     ANGLE,
     Cue,
@@ -52,7 +51,7 @@ LEVELS = 4
 """Levels of scale on either side of the last learnt one."""
 USUAL = 0.55
 """First guess of the usual answer, as a share of that to the very picture the filter comes from."""
-FOLLOW = 4.0
+FOLLOW = 20.0
 """The usual answer falls toward the last one at so many times the learning rate; it rises at once."""
 LEAST_ANSWER = 0.1
 """The usual answer is at least this, of a wanted 1: nothing less is a target."""
@@ -89,7 +88,7 @@ class CorrelationFilterParameters(SizedCueParameters):
         default=0.07, gt=0, description="Width of the peak that is learnt (roots of the box's area)."
     )
     ridge: float = Field(
-        default=0.003, gt=0, description="Ridge of the regression as a share of the mean power of the patch."
+        default=0.01, gt=0, description="Ridge of the regression as a share of the mean power of the patch."
     )
     signed: bool = Field(
         default=True,
@@ -102,10 +101,10 @@ class CorrelationFilterParameters(SizedCueParameters):
 class CorrelationFilter:
     """The correlation filter at work.
 
-    Reference: `cross` (C, S, S / 2 + 1) and `covariance` (C (C + 1) / 2, S, S / 2 + 1) of the regression;
-    `kernel` (C, S, S) the filter that they give, under its window; `patch` (C, S, S) the features that were
-    last learnt; `usual` () the answer that the target usually gets; `place` (2,) and `size` (2,), px, where
-    it was last learnt.
+    Reference: `numerator` (C, S, S / 2 + 1) and `denominator` (S, S / 2 + 1) of the regression; `kernel`
+    (C, S, S) the filter that they give, under its window; `patch` (C, S, S) the features that were last
+    learnt; `usual` () the answer that the target usually gets; `place` (2,) and `size` (2,), px, where it
+    was last learnt.
     """
 
     parameters: CorrelationFilterParameters
@@ -123,7 +122,7 @@ class CorrelationFilter:
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
         """The same for a target turned by `angle` degrees: the patch is cut out as turned, and so upright."""
         equations = self._equations(planes, box, angle)
-        kernel = self._kernel(equations["cross"], equations["covariance"], equations["size"])
+        kernel = self._kernel(equations["numerator"], equations["denominator"], equations["size"])
         usual_answer = max(USUAL * _answer(kernel, equations["patch"]), LEAST_ANSWER)
         return {**equations, "kernel": kernel, "usual": np.array(usual_answer)}
 
@@ -139,10 +138,10 @@ class CorrelationFilter:
             patch = turned_patch_at(image, x, y, cell, p.cells, p.signed, angle)
         offset = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
         label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *offset)
-        cross, covariance = equations(patch.features * self._window(size), label)
+        numerator, denominator = equations(patch.features * self._window(size), label)
         return {
-            "cross": cross,
-            "covariance": covariance,
+            "numerator": numerator,
+            "denominator": denominator,
             "patch": patch.features,
             "place": np.array(box[:2], dtype=np.float64),
             "size": size,
@@ -155,20 +154,21 @@ class CorrelationFilter:
         return self.blend(reference, self._equations(planes, box, 0.0), rate)
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """Both sides of the regression linearly (thesis eq. 2.15); the usual answer follows faster."""
+        """Numerator and denominator linearly (thesis eq. 2.15); the usual answer follows faster."""
         if rate <= 0.0:
             return old
         if rate >= 1.0:
             return new
-        sums = blend_arrays({name: old[name] for name in ("cross", "covariance")}, new, rate)
-        cross, covariance = (sums[name].astype(np.complex64, copy=False) for name in ("cross", "covariance"))
+        names = ("numerator", "denominator")
+        mixed = blend_arrays({name: old[name] for name in names}, new, rate)
+        numerator = mixed["numerator"].astype(np.complex64, copy=False)
         answer, usual_answer = _answer(old["kernel"], new["patch"]), float(old["usual"])
         share = 1.0 if answer > usual_answer else min(1.0, FOLLOW * rate)
         return {
             **new,
-            "cross": cross,
-            "covariance": covariance,
-            "kernel": self._kernel(cross, covariance, new["size"]),
+            "numerator": numerator,
+            "denominator": mixed["denominator"],
+            "kernel": self._kernel(numerator, mixed["denominator"], new["size"]),
             "usual": np.array(max(usual_answer + share * (answer - usual_answer), LEAST_ANSWER)),
         }
 
@@ -238,9 +238,11 @@ class CorrelationFilter:
         spans = ((side + context) / cell for side in (width, height))
         return hann(self.parameters.cells, *(max(span, 4.0) for span in spans))
 
-    def _kernel(self, cross: Spectra, covariance: Spectra, size: Floats) -> NDArray[np.float32]:
+    def _kernel(
+        self, numerator: NDArray[np.complex64], denominator: Floats, size: Floats
+    ) -> NDArray[np.float32]:
         """The filter under its window, so that it can be laid on any place of a frame."""
-        return np.asarray(solve(cross, covariance, self.parameters.ridge) * self._window(size))
+        return np.asarray(solve(numerator, denominator, self.parameters.ridge) * self._window(size))
 
 
 def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:

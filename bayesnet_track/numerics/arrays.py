@@ -15,7 +15,6 @@ Image = NDArray[np.uint8]
 """(height, width) or (height, width, channels), as OpenCV has them: rows first, BGR."""
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
-Spectra = NDArray[np.complex64]
 
 
 LOG_EVIDENCE, NATS, ESS, HYPOTHESES, AGENT_UD, UD, FIT, AREA, STRENGTH, D2 = range(10)

@@ -1,9 +1,9 @@
 """A correlation filter: patches as cells of features, learnt in the Fourier domain, and its answers on tiles.
 
 The filter w minimises the ridge regression |sum_c w_c * x_c - y|^2 + ridge |w|^2 over all cyclic shifts of
-the windowed features x of the target's patches, y a narrow Gaussian (Bolme et al. 2010; Galoogahi et al.
-2013): at each frequency W = (sum X X^H + ridge)^-1 sum X conj(Y), both sums of which can be blended. All
-channels are solved for together. Shifts by whole cells are never learnt from the image: they cost nothing.
+the windowed features x of the target's patch, y a narrow Gaussian (Danelljan et al. 2014; Henriques et al.
+2015): W = X conj(Y) / (sum |X|^2 + ridge), numerator and denominator of which can be blended. Shifts of the
+target by whole cells are never learnt from the picture, they come for nothing.
 
 A target that is searched for is asked about the same tiles several times in a frame.
 """
@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Bytes, Floats, Singles, Spectra
+from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.planes import Frame, for_reading
 
 ORIENTATIONS = 8
@@ -211,6 +211,9 @@ def _bordered(part: Bytes, above: int, before: int, size: tuple[int, int]) -> By
     return np.asarray(cv2.copyMakeBorder(part, above, after[0], before, after[1], kind), np.uint8)
 
 
+Spectra = NDArray[np.complex64]
+
+
 @lru_cache(maxsize=8)
 def hann(side: int, width: float, height: float) -> Singles:
     """(side, side) window: cos^2 over `width` and `height` cells in the middle, 0 beyond."""
@@ -236,14 +239,11 @@ def gaussian_label(side: int, sd: float, x: float = 0.0, y: float = 0.0) -> Floa
     return np.outer(line(y), line(x))
 
 
-def equations(sample: Singles, label: Floats) -> tuple[Spectra, Spectra]:
-    """Both sides of the regression that windowed features (C, S, S) add: X conj(Y) and X X^H.
-
-    (C, S, S / 2 + 1), and (C (C + 1) / 2, S, S / 2 + 1) for channels i, j <= i, row by row.
-    """
+def equations(sample: Singles, label: Floats) -> tuple[Spectra, Floats]:
+    """Numerator (C, S, S / 2 + 1) and denominator (S, S / 2 + 1) of windowed features (C, S, S)."""
     x = _spectrum(sample).astype(np.complex64)
-    first, second = np.tril_indices(len(x))
-    return (x * np.conj(_spectrum(label))).astype(np.complex64), x[first] * np.conj(x[second])
+    numerator = (x * np.conj(_spectrum(label))).astype(np.complex64)
+    return numerator, np.sum(x.real**2 + x.imag**2, axis=0, dtype=np.float64)
 
 
 def _spectrum(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[Any, Any]]:
@@ -251,20 +251,12 @@ def _spectrum(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[A
     return np.fft.fft(np.fft.rfft(values), axis=-2)
 
 
-ROUNDING = 1e-5
-"""Ridge of a frequency as a share of its own power, at least."""
-
-
-def solve(cross: Spectra, covariance: Spectra, ridge: float) -> Singles:
-    """(C, S, S) the filter of blended `equations`; `ridge` is relative to the mean power of a frequency."""
-    from bayesnet_track.vision.kernels.correlation_kernels import solve_jointly
-
-    channels, side = cross.shape[:2]
-    powers = covariance[[i * (i + 3) // 2 for i in range(channels)]].real.sum(axis=0)
-    ridges = np.maximum(ROUNDING * powers, max(ridge * float(powers.mean()), 1e-9)).astype(np.float32)
-    solution = cross.reshape(channels, -1).copy()
-    solve_jointly(covariance.reshape(len(covariance), -1), ridges.reshape(-1), solution)
-    return np.fft.irfft(np.fft.ifft(solution.reshape(cross.shape), axis=-2), side).astype(np.float32)
+def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
+    """(C, S, S) the filter; `ridge` is relative to the mean of the denominator."""
+    side = numerator.shape[1]
+    whole = denominator + max(ridge * float(denominator.mean()), 1e-9)
+    quotient = numerator / whole.astype(np.float32)
+    return np.fft.irfft(np.fft.ifft(quotient, axis=-2), side).astype(np.float32)
 
 
 def tile_spectra(patch: Singles, side: int) -> Singles:

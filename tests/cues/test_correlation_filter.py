@@ -152,7 +152,7 @@ def test_the_usual_answer_follows_what_the_target_looks_like() -> None:
     new = cue.learn(planes_of(changed), box(150, 120))
     reference = {**old, "usual": old["usual"] * 10}
     at_first = score(cue, changed, [box(150, 120)], reference)[0]
-    for _ in range(50):
+    for _ in range(10):
         reference = cue.blend(reference, new, 0.01)
     assert score(cue, changed, [box(150, 120)], reference)[0] > at_first + 3.0
     foreign = cue.learn(planes_of(scene(150, 120, seed=9)), box(150, 120))
@@ -162,14 +162,14 @@ def test_the_usual_answer_follows_what_the_target_looks_like() -> None:
 
 
 def test_learning_in_small_steps_ends_at_the_new_look() -> None:
-    """Both sums of the regression blended: n equal steps of rate r leave (1 - r)^n of the old ones."""
+    """Numerator and denominator blended: n equal steps of rate r leave (1 - r)^n of the old ones."""
     cue = made()
     old, new = (cue.learn(planes_of(scene(150, 120, seed=s)), box(150, 120)) for s in (2, 9))
     reference = old
     for _ in range(5):
         reference = cue.blend(reference, new, 0.2)
     left = 0.8**5
-    for name in ("cross", "covariance"):
+    for name in ("numerator", "denominator"):
         expected = left * old[name] + (1 - left) * new[name]
         np.testing.assert_allclose(reference[name], expected, atol=1e-5 * np.abs(expected).max())
 

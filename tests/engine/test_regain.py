@@ -57,8 +57,7 @@ def test_tracking_is_said_earlier_after_an_event_and_the_log_says_when_it_would_
     regain = {"score_above": 0.55, "ud_box": 0.05, "frames": 3}
     said, (event,) = track(regain)
     later, none = track(None)
-    assert later is None or said < later  # references of a target that is doubted stay as they are
-    assert said - RETURNS <= 10 and none == []
+    assert said < later and said - RETURNS <= 10 and none == []
     assert event.fit < event.full_fit and RETURNS < event.frame < said
     # At the levels that the log names it is still regained in this frame, and just beyond either it is not.
     score, ud_box = event.turning_score, event.turning_ud

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Bytes, Floats, Ints, Singles, Spectra
+from bayesnet_track.numerics.arrays import Bytes, Floats, Ints, Singles
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
 
 CELL = 4
@@ -253,59 +253,6 @@ def conjugate_product(seen: Singles, waves: Singles, total: Singles) -> None:
                 sums[2, k] += patch[2, k] * real + patch[3, k] * imaginary
                 sums[3, k] += patch[3, k] * real - patch[2, k] * imaginary
         pack_row(sums, j, total)
-
-
-@compiled_summing
-def solve_jointly(covariance: Spectra, ridges: Singles, unknown: Spectra) -> None:
-    """Solve (A + ridge) w = b at every frequency, by the Cholesky factor of the Hermitian A.
-
-    Frequencies are innermost: each step is the same for all of them.
-
-    Args:
-        covariance: (C (C + 1) / 2, F) entries (i, j) of A, j <= i, row by row.
-        ridges: (F,) at least what A may be off by rounding.
-        unknown: (C, F) b, replaced by w.
-    """
-    channels, count = unknown.shape
-    factor = np.empty((len(covariance), 2, count), np.float32)
-    factor[:, 0], factor[:, 1] = covariance.real, covariance.imag
-    x, per = np.empty((channels, 2, count), np.float32), np.empty((channels, count), np.float32)
-    x[:, 0], x[:, 1] = unknown.real, unknown.imag
-    for j in range(channels):
-        of_j = j * (j + 1) // 2
-        pivot = factor[of_j + j]
-        for k in range(j):
-            _subtract(pivot, factor[of_j + k], factor[of_j + k], np.float32(-1.0))
-            _subtract(x[j], factor[of_j + k], x[k], np.float32(1.0))
-        for f in range(count):  # without rounding a pivot is at least the ridge
-            per[j, f] = np.float32(1.0) / np.sqrt(max(pivot[0, f], np.float32(0.0)) + ridges[f])
-        _divide(x[j], per[j])
-        for i in range(j + 1, channels):
-            of_i = i * (i + 1) // 2
-            for k in range(j):
-                _subtract(factor[of_i + j], factor[of_i + k], factor[of_j + k], np.float32(-1.0))
-            _divide(factor[of_i + j], per[j])
-    for i in range(channels - 1, -1, -1):
-        for k in range(i + 1, channels):
-            _subtract(x[i], x[k], factor[k * (k + 1) // 2 + i], np.float32(-1.0))
-        _divide(x[i], per[i])
-        for f in range(count):
-            unknown[i, f] = complex(x[i, 0, f], x[i, 1, f])
-
-
-@compiled_summing
-def _subtract(z: Singles, a: Singles, b: Singles, sign: np.float32) -> None:
-    """z - a b, or with a `sign` of -1 a times the conjugate of b; (2, F) real and imaginary parts."""
-    for f in range(z.shape[1]):
-        z[0, f] -= a[0, f] * b[0, f] - sign * a[1, f] * b[1, f]
-        z[1, f] -= a[1, f] * b[0, f] + sign * a[0, f] * b[1, f]
-
-
-@compiled
-def _divide(z: Singles, per: Singles) -> None:
-    for f in range(z.shape[1]):
-        z[0, f] *= per[f]
-        z[1, f] *= per[f]
 
 
 @compiled
