@@ -61,25 +61,27 @@ def tracks_of(options: argparse.Namespace) -> Tracks:
         files += sorted(Path(options.folder).glob("*/groundtruth.txt"))
     if not files:
         raise UsageError("--motion reads boxes and no images: give --truth FILE, or --folder")
-    found = []
+    boxes_of_tracks = []
     for file in files:
         with users_mistake():
             if not is_mot(file, options.truth_format):
-                found.append(centre_from_corner(read_truth(file, options.truth_format))[: options.end])
+                boxes_of_tracks.append(
+                    centre_from_corner(read_truth(file, options.truth_format))[: options.end]
+                )
                 continue
             tracks = read_mot_tracks(file)
-        for one in np.unique(tracks.ids):
-            own = tracks.ids == one
-            frames = tracks.frames[own] - tracks.frames[own].min()
+        for identity in np.unique(tracks.ids):
+            of_track = tracks.ids == identity
+            frames = tracks.frames[of_track] - tracks.frames[of_track].min()
             boxes = np.full((frames.max() + 1, 4), np.nan)
-            boxes[frames] = centre_from_corner(tracks.boxes[own])
-            found.append(boxes[: options.end])
-    return found
+            boxes[frames] = centre_from_corner(tracks.boxes[of_track])
+            boxes_of_tracks.append(boxes[: options.end])
+    return boxes_of_tracks
 
 
 def describe(fitted: FittedMotion) -> list[str]:
     """A line for each estimate, and what it gains."""
-    lines = [_line(one) for one in fitted.estimates]
+    lines = [_line(parameter) for parameter in fitted.estimates]
     gain = fitted.log_evidence - fitted.log_evidence_before
     lines.append(
         f"log-evidence {fitted.log_evidence:.1f}, {gain:.1f} above that of the graph's own values, in "
@@ -88,28 +90,37 @@ def describe(fitted: FittedMotion) -> list[str]:
     return lines
 
 
-def _line(one: Estimate) -> str:
-    name = ".".join(one.path) if one.before == one.before else f"error of the boxes' {one.path[-1]}"
-    if not one.is_known:
-        kept = f"; the graph's {one.before:g} stays" if one.before == one.before else ""
-        return f"{name}: the boxes do not tell; best {one.value:.3g}{kept}"
-    before = f"; before {one.before:g}" if one.before == one.before else ""
-    return f"{name}: {one.value:.3g}, 90 % interval {one.low:.3g} to {one.high:.3g}{before}"
+def _line(parameter: Estimate) -> str:
+    name = (
+        ".".join(parameter.path)
+        if parameter.before == parameter.before
+        else f"error of the boxes' {parameter.path[-1]}"
+    )
+    if not parameter.is_known:
+        remark = f"; the graph's {parameter.before:g} stays" if parameter.before == parameter.before else ""
+        return f"{name}: the boxes do not tell; best {parameter.value:.3g}{remark}"
+    previous_value = f"; before {parameter.before:g}" if parameter.before == parameter.before else ""
+    return f"{name}: {parameter.value:.3g}, 90 % interval {parameter.low:.3g} to {parameter.high:.3g}{previous_value}"
 
 
 def write_motion(text: str, node: tuple[str, ...], estimates: Sequence[Estimate], from_what: str) -> str:
     """The graph's text with the estimates that the boxes tell, each with its interval as a comment."""
     from bayesnet_track.graph.text.change import set_value
 
-    for one in estimates:
-        if not one.is_known or one.before != one.before:
+    for parameter in estimates:
+        if not parameter.is_known or parameter.before != parameter.before:
             continue
-        value = float(f"{one.value:.3g}")
-        said = f"{one.path[-1]} {one.low:.3g} to {one.high:.3g} (90 %), by evidence; {from_what}"
+        value = float(f"{parameter.value:.3g}")
+        comment = f"{parameter.path[-1]} {parameter.low:.3g} to {parameter.high:.3g} (90 %), by evidence; {from_what}"
         try:
-            text = set_value(text, (*node, *one.path), value, said)
+            text = set_value(text, (*node, *parameter.path), value, comment)
         except KeyError:  # `motion: constant_velocity`, all defaults
-            text = set_value(text, (*node, *one.path[:-2]), {one.path[-2]: {one.path[-1]: value}}, said)
+            text = set_value(
+                text,
+                (*node, *parameter.path[:-2]),
+                {parameter.path[-2]: {parameter.path[-1]: value}},
+                comment,
+            )
     return text
 
 
@@ -142,23 +153,24 @@ def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | 
     from bayesnet_track.evaluate.cue_parameters import MEMORY_FRAMES, cue_residuals
     from bayesnet_track.evaluate.cue_parameters import fit_sds as estimate
 
-    found = []
+    residuals = []
     for video in videos:
         with frames_of(video, end) as frames, users_mistake():
-            found.append(cue_residuals(graph, frames, video.truth))
+            residuals.append(cue_residuals(graph, frames, video.truth))
     with users_mistake():
-        fitted = estimate(found)
-    for (agent, parameter), one in fitted.items():
+        fitted = estimate(residuals)
+    for (agent, parameter), estimated in fitted.items():
         complain(
-            f"{agent}, {parameter}: {one.value:.3g} from {one.residuals} residuals; central 50 % and 90 % "
-            f"of such a Gaussian hold {_shares(one.inside)}; {_shares(one.left_out)} of videos left out, and "
-            f"{_shares(one.followed)} with sd_memory_frames: {MEMORY_FRAMES:g}"
+            f"{agent}, {parameter}: {estimated.value:.3g} from {estimated.residuals} residuals; "
+            f"central 50 % and 90 % of such a Gaussian hold {_shares(estimated.inside)}; "
+            f"{_shares(estimated.left_out)} of videos left out, and "
+            f"{_shares(estimated.followed)} with sd_memory_frames: {MEMORY_FRAMES:g}"
         )
     return write_sds(text, graph, fitted, len(videos))
 
 
-def _shares(inside: tuple[float, float]) -> str:
-    return " and ".join(f"{100 * share:.0f} %" for share in inside)
+def _shares(shares: tuple[float, float]) -> str:
+    return " and ".join(f"{100 * share:.0f} %" for share in shares)
 
 
 def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], FittedSd], videos: int) -> str:
@@ -167,17 +179,17 @@ def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], F
 
     name, plate = next(iter(graph.targets.items()))
     for agent in dict.fromkeys(agent for agent, _ in fitted):
-        chosen = plate.agent(agent).agent
-        own = {key[1]: one for key, one in fitted.items() if key[0] == agent}
-        count = max(one.residuals for one in own.values())
-        comment = f"{', '.join(own)}: residuals at true boxes, {count} in {plural(videos, 'video')}"
-        values = {parameter: float(f"{one.value:.3g}") for parameter, one in own.items()}
-        where = ("targets", name, "nodes", agent, "agent")
-        if chosen.parameters:
+        setting = plate.agent(agent).agent
+        of_agent = {key[1]: fitted_sd for key, fitted_sd in fitted.items() if key[0] == agent}
+        count = max(fitted_sd.residuals for fitted_sd in of_agent.values())
+        comment = f"{', '.join(of_agent)}: residuals at true boxes, {count} in {plural(videos, 'video')}"
+        values = {parameter: float(f"{fitted_sd.value:.3g}") for parameter, fitted_sd in of_agent.items()}
+        path = ("targets", name, "nodes", agent, "agent")
+        if setting.parameters:
             for parameter, value in values.items():
-                text = set_value(text, (*where, chosen.plugin, parameter), value, comment)
+                text = set_value(text, (*path, setting.plugin, parameter), value, comment)
         else:
-            text = set_value(text, where, {chosen.plugin: values}, comment)
+            text = set_value(text, path, {setting.plugin: values}, comment)
     return text
 
 
@@ -192,27 +204,27 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
     plate = next(iter(graph.targets.values()))
     rules = plate.inference(plate.root).adapt
     with users_mistake():
-        own = policy_of(rules)
+        current_policy = policy_of(rules)
 
     def run(policy: Policy, number: int) -> Trial:
         video, trials = videos[number], []
         measuring = with_features(check_text(write_policy(text, graph, policy), "a candidate"))
         for seed in range(seeds):
             with frames_of(video, end) as frames, users_mistake():
-                one = calibration_data(measuring, video.name, frames, video.truth, seed)
-            trials.append((success_auc(one.iou[one.seen]), one.cost_ms))
+                measured = calibration_data(measuring, video.name, frames, video.truth, seed)
+            trials.append((success_auc(measured.iou[measured.seen]), measured.cost_ms))
         auc, cost = np.mean(trials, axis=0)
         complain(f"{video.name}, {_describe(policy)}: AUC {auc:.3f}, {cost:.2f} ms")
         return Trial(float(auc), float(cost))
 
     with users_mistake():
-        chosen = search(candidates(own), len(videos), run)
-    complain(_summary(chosen))
+        choice = search(candidates(current_policy), len(videos), run)
+    complain(_summary(choice))
     comment = (
-        f"AUC {chosen.trial.auc:.3f}, before {chosen.own.auc:.3f}; declared {chosen.trial.cost_ms:.2f} ms, "
-        f"before {chosen.own.cost_ms:.2f}; {plural(len(videos), 'video')}"
+        f"AUC {choice.trial.auc:.3f}, before {choice.own.auc:.3f}; declared {choice.trial.cost_ms:.2f} ms, "
+        f"before {choice.own.cost_ms:.2f}; {plural(len(videos), 'video')}"
     )
-    return write_policy(text, graph, chosen.policy, comment)
+    return write_policy(text, graph, choice.policy, comment)
 
 
 def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = "") -> str:
@@ -222,11 +234,11 @@ def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = 
     name, plate = next(iter(graph.targets.items()))
     adapt = plate.inference(plate.root).adapt
     assert adapt is not None and adapt.activate is not None and adapt.activate.above is not None
-    kind, where = adapt.activate.above.kind, ("targets", name, "nodes", plate.root, "adapt")
-    text = set_value(text, (*where, "activate", "above"), {kind: policy.activate}, comment)
-    text = set_value(text, (*where, "deactivate", "below"), {kind: policy.deactivate}, comment)
+    kind, path = adapt.activate.above.kind, ("targets", name, "nodes", plate.root, "adapt")
+    text = set_value(text, (*path, "activate", "above"), {kind: policy.activate}, comment)
+    text = set_value(text, (*path, "deactivate", "below"), {kind: policy.deactivate}, comment)
     if policy.sample_every is not None:
-        text = set_value(text, (*where, "deactivate", "sample_every"), policy.sample_every, comment)
+        text = set_value(text, (*path, "deactivate", "sample_every"), policy.sample_every, comment)
     return text
 
 
@@ -235,11 +247,11 @@ def _describe(policy: Policy) -> str:
     return f"on above {policy.activate:g}, off below {policy.deactivate:g}{sample_every}"
 
 
-def _summary(chosen: Chosen) -> str:
+def _summary(choice: Chosen) -> str:
     return (
-        f"policy: {_describe(chosen.policy)}; chosen from {chosen.candidates} in {chosen.runs} trials: AUC "
-        f"{chosen.trial.auc:.3f} (the graph's own {chosen.own.auc:.3f}), declared cost "
-        f"{chosen.trial.cost_ms:.2f} ms a frame (own {chosen.own.cost_ms:.2f})"
+        f"policy: {_describe(choice.policy)}; chosen from {choice.candidates} in {choice.runs} trials: AUC "
+        f"{choice.trial.auc:.3f} (the graph's own {choice.own.auc:.3f}), declared cost "
+        f"{choice.trial.cost_ms:.2f} ms a frame (own {choice.own.cost_ms:.2f})"
     )
 
 
@@ -252,13 +264,13 @@ def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
     name, plate = next(iter(graph.targets.items()))
     with users_mistake():
         pools = learned_pools(plate)
-    found = []
+    errors = []
     for video in videos:
         with frames_of(video, end) as frames, users_mistake():
-            found.append(pool_errors(graph, frames, video.truth))
+            errors.append(pool_errors(graph, frames, video.truth))
     for pool, children in pools.items():
         with users_mistake():
-            fitted = fit_correlation([one[pool] for one in found])
+            fitted = fit_correlation([of_video[pool] for of_video in errors])
         value = float(f"{fitted.value:.3g}")
         exponent = next(iter(pool_exponents(dict.fromkeys(children, 1.0), value).values()))
         low, high = fitted.without
@@ -291,17 +303,19 @@ def find_videos(options: argparse.Namespace) -> Iterator[Video]:
         )
     pairs = [(_name(s), s, Path(t)) for s, t in zip(options.source, options.truth, strict=True)]
     if options.folder is not None:
-        found = sorted(Path(options.folder).glob("*/groundtruth.txt"))
-        pairs += [(f.parent.name, str(f.parent / "img"), f) for f in found if (f.parent / "img").is_dir()]
-        if not found:
+        truth_files = sorted(Path(options.folder).glob("*/groundtruth.txt"))
+        pairs += [
+            (f.parent.name, str(f.parent / "img"), f) for f in truth_files if (f.parent / "img").is_dir()
+        ]
+        if not truth_files:
             raise UsageError(f"{options.folder}: no NAME/groundtruth.txt beside NAME/img")
     if not pairs:
         raise UsageError("no video: give --source with --truth, or --folder")
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for name, source, file in pairs:
-        seen[name] = seen.get(name, 0) + 1
+        counts[name] = counts.get(name, 0) + 1
         with users_mistake():
-            unique = name if seen[name] == 1 else f"{name} {seen[name]}"
+            unique = name if counts[name] == 1 else f"{name} {counts[name]}"
             yield Video(unique, source, read_truth(file, options.truth_format), options.value_range)
 
 

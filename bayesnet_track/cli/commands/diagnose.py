@@ -29,13 +29,13 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
             switches[event.target] = switches.get(event.target, 0) + 1
         if isinstance(event, Quarantined):  # a switch, too
             failures.setdefault(event.target, []).append(event)
-    chosen = run.targets if target is None else (target,)
-    measured = courses(run.metrics, COLUMNS, chosen)
-    for one in chosen:
-        yield from find_failures(one, failures.get(one, ()))
-        own = measured[one]
-        shown = until_lost(own) if is_born(run, one) else own
-        for finding in find(shown, switches.get(one, 0)):
+    targets = run.targets if target is None else (target,)
+    measured = courses(run.metrics, COLUMNS, targets)
+    for target_id in targets:
+        yield from find_failures(target_id, failures.get(target_id, ()))
+        lines = measured[target_id]
+        judged = until_lost(lines) if is_born(run, target_id) else lines
+        for finding in find(judged, switches.get(target_id, 0)):
             if finding.remedy != "stale" or "learn:" in run.graph_text:  # else nothing is meant to learn
                 yield finding
 
@@ -43,8 +43,8 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
 def advise(run: Run, finding: Finding) -> dict[str, Any]:
     """A finding as plain data, with the key and value to try where the run's graph takes them."""
     kind = run.kinds[finding.target]
-    found = {"target": finding.target, "type": kind, "found": finding.what, "frame": finding.frame}
-    found |= {
+    advice = {"target": finding.target, "type": kind, "found": finding.what, "frame": finding.frame}
+    advice |= {
         "measure": finding.measure,
         "symptom": None,
         "try": None,
@@ -54,14 +54,14 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
     }
     if finding.remedy is None:
         # Another seed is worth a try where chance may have lost a target, not where its detections ended.
-        return found | {"seed": finding.measure != "failed" and not is_born(run, finding.target)}
+        return advice | {"seed": finding.measure != "failed" and not is_born(run, finding.target)}
     from bayesnet_track.cli.findings import REMEDIES
 
     remedy = REMEDIES[finding.remedy]
     names = names_of(run.graph_text, kind, finding.agent)
     setting: str | None = remedy.setting(names)
     refused = _refused(run.graph_text, str(setting))
-    return found | {
+    return advice | {
         "symptom": remedy.symptom,
         "try": None if refused else setting,
         "key": remedy.path(names),
@@ -85,12 +85,12 @@ def _refused(text: str, setting: str) -> str | None:
         try:
             change_graph(text, changes, masks=AnyMask(), calibrations=AnyCalibration())
         except GraphError as error:
-            return [one.found for one in error.errors]
+            return [mistake.found for mistake in error.errors]
         return []
 
     try:
-        before = mistakes([])
-        return next((one for one in mistakes([setting]) if one not in before), None)
+        mistakes_now = mistakes([])
+        return next((mistake for mistake in mistakes([setting]) if mistake not in mistakes_now), None)
     except ChangeError as error:
         return str(error)
 
@@ -139,22 +139,22 @@ def diagnose(options: argparse.Namespace) -> int:
 
     run = open_run(options.run, complain)
     if options.target is not None and options.target not in run.targets:
-        there = ", ".join(run.targets) or "none"
-        raise UsageError(f"{options.run}: no target {options.target!r}; there are {there}")
-    found = list(find_all(run, options.target))
+        targets = ", ".join(run.targets) or "none"
+        raise UsageError(f"{options.run}: no target {options.target!r}; there are {targets}")
+    findings = list(find_all(run, options.target))
     if options.json:
-        say(json.dumps({"run": str(options.run), "findings": [advise(run, one) for one in found]}))
+        say(json.dumps({"run": str(options.run), "findings": [advise(run, finding) for finding in findings]}))
         return OK
     tried = False
-    for alike in _grouped(run, found):
-        advice = advise(run, alike[0])
+    for group in _grouped(run, findings):
+        advice = advise(run, group[0])
         tried |= advice["try"] is not None
         say("\n".join(_lines(options.run, advice)))
-        if len(alike) > 1:
-            say("\n".join(_others(options.run, [one.target for one in alike[1:]])))
+        if len(group) > 1:
+            say("\n".join(_others(options.run, [finding.target for finding in group[1:]])))
     if tried:
         say(UNTRIED)
-    elif not found:
+    elif not findings:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "
             f"`bayesnet-track score {options.run} --truth FILE` does"
@@ -162,17 +162,17 @@ def diagnose(options: argparse.Namespace) -> int:
     return OK
 
 
-def _grouped(run: Run, found: Sequence[Finding]) -> Iterator[Sequence[Finding]]:
+def _grouped(run: Run, findings: Sequence[Finding]) -> Iterator[Sequence[Finding]]:
     """Findings that are alike: one by one for a few targets, together for many."""
     groups: dict[tuple[str, ...], list[Finding]] = {}
-    several = len({one.target for one in found}) > ONE_BY_ONE
-    for index, one in enumerate(found):
-        alike = (
-            (run.kinds[one.target], one.measure, str(one.remedy), str(one.agent))
-            if several
+    is_many = len({finding.target for finding in findings}) > ONE_BY_ONE
+    for index, finding in enumerate(findings):
+        key = (
+            (run.kinds[finding.target], finding.measure, str(finding.remedy), str(finding.agent))
+            if is_many
             else (str(index),)
         )
-        groups.setdefault(alike, []).append(one)
+        groups.setdefault(key, []).append(finding)
     yield from groups.values()
 
 
@@ -184,19 +184,19 @@ def _others(run: str, targets: Sequence[str]) -> Iterator[str]:
     yield f"        bayesnet-track diagnose {run} --target {targets[0]}"
 
 
-def _lines(run: str, one: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{one['type']} {one['target']}: {one['found']}"
-    if one["try"] is not None:
-        yield f"  try   bayesnet-track what-if {run} --set '{one['try']}'"
-    elif one["key"] is not None:
-        yield f"  key   {one['key']}, but not in this graph: {one['refused']}"
-    elif one["seed"]:
+def _lines(run: str, advice: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{advice['type']} {advice['target']}: {advice['found']}"
+    if advice["try"] is not None:
+        yield f"  try   bayesnet-track what-if {run} --set '{advice['try']}'"
+    elif advice["key"] is not None:
+        yield f"  key   {advice['key']}, but not in this graph: {advice['refused']}"
+    elif advice["seed"]:
         yield f"  try   bayesnet-track what-if {run} --seed 1"
         yield "        if another seed holds the target, chance decided; if not, no agent sees it there"
-    if one["why"] is not None:
-        yield f"        {one['why']}"
-    if one["frame"] is not None:
-        yield f"  look  bayesnet-track log {run} --why {one['frame']}"
+    if advice["why"] is not None:
+        yield f"        {advice['why']}"
+    if advice["frame"] is not None:
+        yield f"  look  bayesnet-track log {run} --why {advice['frame']}"
 
 
 def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:

@@ -102,28 +102,31 @@ def spread_over_seeds(rows: Iterable[Mapping[str, Cell]], names: Sequence[str]) 
 
     Only videos that every seed has count, so that seeds are compared over the same ones.
     """
-    told = list(rows)
-    seeds = {row["seed"] for row in told}
-    found = {}
+    all_rows = list(rows)
+    seeds = {row["seed"] for row in all_rows}
+    spreads = {}
     for name in names:
         by_video: dict[Cell, dict[Cell, float]] = defaultdict(dict)
-        for row in told:
+        for row in all_rows:
             value = row.get(name)
             if isinstance(value, int | float):
                 by_video[row.get("video")][row["seed"]] = float(value)
-        whole = [one for one in by_video.values() if one.keys() == seeds]
-        if whole:
-            means = [math.fsum(one[seed] for one in whole) / len(whole) for seed in sorted(seeds, key=str)]
-            found[name] = spread_of(means)
-    return found
+        complete = [of_video for of_video in by_video.values() if of_video.keys() == seeds]
+        if complete:
+            means = [
+                math.fsum(of_video[seed] for of_video in complete) / len(complete)
+                for seed in sorted(seeds, key=str)
+            ]
+            spreads[name] = spread_of(means)
+    return spreads
 
 
 def spread_text(spreads: Mapping[str, Spread]) -> str:
     """A table of them, one line each."""
     lines = [f"{'':18}{'mean':>10}  {'95 % interval':22}{'smallest':>10}{'largest':>10}"]
-    for name, one in spreads.items():
-        interval = "" if one.low is None else f"{one.low:.4g} to {one.high:.4g}"
-        lines.append(f"{name:18}{one.mean:>10.4g}  {interval:22}{one.least:>10.4g}{one.most:>10.4g}")
+    for name, spread in spreads.items():
+        interval = "" if spread.low is None else f"{spread.low:.4g} to {spread.high:.4g}"
+        lines.append(f"{name:18}{spread.mean:>10.4g}  {interval:22}{spread.least:>10.4g}{spread.most:>10.4g}")
     return "\n".join(lines)
 
 
@@ -157,9 +160,9 @@ def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], 
     rows, worst = [], OK
     for seed in range(options.seed, options.seed + options.seeds):
         out = str(Path(options.out) / f"seed-{seed}")
-        changed = {"seed": seed, "out": out, "seeds": None, "truth": None, "json": False}
-        changed["quiet"] = options.quiet or options.json
-        code = once(argparse.Namespace(**{**vars(options), **changed}))
+        changes = {"seed": seed, "out": out, "seeds": None, "truth": None, "json": False}
+        changes["quiet"] = options.quiet or options.json
+        code = once(argparse.Namespace(**{**vars(options), **changes}))
         if code not in (OK, INCOMPLETE):
             return code
         worst = max(worst, code)
@@ -178,12 +181,12 @@ def row_of_run(graph: str, seed: int, out: str, truth: str | None, form: TruthFo
     from bayesnet_track.evaluate.truth import is_mot, read_pair
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
-    several = truth is not None and is_mot(truth, form)
-    video = Video(out, "", truth=None if several else truth)
+    has_targets = truth is not None and is_mot(truth, form)
+    video = Video(out, "", truth=None if has_targets else truth)
     row = row_of(Job(graph, video, seed, out, truth_format=form))
-    if several and truth is not None:
-        found = score_mot(*read_pair(RunDirectory(Path(out)).mot, truth, *frames_of_run(Path(out)), form))
-        row |= {"mota": found.mota, "idf1": found.idf1, "hota": found.hota}
+    if has_targets and truth is not None:
+        scores = score_mot(*read_pair(RunDirectory(Path(out)).mot, truth, *frames_of_run(Path(out)), form))
+        row |= {"mota": scores.mota, "idf1": scores.idf1, "hota": scores.hota}
     return row
 
 
@@ -198,7 +201,7 @@ def say_summary(rows: Sequence[Row], options: argparse.Namespace, head: dict[str
 
     summary = summary_of(rows)
     if options.json:
-        measures = {name: asdict(one) for name, one in summary.items()}
+        measures = {name: asdict(spread) for name, spread in summary.items()}
         say(json.dumps({**head, "seeds": [row["seed"] for row in rows], "summary": measures}))
     elif not options.quiet:
         seeds = sorted({row["seed"] for row in rows}, key=str)

@@ -99,13 +99,13 @@ class Background:
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         """Regions that are neither background nor shadow; none while the background is still learnt."""
-        evidence, after = self.segment(frames, state)
+        evidence, next_state = self.segment(frames, state)
         settings, frame = self.parameters, frames.current
         from bayesnet_track.vision.kernels.color_kernels import FOREGROUND
 
-        if frame.time - after["times"][1] < settings.warm_up_frames or not evidence.any():
-            return NOTHING, after
-        return select(*blobs(evidence, FOREGROUND, settings), frame, settings), after
+        if frame.time - next_state["times"][1] < settings.warm_up_frames or not evidence.any():
+            return NOTHING, next_state
+        return select(*blobs(evidence, FOREGROUND, settings), frame, settings), next_state
 
     def segment(self, frames: FramePair, state: DetectorState) -> tuple[NDArray[np.uint8], DetectorState]:
         """(H, W) evidence as `update_mixture` has it, and the state with this frame in it."""
@@ -117,20 +117,20 @@ class Background:
         if state["weights"].shape[:2] != evidence.shape or elapsed <= 0:
             return evidence, self._first(frame.image, frame.time)
         image = np.ascontiguousarray(frame.image)
-        after = {name: np.array(array) for name, array in state.items()}
-        after["times"][0] = frame.time
+        next_state = {name: np.array(array) for name, array in state.items()}
+        next_state["times"][0] = frame.time
         # At first every frame counts the same, as in a mean over all of them.
         rate = max(
             1.0 - math.exp(-elapsed / settings.memory_frames),
-            elapsed / (frame.time - float(after["times"][1]) + 1.0),
+            elapsed / (frame.time - float(next_state["times"][1]) + 1.0),
         )
         update_mixture(
             image,
-            gain_of(image, after["means"][:, :, 0]),
+            gain_of(image, next_state["means"][:, :, 0]),
             min(rate, 1.0),
-            after["weights"],
-            after["means"],
-            after["variances"],
+            next_state["weights"],
+            next_state["means"],
+            next_state["variances"],
             settings.match_sd**2,
             settings.background_share,
             settings.min_sd**2,
@@ -141,7 +141,7 @@ class Background:
         )
         if np.count_nonzero(evidence >= FOREGROUND) > settings.restart_above * evidence.size:
             return np.zeros_like(evidence), self._first(frame.image, frame.time)
-        return evidence, after
+        return evidence, next_state
 
     def _first(self, image: NDArray[np.uint8], time: float) -> DetectorState:
         state = _empty(image.shape[0], image.shape[1], self.parameters.modes, time)
@@ -156,15 +156,15 @@ def gain_of(image: NDArray[np.uint8], mean: NDArray[np.float32]) -> float:
 
     Of each pixel, I . B / B . B: the brightness distortion of Horprasert et al. (1999) with equal variances.
     """
-    now, usual = (
+    current, expected = (
         part[EVERY // 2 :: EVERY, EVERY // 2 :: EVERY].astype(np.float64).reshape(-1, 3)
         for part in (image, mean)
     )
-    bright = (usual**2).sum(axis=1)
-    seen = bright > 3 * 10.0**2  # of a black pixel there is no ratio
-    if not seen.any():
+    bright = (expected**2).sum(axis=1)
+    is_bright = bright > 3 * 10.0**2  # of a black pixel there is no ratio
+    if not is_bright.any():
         return 1.0
-    ratio = float(np.median((now[seen] * usual[seen]).sum(axis=1) / bright[seen]))
+    ratio = float(np.median((current[is_bright] * expected[is_bright]).sum(axis=1) / bright[is_bright]))
     return min(max(ratio, 1.0 / GAIN), GAIN)
 
 

@@ -140,8 +140,8 @@ def back_projection(target: Floats, frame: Floats) -> NDArray[np.uint8]:
 
 def hue_shares(hue_deg: float, sd_deg: float, bins: int) -> Floats:
     """(bins + 1,) a Gaussian round the circle of hue, read at the middle of each bin."""
-    away = ((np.arange(bins) + 0.5) * 360.0 / bins - hue_deg + 180.0) % 360.0 - 180.0
-    height = np.exp(-0.5 * (away / max(sd_deg, 180.0 / bins)) ** 2)
+    difference = ((np.arange(bins) + 0.5) * 360.0 / bins - hue_deg + 180.0) % 360.0 - 180.0
+    height = np.exp(-0.5 * (difference / max(sd_deg, 180.0 / bins)) ** 2)
     return np.append(height / height.sum(), 0.0)
 
 

@@ -100,10 +100,10 @@ class ContourShape:
         boxes = self._candidates(edges, frame)
         if len(boxes) == 0:
             return NOTHING, state
-        found = contours(edges, boxes, np.array([frame.width, frame.height], dtype=np.int64))
+        candidates = contours(edges, boxes, np.array([frame.width, frame.height], dtype=np.int64))
         energies, model = np.full(len(boxes), np.inf), self.model
         score_shapes(
-            fields(found),
+            fields(candidates),
             boxes,
             COVER,
             np.arange(len(boxes)),
@@ -114,7 +114,9 @@ class ContourShape:
             model.mean.size * settings.sd_distance**2,
             energies,
         )
-        scores = np.where(found.support >= settings.min_support, np.exp(-0.5 * energies) * found.support, 0.0)
+        scores = np.where(
+            candidates.support >= settings.min_support, np.exp(-0.5 * energies) * candidates.support, 0.0
+        )
         return select(boxes, scores, frame, settings), state
 
     def _candidates(self, edges: Ints, frame: Frame) -> Floats:
@@ -122,30 +124,32 @@ class ContourShape:
         import cv2
 
         settings = self.parameters
-        drawn = np.zeros((frame.height, frame.width), dtype=np.uint8)
-        drawn[edges[:, 1], edges[:, 0]] = 1
+        edge_mask = np.zeros((frame.height, frame.width), dtype=np.uint8)
+        edge_mask[edges[:, 1], edges[:, 0]] = 1
         if settings.close_px > 0:
             side = 2 * settings.close_px + 1
-            drawn = cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
+            edge_mask = cv2.morphologyEx(edge_mask, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
         # Edges are 8-connected lines: what they enclose is a 4-connected region of the rest.
         corners = [
             cv2.connectedComponentsWithStats(mask, connectivity=way)[2][1:, :4]
-            for mask, way in ((drawn, 8), (1 - drawn, 4))
+            for mask, way in ((edge_mask, 8), (1 - edge_mask, 4))
         ]
         inner = corners[1]
-        open_ = (inner[:, :2] == 0).any(axis=1) | (inner[:, :2] + inner[:, 2:] == drawn.shape[::-1]).any(
+        open_ = (inner[:, :2] == 0).any(axis=1) | (inner[:, :2] + inner[:, 2:] == edge_mask.shape[::-1]).any(
             axis=1
         )
         inner = inner[~open_] + np.array([-1, -1, 2, 2])  # the line around it belongs to it
-        every = np.concatenate([corners[0], inner]).astype(np.float64)
-        width, height = np.maximum(every[:, 2:], 1.0).T
+        rectangles = np.concatenate([corners[0], inner]).astype(np.float64)
+        width, height = np.maximum(rectangles[:, 2:], 1.0).T
         fits = (width * height >= settings.min_area_px) & (width >= settings.min_aspect * height)
         fits &= (width <= settings.max_aspect * height) & (
             width * height <= settings.max_area_share * frame.width * frame.height
         )
-        every = np.unique(every[fits], axis=0)
-        every = every[np.argsort(-every[:, 2] * every[:, 3], kind="stable")][: settings.max_candidates]
-        return centre_from_corner(every)
+        rectangles = np.unique(rectangles[fits], axis=0)
+        rectangles = rectangles[np.argsort(-rectangles[:, 2] * rectangles[:, 3], kind="stable")][
+            : settings.max_candidates
+        ]
+        return centre_from_corner(rectangles)
 
 
 def _make(parameters: ContourShapeParameters) -> Detector:

@@ -87,12 +87,12 @@ class GrayLevel:
         picture = gray(frame.image)
         if settings.median_px > 1:
             picture = cv2.medianBlur(picture, settings.median_px)
-        found, names = [], []
+        parts_of_bands, names = [], []
         for name, evidence in self._evidence(picture):
             boxes, scores = blobs(evidence[picture], 1, settings)
-            found.append((boxes, scores))
+            parts_of_bands.append((boxes, scores))
             names += [name] * len(boxes)
-        boxes, scores = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        boxes, scores = (np.concatenate(parts) for parts in zip(*parts_of_bands, strict=True))
         return select(boxes, scores, frame, settings, names), state
 
     def _evidence(self, picture: Bytes) -> list[tuple[str, Bytes]]:
@@ -105,28 +105,28 @@ class GrayLevel:
         if settings.split == "otsu":
             bands = otsu_bands(counts, settings.levels)
             bands.remove(max(bands, key=lambda band: int(counts[band[0] : band[1] + 1].sum())))
-        inside = [((levels >= low) & (levels <= high)) * np.uint8(SURE) for low, high in bands]
-        return [(f"{low}-{high}", one) for (low, high), one in zip(bands, inside, strict=True)]
+        tables = [((levels >= low) & (levels <= high)) * np.uint8(SURE) for low, high in bands]
+        return [(f"{low}-{high}", table) for (low, high), table in zip(bands, tables, strict=True)]
 
 
-def outliers(counts: NDArray[np.int64], spread: float, least: float) -> Bytes:
+def outliers(counts: NDArray[np.int64], spread: float, min_difference: float) -> Bytes:
     """(256,) evidence of each gray level of a histogram (256,): how far it is from the usual one.
 
-    t = max(`spread` robust standard deviations, `least`) around the median; 0 up to t, half of `SURE` from
-    there on, `SURE` from 2 t on.
+    t = max(`spread` robust standard deviations, `min_difference`) around the median; 0 up to t,
+    half of `SURE` from there on, `SURE` from 2 t on.
     """
     levels = np.arange(256)
     middle = _median(counts, levels)
-    away = np.abs(levels - middle)
-    limit = max(spread * SD_OF_MAD * _median(counts, away), least)
-    share = np.where(away > limit, np.minimum(away / (2.0 * limit), 1.0), 0.0)
+    distance = np.abs(levels - middle)
+    limit = max(spread * SD_OF_MAD * _median(counts, distance), min_difference)
+    share = np.where(distance > limit, np.minimum(distance / (2.0 * limit), 1.0), 0.0)
     return np.asarray(np.rint(SURE * share), dtype=np.uint8)
 
 
 def _median(counts: NDArray[np.int64], values: NDArray[np.int64]) -> int:
     order = np.argsort(values, kind="stable")
-    below = np.cumsum(counts[order])
-    return int(values[order[np.searchsorted(below, (below[-1] + 1) // 2)]])
+    cumulated = np.cumsum(counts[order])
+    return int(values[order[np.searchsorted(cumulated, (cumulated[-1] + 1) // 2)]])
 
 
 def otsu_bands(counts: NDArray[np.int64], levels: int) -> list[tuple[int, int]]:
@@ -140,11 +140,11 @@ def otsu_bands(counts: NDArray[np.int64], levels: int) -> list[tuple[int, int]]:
     # between-class variance of values low .. high - 1, up to a constant
     gain = np.divide(moment**2, mass, out=np.zeros_like(mass), where=mass > 0)
     gain[np.tril_indices(257)] = -np.inf  # a band holds at least one value
-    best, cuts = gain[0], []
+    gains, cuts = gain[0], []
     for _ in range(levels - 1):
-        through = best[:, None] + gain
+        through = gains[:, None] + gain
         cuts.append(through.argmax(axis=0))
-        best = through.max(axis=0)
+        gains = through.max(axis=0)
     ends = [256]
     for cut in reversed(cuts):
         ends.append(int(cut[ends[-1]]))

@@ -90,48 +90,55 @@ class MotionDetector:
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         """Moving regions; none without an earlier frame of the same size, or in one of a few pixels."""
-        settings, frame, before = self.parameters, frames.current, frames.previous
-        if before is None or before.image.shape != frame.image.shape or frame.time <= before.time:
+        settings, frame, previous = self.parameters, frames.current, frames.previous
+        if previous is None or previous.image.shape != frame.image.shape or frame.time <= previous.time:
             return NOTHING, state
         if min(frame.width, frame.height) < LEAST_SIDE:
             return NOTHING, state
-        moved = moving(gray(frame.image), gray(before.image), frame.time - before.time, settings)
-        found = regions((moved.evidence > 0).astype(np.uint8), settings)
+        motion = moving(gray(frame.image), gray(previous.image), frame.time - previous.time, settings)
+        components = regions((motion.evidence > 0).astype(np.uint8), settings)
         tight = [
-            _tighten(moved, found.numbers, int(number), corner)
-            for number, corner in zip(found.kept[:MOST], found.corners, strict=False)
+            _tighten(motion, components.numbers, int(number), corner)
+            for number, corner in zip(components.kept[:MOST], components.corners, strict=False)
         ]
         rows = np.array([row for row in tight if row is not None]).reshape(-1, 5)
         return select(rows[:, :4], rows[:, 4], frame, settings), state
 
 
-def moving(now: Bytes, then: Bytes, interval: float, settings: MotionParameters) -> Moved:
+def moving(current: Bytes, previous: Bytes, interval: float, settings: MotionParameters) -> Moved:
     """Mask of what moves between two gray images (H, W), `interval` frame intervals apart."""
     import cv2
 
-    now, then = (cv2.GaussianBlur(picture, (3, 3), 0) for picture in (now, then))
+    current, previous = (cv2.GaussianBlur(picture, (3, 3), 0) for picture in (current, previous))
     preset = cv2.DISOPTICAL_FLOW_PRESET_FAST if settings.flow == "fast" else cv2.DISOPTICAL_FLOW_PRESET_MEDIUM
-    flow = cv2.DISOpticalFlow.create(preset).calc(now, then, None)
-    held = then
+    flow = cv2.DISOpticalFlow.create(preset).calc(current, previous, None)
+    compensated = previous
     if settings.camera == "moving":
-        rows, columns = (np.arange(size, dtype=np.float32) for size in now.shape)
+        rows, columns = (np.arange(size, dtype=np.float32) for size in current.shape)
         drift = _affine(flow).astype(np.float32)
         expected = drift[0] + drift[1] * columns[None, :, None] + drift[2] * rows[:, None, None]
-        across, down = expected[..., 0] + columns, expected[..., 1] + rows[:, None]
-        held = cv2.remap(then, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        x_before, y_before = expected[..., 0] + columns, expected[..., 1] + rows[:, None]
+        compensated = cv2.remap(
+            previous, x_before, y_before, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
         flow = flow - expected
         # what comes into the picture is new to it, not changed
-        outside = (across < 0) | (down < 0) | (across > now.shape[1] - 1) | (down > now.shape[0] - 1)
-        flow[outside], held[outside] = 0.0, now[outside]
+        beyond = (
+            (x_before < 0)
+            | (y_before < 0)
+            | (x_before > current.shape[1] - 1)
+            | (y_before > current.shape[0] - 1)
+        )
+        flow[beyond], compensated[beyond] = 0.0, current[beyond]
     limit = settings.min_speed_px * interval
     speed = np.hypot(flow[..., 0], flow[..., 1])
     share = np.minimum(speed * np.float32(SURE / (2.0 * limit)), np.float32(SURE))
     evidence = np.where(speed >= limit, np.maximum(share, 1.0), 0.0).astype(np.uint8)
-    return Moved(flow, evidence, cv2.absdiff(now, held) > settings.min_change)
+    return Moved(flow, evidence, cv2.absdiff(current, compensated) > settings.min_change)
 
 
 def _tighten(
-    moved: Moved, numbers: NDArray[np.int32], number: int, corner: NDArray[np.int64]
+    motion: Moved, numbers: NDArray[np.int32], number: int, corner: NDArray[np.int64]
 ) -> tuple[float, float, float, float, float] | None:
     """Centre box and score of a region; None when nothing in it has changed: without texture flow is a guess.
 
@@ -140,19 +147,19 @@ def _tighten(
     """
     x, y, w, h = (int(value) for value in corner)
     window = (slice(y, y + h), slice(x, x + w))
-    inside = numbers[window] == number
-    changed = inside & moved.changed[window]
-    if not changed.any():
+    in_region = numbers[window] == number
+    has_changed = in_region & motion.changed[window]
+    if not has_changed.any():
         return None
-    left_x, left_y = -np.median(moved.flow[window][changed], axis=0)
-    columns, rows = (np.flatnonzero(changed.any(axis=axis)) for axis in (0, 1))
+    left_x, left_y = -np.median(motion.flow[window][has_changed], axis=0)
+    columns, rows = (np.flatnonzero(has_changed.any(axis=axis)) for axis in (0, 1))
     low, high = np.array([columns[0], rows[0]]) - 0.5, np.array([columns[-1], rows[-1]]) + 0.5
     step = np.array([left_x, left_y])
     step = np.clip(step, -0.5 * (high - low), 0.5 * (high - low))
     low, high = low + np.maximum(step, 0.0), high + np.minimum(step, 0.0)
     begin, end = np.floor(low + 0.5).astype(int), np.ceil(high + 0.5).astype(int)
     part = (slice(begin[1], end[1]), slice(begin[0], end[0]))
-    evidence = moved.evidence[window][part][inside[part]].sum(dtype=np.int64)
+    evidence = motion.evidence[window][part][in_region[part]].sum(dtype=np.int64)
     score = float(evidence) / (SURE * float(np.prod(end - begin)))
     centre, size = (low + high) / 2 + (x, y), high - low
     return float(centre[0]), float(centre[1]), float(size[0]), float(size[1]), score
@@ -173,9 +180,9 @@ def _affine(flow: NDArray[np.float32]) -> Floats:
     fitted = np.zeros((3, 2))
     fitted[0] = np.median(values, axis=0)
     for _ in range(ROUNDS):
-        away = np.hypot(*(values - np.einsum("nk,kc->nc", base, fitted)).T)
-        scale = max(1.4826 * float(np.median(away)), 0.1)
-        weight = 1.0 / (1.0 + (away / scale) ** 2) ** 2
+        residuals = np.hypot(*(values - np.einsum("nk,kc->nc", base, fitted)).T)
+        scale = max(1.4826 * float(np.median(residuals)), 0.1)
+        weight = 1.0 / (1.0 + (residuals / scale) ** 2) ** 2
         normal = np.einsum("nk,n,nj->kj", base, weight, base) + 1e-6 * weight.sum() * np.eye(3)
         fitted = np.linalg.solve(normal, np.einsum("nk,n,nc->kc", base, weight, values))
     return np.asarray(fitted / scales[:, None])

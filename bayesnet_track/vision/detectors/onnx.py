@@ -68,7 +68,7 @@ STRIDES = (8, 16, 32)
 """Pixels of the input between the cells of each of YOLOX's grids, in the order of its rows."""
 
 
-def from_grids(found: Found, width: int, height: int) -> Found:
+def from_grids(raw: Found, width: int, height: int) -> Found:
     """Boxes of YOLOX in pixels of the input: given from their cell, in cells, the sides as logarithms.
 
     Raises:
@@ -79,15 +79,15 @@ def from_grids(found: Found, width: int, height: int) -> Found:
         y, x = np.mgrid[: height // stride, : width // stride]
         cells.append(np.stack([x, y, np.full_like(x, stride)], axis=-1).reshape(-1, 3))
     grid = np.concatenate(cells).astype(np.float64)
-    if len(grid) != len(found.boxes):
+    if len(grid) != len(raw.boxes):
         raise LayoutError(
-            f"gives {len(found.boxes)} rows; the layout wants {len(grid)}, one for each cell of an input of "
+            f"gives {len(raw.boxes)} rows; the layout wants {len(grid)}, one for each cell of an input of "
             f"{width}x{height} px with strides {', '.join(map(str, STRIDES))}"
         )
     side = grid[:, 2:]
-    sides = np.exp(np.minimum(found.boxes[:, 2:], 20.0)) * side
-    boxes = np.concatenate([(found.boxes[:, :2] + grid[:, :2]) * side, sides], axis=1)
-    return replace(found, boxes=boxes)
+    sides = np.exp(np.minimum(raw.boxes[:, 2:], 20.0)) * side
+    boxes = np.concatenate([(raw.boxes[:, :2] + grid[:, :2]) * side, sides], axis=1)
+    return replace(raw, boxes=boxes)
 
 
 def yolo_end_to_end(output: Floats) -> Found:
@@ -118,18 +118,20 @@ LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
 
 def fitting(outputs: Sequence[Floats], layout: str) -> Found:
     """Detections of the one output that is of the layout; raises LayoutError where none or several are."""
-    found, refused = [], []
+    readings, refused = [], []
     for output in outputs:
         try:
-            found.append(LAYOUTS[layout](output))
+            readings.append(LAYOUTS[layout](output))
         except LayoutError as error:
             refused.append(error)
-    if len(found) == 1:
-        return found[0]
+    if len(readings) == 1:
+        return readings[0]
     if len(outputs) == 1:
         raise refused[0]
     shapes = ", ".join(_shape(output) for output in outputs)
-    raise LayoutError(f"gives outputs of {shapes}; {len(found)} of them fit layout {layout}, one is needed")
+    raise LayoutError(
+        f"gives outputs of {shapes}; {len(readings)} of them fit layout {layout}, one is needed"
+    )
 
 
 def _best(table: Floats) -> Found:
@@ -148,19 +150,19 @@ def _shape(output: Floats) -> str:
     return " x ".join(str(side) for side in output.shape)
 
 
-def _table(output: Floats, least: int, most: int | None, wanted: str) -> Floats:
+def _table(output: Floats, min_columns: int, max_columns: int | None, layout_words: str) -> Floats:
     """The output as (N, columns), without sides of 1 in front, and turned where columns come first."""
     table = output
     while table.ndim > 2 and table.shape[0] == 1:
         table = table[0]
     if table.ndim == 2:
-        fits = [least <= side and (most is None or side <= most) for side in table.shape]
+        fits = [min_columns <= side and (max_columns is None or side <= max_columns) for side in table.shape]
         # With as many classes as may be, rows are the longer side: a network gives more boxes than classes.
-        first = table.shape[0] < table.shape[1] if most is None else fits[0] and not fits[1]
+        first = table.shape[0] < table.shape[1] if max_columns is None else fits[0] and not fits[1]
         table = table.T if first and fits[0] else table
         if (fits[0] if first else fits[1]) or table.size == 0:
             return np.asarray(table)
-    raise LayoutError(f"gives an output of {_shape(output)}; the layout wants {wanted}")
+    raise LayoutError(f"gives an output of {_shape(output)}; the layout wants {layout_words}")
 
 
 class OnnxParameters(DetectorParameters):
@@ -213,21 +215,21 @@ class Onnx:
         """Detections of the network; raises DetectorError where its output is not of the layout."""
         frame, settings = frames.current, self.parameters
         shrink, rim, blob = self._input(frame.image)
-        found = self._found(self.forward(blob))
-        boxes = found.boxes.copy()
+        raw = self._found(self.forward(blob))
+        boxes = raw.boxes.copy()
         if settings.units == "share":
             boxes *= np.tile([settings.input_width, settings.input_height], 2)
         # An edge at 0 of the network is the frame's edge, which is half a pixel left of its first centre.
         boxes[:, :2] = (boxes[:, :2] - rim) / shrink - 0.5
         boxes[:, 2:] /= shrink
-        labels = [self._label(number) for number in found.classes]
-        scores = found.scores
+        labels = [self._label(number) for number in raw.classes]
+        scores = raw.scores
         if settings.keep:
-            named = zip(labels, found.classes, strict=True)
-            kept = [
+            named = zip(labels, raw.classes, strict=True)
+            indices = [
                 k for k, names in enumerate(named) if not {str(n) for n in names}.isdisjoint(settings.keep)
             ]
-            boxes, scores, labels = boxes[kept], scores[kept], [labels[k] for k in kept]
+            boxes, scores, labels = boxes[indices], scores[indices], [labels[k] for k in indices]
         return select(boxes, scores, frame, settings, labels), state
 
     def _input(self, image: NDArray[np.uint8]) -> tuple[Floats, Floats, Any]:
@@ -267,18 +269,18 @@ class Onnx:
         for label in settings.keep:
             is_number = label.isdecimal() and (classes is None or int(label) < classes)
             if label not in names and not is_number:
-                known = ", ".join(names) or "none: give `classes`, or numbers"
+                class_names = ", ".join(names) or "none: give `classes`, or numbers"
                 numbers = "" if classes is None else f"; numbers 0 to {classes - 1}"
-                raise DetectorError(f"`keep` has {label!r}; names of classes: {known[:300]}{numbers}")
+                raise DetectorError(f"`keep` has {label!r}; names of classes: {class_names[:300]}{numbers}")
 
     def _found(self, outputs: Any) -> Found:
         settings = self.parameters
         try:
             arrays = [np.asarray(output, dtype=np.float64) for output in outputs]
-            found = fitting(arrays, settings.layout)
+            raw = fitting(arrays, settings.layout)
             if settings.layout == "yolox":
-                found = from_grids(found, settings.input_width, settings.input_height)
-            return found
+                raw = from_grids(raw, settings.input_width, settings.input_height)
+            return raw
         except LayoutError as error:
             raise DetectorError(f"{settings.model}: {error}") from error
 
@@ -297,8 +299,8 @@ def _make(parameters: OnnxParameters) -> Detector:
         raise DetectorError(
             f"{path}: no such model file; the key model of the detector onnx takes the path of an ONNX file"
         )
-    given = parameters.model_dump(mode="json")
-    check_apart(try_network, [parameters.model], DetectorError, parameters=given)
+    settings = parameters.model_dump(mode="json")
+    check_apart(try_network, [parameters.model], DetectorError, parameters=settings)
     return _load(parameters)
 
 

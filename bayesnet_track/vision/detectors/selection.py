@@ -79,32 +79,34 @@ def regions(mask: Evidence, parameters: BlobParameters) -> Regions:
             mask = cv2.morphologyEx(mask, how, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
     _, numbers, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     area = stats[:, cv2.CC_STAT_WIDTH].astype(np.int64) * stats[:, cv2.CC_STAT_HEIGHT]
-    kept = np.flatnonzero(area >= parameters.min_area_px)
-    kept = kept[kept > 0]  # 0 is what lies outside all regions
-    kept = kept[np.argsort(-area[kept], kind="stable")][:CANDIDATES]
-    return Regions(numbers, kept, stats[kept, :4].astype(np.int64))
+    large = np.flatnonzero(area >= parameters.min_area_px)
+    large = large[large > 0]  # 0 is what lies outside all regions
+    large = large[np.argsort(-area[large], kind="stable")][:CANDIDATES]
+    return Regions(numbers, large, stats[large, :4].astype(np.int64))
 
 
-def blobs(evidence: Evidence, above: int, parameters: BlobParameters) -> tuple[Floats, Floats]:
-    """Boxes and scores of the 4-connected regions whose evidence is at least `above`.
+def blobs(evidence: Evidence, threshold: int, parameters: BlobParameters) -> tuple[Floats, Floats]:
+    """Boxes and scores of the 4-connected regions whose evidence is at least `threshold`.
 
     Args:
         evidence: (H, W) for a target at each pixel, 0 .. `SURE`.
-        above: least evidence of a pixel, at least 1.
+        threshold: least evidence of a pixel, at least 1.
         parameters: how regions are cleaned and joined first, and the least area of a box.
 
     Returns:
         (N, 4) centre boxes; (N,) scores: mean evidence over the box of the region's own pixels at least
-        `above`, 0..1. At most `CANDIDATES`, those with the largest areas.
+        `threshold`, 0..1. At most `CANDIDATES`, those with the largest areas.
     """
-    mask = evidence >= above
-    found = regions(mask.astype(np.uint8), parameters)
-    if len(found.kept) == 0:
+    mask = evidence >= threshold
+    components = regions(mask.astype(np.uint8), parameters)
+    if len(components.kept) == 0:
         return np.empty((0, 4)), np.empty(0)
-    seen = np.where(mask, evidence, 0)
-    total = np.bincount(found.numbers.ravel(), weights=seen.ravel())  # whole numbers: exact in any order
-    area = np.prod(found.corners[:, 2:], axis=1)
-    return centre_from_corner(found.corners), np.asarray(total[found.kept] / (SURE * area))
+    evidence_inside = np.where(mask, evidence, 0)
+    total = np.bincount(
+        components.numbers.ravel(), weights=evidence_inside.ravel()
+    )  # whole numbers: exact in any order
+    area = np.prod(components.corners[:, 2:], axis=1)
+    return centre_from_corner(components.corners), np.asarray(total[components.kept] / (SURE * area))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +127,10 @@ class Selected:
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         """The best of its finds."""
-        found, after = self.detector.detect(frames, state)
-        return select(found.boxes, found.scores, frames.current, self.parameters, found.labels), after
+        detections, next_state = self.detector.detect(frames, state)
+        return select(
+            detections.boxes, detections.scores, frames.current, self.parameters, detections.labels
+        ), next_state
 
 
 def select(
@@ -156,17 +160,17 @@ def select(
         )
     names = [""] * len(boxes) if labels is None else labels
     areas = (parameters.min_area_px, parameters.max_area_share * frame.width * frame.height)
-    left = find_fitting(boxes, scores, (frame.width, frame.height), areas, parameters.min_score)
-    left = left[_best_first(boxes[left], scores[left])]
+    remaining = find_fitting(boxes, scores, (frame.width, frame.height), areas, parameters.min_score)
+    remaining = remaining[_best_first(boxes[remaining], scores[remaining])]
     if parameters.max_overlap < 1.0:
         candidates = max(CANDIDATES, parameters.max_count)
-        left = left[:candidates]
-        left = left[keep_best(boxes[left], parameters.max_overlap, candidates)]
-    chosen = left[: parameters.max_count]
-    if not len(chosen):
+        remaining = remaining[:candidates]
+        remaining = remaining[keep_best(boxes[remaining], parameters.max_overlap, candidates)]
+    selected = remaining[: parameters.max_count]
+    if not len(selected):
         return NOTHING
-    kinds = tuple([str(names[k]) for k in chosen.tolist()])
-    return Detections(boxes[chosen], scores[chosen], kinds, len(left) - len(chosen))
+    kinds = tuple([str(names[k]) for k in selected.tolist()])
+    return Detections(boxes[selected], scores[selected], kinds, len(remaining) - len(selected))
 
 
 def _best_first(boxes: Floats, scores: Floats) -> NDArray[np.int64]:
@@ -179,7 +183,7 @@ def _best_first(boxes: Floats, scores: Floats) -> NDArray[np.int64]:
 
 
 def left_out(
-    found: Mapping[int, Detections],
+    detections: Mapping[int, Detections],
     parameters: DetectorParameters,
     size: tuple[int, int],
     labels: Collection[str] = (),
@@ -187,7 +191,7 @@ def left_out(
     """Numbers of detections that are not used by reason, the first that holds; it names the key.
 
     Args:
-        found: index of a frame -> its detections.
+        detections: index of a frame -> its detections.
         parameters: what of them is kept.
         size: width and height of the frames in px.
         labels: labels that are kept; all when empty.
@@ -207,19 +211,19 @@ def left_out(
         f"overlap a better one by more than max_overlap {p.max_overlap:g}, or exceed max_count {p.max_count}",
     ]
     counts = np.zeros(len(names), dtype=np.int64)
-    for one in found.values():
-        area = one.boxes[:, 2:].prod(axis=1)
-        apart = np.abs(2.0 * one.boxes[:, :2] - (np.array(size) - 1)) >= one.boxes[:, 2:] + size
+    for of_frame in detections.values():
+        area = of_frame.boxes[:, 2:].prod(axis=1)
+        beyond = np.abs(2.0 * of_frame.boxes[:, :2] - (np.array(size) - 1)) >= of_frame.boxes[:, 2:] + size
         causes = [
-            np.array([bool(labels) and label not in labels for label in one.labels]),
-            one.scores < p.min_score,
-            apart.any(axis=1),
+            np.array([bool(labels) and label not in labels for label in of_frame.labels]),
+            of_frame.scores < p.min_score,
+            beyond.any(axis=1),
             area < p.min_area_px,
             area > p.max_area_share * width * height,
         ]
-        first = np.argmax([*causes, np.ones(len(one), dtype=bool)], axis=0)
+        first = np.argmax([*causes, np.ones(len(of_frame), dtype=bool)], axis=0)
         counts[:5] += np.bincount(first, minlength=6)[:5]
         fits = first == 5
-        kept = select(one.boxes[fits], one.scores[fits], frame, p)
-        counts[5] += fits.sum() - len(kept)
+        selected = select(of_frame.boxes[fits], of_frame.scores[fits], frame, p)
+        counts[5] += fits.sum() - len(selected)
     return {name: int(count) for name, count in zip(names, counts, strict=True) if count}
