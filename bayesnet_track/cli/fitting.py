@@ -100,7 +100,8 @@ def _line(parameter: Estimate) -> str:
         remark = f"; the graph's {parameter.before:g} stays" if parameter.before == parameter.before else ""
         return f"{name}: the boxes do not tell; best {parameter.value:.3g}{remark}"
     previous_value = f"; before {parameter.before:g}" if parameter.before == parameter.before else ""
-    return f"{name}: {parameter.value:.3g}, 90 % interval {parameter.low:.3g} to {parameter.high:.3g}{previous_value}"
+    interval = f"90 % interval {parameter.low:.3g} to {parameter.high:.3g}"
+    return f"{name}: {parameter.value:.3g}, {interval}{previous_value}"
 
 
 def write_motion(text: str, node: tuple[str, ...], estimates: Sequence[Estimate], from_what: str) -> str:
@@ -111,7 +112,8 @@ def write_motion(text: str, node: tuple[str, ...], estimates: Sequence[Estimate]
         if not parameter.is_known or parameter.before != parameter.before:
             continue
         value = float(f"{parameter.value:.3g}")
-        comment = f"{parameter.path[-1]} {parameter.low:.3g} to {parameter.high:.3g} (90 %), by evidence; {from_what}"
+        interval = f"{parameter.low:.3g} to {parameter.high:.3g} (90 %)"
+        comment = f"{parameter.path[-1]} {interval}, by evidence; {from_what}"
         try:
             text = set_value(text, (*node, *parameter.path), value, comment)
         except KeyError:  # `motion: constant_velocity`, all defaults

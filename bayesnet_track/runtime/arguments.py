@@ -42,8 +42,8 @@ MOST_MS = 1e7
 """`budget_ms` is below it."""
 
 
-def whole(name: str, value: SupportsIndex, least: int) -> int:
-    """A whole number from `least` on, of any integer type.
+def whole(name: str, value: SupportsIndex, minimum: int) -> int:
+    """A whole number from `minimum` on, of any integer type.
 
     >>> whole("stride", 3, 1)
     3
@@ -52,11 +52,11 @@ def whole(name: str, value: SupportsIndex, least: int) -> int:
         ValueError: it is another value.
     """
     try:
-        number = least - 1 if isinstance(value, bool) else operator.index(value)
+        number = minimum - 1 if isinstance(value, bool) else operator.index(value)
     except TypeError:
-        number = least - 1
-    if number < least:
-        raise ValueError(f"{name}={value!r}: a whole number from {least} on is needed")
+        number = minimum - 1
+    if number < minimum:
+        raise ValueError(f"{name}={value!r}: a whole number from {minimum} on is needed")
     return number
 
 
@@ -104,10 +104,10 @@ def say_unused_by_cues(graph: CheckedGraph, source: FrameSource | None = None) -
 
 def _unused_by_cues(graph: CheckedGraph, frames: range) -> Iterator[str]:
     for plate in graph.targets.values():
-        for _, _, chosen in plate.spec.cue_choices():
-            declaration = graph.declarations[chosen.cue]
+        for _, _, choice in plate.spec.cue_choices():
+            declaration = graph.declarations[choice.cue]
             if declaration.unused is not None:
-                yield from declaration.unused(cue_parameters(chosen, declaration), frames)
+                yield from declaration.unused(cue_parameters(choice, declaration), frames)
 
 
 def frames_of(source: FrameSource | None) -> range:
@@ -140,30 +140,30 @@ class GivenFrames:
         for reason in explain_unused(graph, self.found, size, self.frames):
             notice(f"{self.file}: {reason}")
 
-    def say_at_end(self, last: int) -> None:
-        """A notice of detections after frame `last`, the last one that there was, if not said before."""
-        stop = last + self.frames.step
+    def say_at_end(self, last_frame: int) -> None:
+        """A notice of detections after frame `last_frame`, the final one, if not said before."""
+        stop = last_frame + self.frames.step
         if stop < self.frames.stop:
             for reason in _explain_frames(self.found, range(self.frames.start, stop, self.frames.step)):
                 notice(f"{self.file}: {reason}")
 
 
 def explain_unused(
-    graph: CheckedGraph, found: DetectionsByFrame, size: tuple[int, int], frames: range
+    graph: CheckedGraph, detections: DetectionsByFrame, size: tuple[int, int], frames: range
 ) -> Iterator[str]:
     """A sentence for each reason to think that detections, video and graph do not go together.
 
     Args:
         graph: the graph.
-        found: index of a frame -> its detections, in pixels of the frames that are tracked.
+        detections: index of a frame -> its detections, in pixels of the frames that are tracked.
         size: width and height of these frames, px.
         frames: indices of the frames that are read; up to `sys.maxsize` where their number is not known.
     """
-    if not any(map(len, found.values())):
+    if not any(map(len, detections.values())):
         yield "no detection in it"
         return
-    yield from _explain_frames(found, frames)
-    read = {index: one for index, one in found.items() if index in frames}
+    yield from _explain_frames(detections, frames)
+    read = {index: of_frame for index, of_frame in detections.items() if index in frames}
     first = min(read, default=0)
     step = gcd(*(index - first for index in read))
     if step > frames.step:
@@ -184,42 +184,43 @@ def explain_unused(
             yield f"{sum(unused.values())} of {total} detections are not used: {reasons}"
 
 
-def _explain_frames(found: DetectionsByFrame, frames: range) -> Iterator[str]:
+def _explain_frames(detections: DetectionsByFrame, frames: range) -> Iterator[str]:
     """Describe detections outside of the frames that are read or between them, and frames that have none."""
-    read = sorted(index for index in found if index in frames)
+    read = sorted(index for index in detections if index in frames)
     is_endless = frames.stop == maxsize
     span = f"{frames.start}" + (" and later ones" if is_endless else f" to {max(frames.stop - 1, 0)}")
-    if found and not read:
+    if detections and not read:
         yield (
-            f"no detection is of a frame that is read: they are of the frames {min(found)} to {max(found)}, "
-            f"and {span} are read (both counted from 0; a MOT file counts from 1){QUESTION}"
+            f"no detection is of a frame that is read: they are of the frames "
+            f"{min(detections)} to {max(detections)}, and {span} are read "
+            f"(both counted from 0; a MOT file counts from 1){QUESTION}"
         )
         return
-    total = sum(map(len, found.values()))
-    within = range(frames.start, frames.stop)
-    outside = {
-        f"before the first one that is read{QUESTION}": [one for one in found if one < frames.start],
-        f"after the last one that is read{QUESTION}": [one for one in found if one >= frames.stop],
+    total = sum(map(len, detections.values()))
+    span_read = range(frames.start, frames.stop)
+    unread_frames = {
+        f"before the first one that is read{QUESTION}": [one for one in detections if one < frames.start],
+        f"after the last one that is read{QUESTION}": [one for one in detections if one >= frames.stop],
         f"which a stride of {frames.step} leaves out": [
-            one for one in found if one in within and one not in frames
+            one for one in detections if one in span_read and one not in frames
         ],
     }
-    for where, indices in outside.items():
+    for reason, indices in unread_frames.items():
         if indices:
-            place, _, question = where.partition(":")
+            place, _, question = reason.partition(":")
             yield (
-                f"{sum(len(found[one]) for one in indices)} of {total} detections are of frames {place} "
+                f"{sum(len(detections[one]) for one in indices)} of {total} detections are of frames {place} "
                 f"({min(indices)} to {max(indices)}; {span} are read, counted from 0)"
                 f"{':' * bool(question)}{question}"
             )
     if not read or is_endless:
         return
     empty = {"first": (frames.start, read[0] - 1), "last": (read[-1] + 1, frames.stop - 1)}
-    for which, (first, last) in empty.items():
-        length = (last - first + 1) // frames.step
+    for end, (first, final) in empty.items():
+        length = (final - first + 1) // frames.step
         if length >= LONG and length >= LONG_SHARE * len(frames):
             yield (
-                f"no detection is of the {which} {length} frames ({first} to {last}; {span} are read, "
+                f"no detection is of the {end} {length} frames ({first} to {final}; {span} are read, "
                 f"counted from 0){QUESTION}"
             )
 
@@ -228,7 +229,7 @@ def _explain_places(read: DetectionsByFrame, size: tuple[int, int]) -> Iterator[
     """Boxes that begin inside and reach far out of the frame, as corners do that are given as sizes."""
     if not read:
         return
-    boxes = corner_from_centre(np.concatenate([one.boxes for one in read.values()]))
+    boxes = corner_from_centre(np.concatenate([of_frame.boxes for of_frame in read.values()]))
     yield from explain_corners(boxes, size, "detections")
 
 
@@ -257,9 +258,9 @@ def prepare_engine(
     detector: FileDetector | ScanFile | None,
 ) -> Engine:
     """The engine of a run, with the detector of a file where there is one; raises as `track`."""
-    own = None if motion is None else dict.fromkeys(graph.targets, motion)
-    given: dict[str, Any] = {} if detector is None else {GIVEN: detector}
-    return make_engine(graph, seed, motion=own, detectors=given)
+    motions = None if motion is None else dict.fromkeys(graph.targets, motion)
+    detectors: dict[str, Any] = {} if detector is None else {GIVEN: detector}
+    return make_engine(graph, seed, motion=motions, detectors=detectors)
 
 
 def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
@@ -284,15 +285,15 @@ def held_files(directory: RunDirectory, truth: str | None) -> dict[str, bytes]:
     Raises:
         OutputError: one cannot be read or written.
     """
-    found = {} if truth is None else {"truth": truth.encode("utf-8")}
-    for key, data in found.items():  # earlier versions wrote it in the end
+    contents = {} if truth is None else {"truth": truth.encode("utf-8")}
+    for key, data in contents.items():  # earlier versions wrote it in the end
         write_atomically(directory.path / FILES[key], data)
     for key in ("graph", "truth", "recipe"):
         path = directory.path / FILES[key]
         with writing(path):
             if path.exists():
-                found[key] = path.read_bytes()
-    return found
+                contents[key] = path.read_bytes()
+    return contents
 
 
 def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:

@@ -51,7 +51,7 @@ def _columns(plate: CheckedTarget, agent: str) -> SensorColumns:
         frozenset(
             name
             for name in quantities
-            if isinstance(one := terms.get(name), Call) and one.function in LENGTHS
+            if isinstance(term := terms.get(name), Call) and term.function in LENGTHS
         ),
     )
 
@@ -102,7 +102,7 @@ def source_or_times(
 
 def _quantities(graph: CheckedGraph) -> list[str]:
     """The quantities of all sensors of a graph, each once."""
-    return list(dict.fromkeys(name for one in sensors_of(graph).values() for name in one.quantities))
+    return list(dict.fromkeys(name for sensor in sensors_of(graph).values() for name in sensor.quantities))
 
 
 def check_scans(
@@ -138,15 +138,17 @@ def check_scans(
             "'frame' with the numbers of its frames"
         )
     frames = frames_of(source)
-    outside = sorted(one for one in detector.found if one not in frames)
-    if outside:
+    unread = sorted(frame for frame in detector.found if frame not in frames)
+    if unread:
         notice(
-            f"{detections}: the rows of {len(outside)} of {len(detector.found)} frames are not read: "
-            f"{few(outside)}; frames count from 0"
+            f"{detections}: the rows of {len(unread)} of {len(detector.found)} frames are not read: "
+            f"{few(unread)}; frames count from 0"
         )
 
 
-def read_scans(given: Any, sensors: Mapping[str, SensorColumns]) -> tuple[dict[str, Scan], dict[str, Any]]:
+def read_scans(
+    detections: Any, sensors: Mapping[str, SensorColumns]
+) -> tuple[dict[str, Scan], dict[str, Any]]:
     """What a program gives for a frame: agent -> scan, and agent -> the rows (n,) of what can be used.
 
     Raises:
@@ -154,35 +156,35 @@ def read_scans(given: Any, sensors: Mapping[str, SensorColumns]) -> tuple[dict[s
         ValueError: an unknown sensor or quantity, columns of different lengths, or numbers in another unit.
     """
     names = ", ".join(sensors)
-    if not isinstance(given, Mapping):
+    if not isinstance(detections, Mapping):
         first = next(iter(sensors))
-        example = ", ".join(f'"{one}": [..]' for one in sensors[first].quantities)
+        example = ", ".join(f'"{quantity}": [..]' for quantity in sensors[first].quantities)
         raise TypeError(
             f'detections of sensors are a mapping, such as {{"{first}": {{{example}}}}}, not of type '
-            f"{type(given).__name__}"
+            f"{type(detections).__name__}"
         )
     scans, rows = {}, {}
-    for agent, seen in given.items():
+    for agent, columns in detections.items():
         if agent not in sensors:
             raise ValueError(f"detections of {agent!r}; the graph's sensors are {names}")
-        scans[agent], rows[agent] = _read_scan(seen, agent, sensors[agent])
+        scans[agent], rows[agent] = _read_scan(columns, agent, sensors[agent])
     return scans, rows
 
 
-def _read_scan(seen: Any, agent: str, columns: SensorColumns) -> tuple[Scan, Any]:
+def _read_scan(scan: Any, agent: str, columns: SensorColumns) -> tuple[Scan, Any]:
     quantities = ", ".join(columns.quantities)
-    if not isinstance(seen, Mapping):
-        raise TypeError(f"{agent}: a mapping of {quantities} to columns is needed, not {type(seen).__name__}")
-    unknown = [one for one in seen if one not in (*columns.quantities, "score")]
-    missing = [one for one in columns.quantities if one not in seen]
+    if not isinstance(scan, Mapping):
+        raise TypeError(f"{agent}: a mapping of {quantities} to columns is needed, not {type(scan).__name__}")
+    unknown = [column for column in scan if column not in (*columns.quantities, "score")]
+    missing = [column for column in columns.quantities if column not in scan]
     if unknown or missing:
         fault = f"no {missing[0]!r}" if missing else f"unknown {unknown[0]!r}"
         raise ValueError(f"{agent}: {fault}; it measures {quantities}, and may have a score")
     try:
-        cells = {name: np.atleast_1d(np.asarray(one, dtype=np.float64)) for name, one in seen.items()}
+        cells = {name: np.atleast_1d(np.asarray(column, dtype=np.float64)) for name, column in scan.items()}
     except (TypeError, ValueError) as error:
         raise ValueError(f"{agent}: real numbers are needed: {error}") from error
-    shapes = {name: one.shape for name, one in cells.items()}
+    shapes = {name: column.shape for name, column in cells.items()}
     count = len(cells[columns.quantities[0]])
     for name, shape in shapes.items():
         if shape != (count,):
@@ -198,10 +200,10 @@ def _read_scan(seen: Any, agent: str, columns: SensorColumns) -> tuple[Scan, Any
     usable = np.array(finite, dtype=np.bool_)
     usable[finite] = columns.inside(values[finite])
     if not usable.all():
-        left = np.flatnonzero(~usable).tolist()
+        left_out = np.flatnonzero(~usable).tolist()
         notice(
-            f"{agent}: {len(left)} of {count} detections are not finite or outside of `within`, and left "
-            f"out: row {few(left)}"
+            f"{agent}: {len(left_out)} of {count} detections are not finite or outside of `within`, and left "
+            f"out: row {few(left_out)}"
         )
     return Scan(values[usable], scores[usable]), np.flatnonzero(usable)
 
@@ -230,10 +232,12 @@ class GivenDetections:
         """Detections for which `fits` (N,) is true."""
         if fits.all():
             return self
-        one, labels = self.detections, self.detections.labels
-        chosen = tuple(labels[row] for row in np.flatnonzero(fits))
+        detections, labels = self.detections, self.detections.labels
+        fitting_labels = tuple(labels[row] for row in np.flatnonzero(fits))
         return GivenDetections(
-            Detections(one.boxes[fits], one.scores[fits], chosen), self.rows[fits], self.count
+            Detections(detections.boxes[fits], detections.scores[fits], fitting_labels),
+            self.rows[fits],
+            self.count,
         )
 
     def without(self, fits: NDArray[np.bool_], describe: Callable[[Sequence[int]], str]) -> GivenDetections:
@@ -246,17 +250,19 @@ class GivenDetections:
     def inside(self, width: int, height: int) -> GivenDetections:
         """Detections that touch a frame of this size, px; a notice names the others."""
         boxes = self.detections.boxes
-        apart = np.abs(2.0 * boxes[:, :2] - (width - 1, height - 1)) >= boxes[:, 2:] + (width, height)
-        found = self.without(
-            np.asarray(~apart.any(axis=1)),
+        beside = np.abs(2.0 * boxes[:, :2] - (width - 1, height - 1)) >= boxes[:, 2:] + (width, height)
+        touching = self.without(
+            np.asarray(~beside.any(axis=1)),
             lambda rows: _left_out(
                 f"outside of the frames of {width}x{height} px", rows, self.count,
                 "; DetectionsTracker(size=(width, height)) sets their size where no frame is given",
             ),
         )  # fmt: skip
-        return found.without(
-            found.detections.boxes[:, 2:].prod(axis=1) >= LEAST_AREA_PX,
-            lambda rows: _left_out("smaller than 1 px²", rows, self.count, _advice(found.detections.boxes)),
+        return touching.without(
+            touching.detections.boxes[:, 2:].prod(axis=1) >= LEAST_AREA_PX,
+            lambda rows: _left_out(
+                "smaller than 1 px²", rows, self.count, _advice(touching.detections.boxes)
+            ),
         )
 
 
@@ -286,21 +292,21 @@ def read_given(detections: Any, graph: CheckedGraph) -> GivenDetections:
         sizes = corners[:, 2:] - corners[:, :2]
     fits = usable(np.concatenate([corners[:, :2], sizes], axis=1))
     boxes = centre_from_xyxy(np.where(fits[:, None], corners, 0.0))
-    every = GivenDetections(Detections(boxes, scores, labels), np.arange(count), count)
-    found = every.without(fits, lambda rows: f"detections: {describe_unusable(count, rows, 'row')}")
-    known = found.detections.scores
-    if not ((known > -1e-6) & (known < 1 + 1e-6) | ~np.isfinite(known)).all():
+    all_rows = GivenDetections(Detections(boxes, scores, labels), np.arange(count), count)
+    finite_boxes = all_rows.without(fits, lambda rows: f"detections: {describe_unusable(count, rows, 'row')}")
+    confidences = finite_boxes.detections.scores
+    if not ((confidences > -1e-6) & (confidences < 1 + 1e-6) | ~np.isfinite(confidences)).all():
         raise ValueError(
             "detections: confidence goes beyond 0..1; scale it, or give None where it is unknown"
         )
-    return found.without(
-        np.isfinite(known), lambda rows: _left_out("without a number as confidence", rows, count)
+    return finite_boxes.without(
+        np.isfinite(confidences), lambda rows: _left_out("without a number as confidence", rows, count)
     )
 
 
-def _left_out(what: str, rows: Sequence[int], count: int, advice: str = "") -> str:
+def _left_out(fault: str, rows: Sequence[int], count: int, advice: str = "") -> str:
     noun, verb = ("box" if count == 1 else "boxes"), ("is" if len(rows) == 1 else "are")
-    return f"detections: {len(rows)} of {count} {noun} {verb} {what} and left out: row {few(rows)}{advice}"
+    return f"detections: {len(rows)} of {count} {noun} {verb} {fault} and left out: row {few(rows)}{advice}"
 
 
 def _corners(detections: Any) -> Floats:
@@ -321,8 +327,8 @@ def _corners(detections: Any) -> Floats:
 
 
 def _scores(detections: Any, count: int) -> Floats:
-    given = getattr(detections, "confidence", None)
-    scores = np.ones(count) if given is None else _numbers("confidence", given)
+    confidence = getattr(detections, "confidence", None)
+    scores = np.ones(count) if confidence is None else _numbers("confidence", confidence)
     _check_one_each("confidence", scores.shape, count)
     return scores
 
@@ -339,18 +345,18 @@ def _labels(detections: Any, count: int, graph: CheckedGraph) -> tuple[str, ...]
         _check_one_each('data["class_name"]', np.shape(names), count)
         return tuple(map(str, names))
     births = (plate.spec.birth for plate in graph.targets.values())
-    wanted = [label for birth in births if birth is not None for label in birth.labels]
-    if wanted and count:
-        raise ValueError(f'detections without data["class_name"]; the graph takes {", ".join(wanted)} only')
+    accepted = [label for birth in births if birth is not None for label in birth.labels]
+    if accepted and count:
+        raise ValueError(f'detections without data["class_name"]; the graph takes {", ".join(accepted)} only')
     return ("",) * count
 
 
-def _numbers(name: str, given: Any) -> Floats:
+def _numbers(name: str, column: Any) -> Floats:
     """The values as float64: NaN where they are masked."""
     try:
-        if isinstance(given, np.ma.MaskedArray):
-            return np.asarray(np.ma.filled(np.ma.asarray(given, dtype=np.float64), np.nan))
-        values = np.asarray(given)
+        if isinstance(column, np.ma.MaskedArray):
+            return np.asarray(np.ma.filled(np.ma.asarray(column, dtype=np.float64), np.nan))
+        values = np.asarray(column)
         if values.dtype.kind in KINDS:
             raise TypeError(KINDS[values.dtype.kind])
         return np.asarray(values, dtype=np.float64)

@@ -62,11 +62,11 @@ class Turns:
         """
         thread = threading.current_thread().name
         if not self._lock.acquire(blocking=False):
-            other, since = self._at_work
+            holder, running = self._at_work
             raise RuntimeError(
-                f"{call} in thread {thread!r} while thread {other!r} is in {since} of the same {self._kind}: "
-                "its frames must come in order; call it from one thread, or hold a lock around each call; a "
-                f"{self._kind} of its own for each video can run in each thread"
+                f"{call} in thread {thread!r} while thread {holder!r} is in {running} of the same "
+                f"{self._kind}: its frames must come in order; call it from one thread, or hold a lock "
+                f"around each call; a {self._kind} of its own for each video can run in each thread"
             )
         try:
             self._at_work = (thread, call)
@@ -104,18 +104,18 @@ class Stored:
     def standing(self, engine: Engine) -> Standing | None:
         """The standing to go on from with `engine`; None before its first frame. Raises StoredError."""
         try:
-            now = decode(self.body, stored_classes(), engine)
+            decoded = decode(self.body, stored_classes(), engine)
         except StateError as error:
             raise StoredError(f"the stored tracker is {error}") from error
-        if not isinstance(now, Standing | None):
+        if not isinstance(decoded, Standing | None):
             raise StoredError("the stored tracker is damaged")
-        return now
+        return decoded
 
 
 @cache
 def stored_classes() -> tuple[type, ...]:
     """Every class of which a stored tracker is made."""
-    own = (
+    of_trackers = (
         Standing,
         Answers,
         Answer,
@@ -127,10 +127,10 @@ def stored_classes() -> tuple[type, ...]:
         PointMap,
         StereoGeometry,
     )
-    found = dict.fromkeys((*CLASSES, *own))
+    classes = dict.fromkeys((*CLASSES, *of_trackers))
     for kind in event_classes().values():
-        found |= dict.fromkeys(_held(kind))
-    return tuple(found)
+        classes |= dict.fromkeys(_held(kind))
+    return tuple(classes)
 
 
 def _held(hint: Any) -> Iterator[type]:
@@ -145,7 +145,7 @@ def _held(hint: Any) -> Iterator[type]:
 
 def check_storable(graph: CheckedGraph, engine: Engine, has_own_motion: bool) -> None:
     """Refuse what cannot be stored; raises StoredError, which names it."""
-    opaque = [name for one in engine.plates.values() for name in sorted(one.opaque)]
+    opaque = [name for plate in engine.plates.values() for name in sorted(plate.opaque)]
     reasons = [
         *(["its motion is a model of one's own"] if has_own_motion else []),
         *([f"its cues {', '.join(graph.cues)} are one's own"] if graph.cues else []),
@@ -159,23 +159,25 @@ def check_storable(graph: CheckedGraph, engine: Engine, has_own_motion: bool) ->
 
 
 def pack(
-    kind: str, graph: CheckedGraph, engine: Engine, options: Mapping[str, Any], now: Standing | None
+    kind: str, graph: CheckedGraph, engine: Engine, options: Mapping[str, Any], standing: Standing | None
 ) -> bytes:
     """The bytes of a tracker of a kind: pixels of the last frame only where the graph looks at any.
 
     Raises:
         StoredError: something of it cannot be stored.
     """
-    if now is not None:
-        state, previous = now.state, now.state.previous
+    if standing is not None:
+        state, previous = standing.state, standing.state.previous
         if previous is not None and not image_users(engine):
             blank = replace(previous, image=np.zeros_like(previous.image))
             state = replace(state, previous=blank)
-        lines = tuple(replace(one, cloud=tuple(one.cloud)) for one in now.metrics)  # plain tuples
-        now = replace(now, state=state, metrics=lines)
+        lines = tuple(replace(line, cloud=tuple(line.cloud)) for line in standing.metrics)  # plain tuples
+        standing = replace(standing, state=state, metrics=lines)
     try:
-        body = encode(now, stored_classes())
-        masks = encode({name: (str(one.path), one.sha256, one.gray) for name, one in graph.masks.items()}, ())
+        body = encode(standing, stored_classes())
+        masks = encode(
+            {name: (str(line.path), line.sha256, line.gray) for name, line in graph.masks.items()}, ()
+        )
     except StateError as error:
         raise StoredError(f"this tracker cannot be stored: {error}") from error
     header = {
@@ -185,7 +187,8 @@ def pack(
         "options": dict(options),
         "masks": len(masks),
         "calibrations": {
-            key: [str(one.path.absolute()), one.sha256, one.name] for key, one in graph.calibrations.items()
+            key: [str(line.path.absolute()), line.sha256, line.name]
+            for key, line in graph.calibrations.items()
         },
     }
     content = zlib.compress(json.dumps(header).encode("ascii") + b"\n" + masks + body, 1)
@@ -193,23 +196,23 @@ def pack(
     return b"\n".join((_first_line(), seal, content))
 
 
-def unpack(data: bytes, kind: str, given: CheckedGraph | None = None) -> Stored:
-    """Contents of the bytes, to be made with the `given` graph, which is the stored one with None.
+def unpack(data: bytes, kind: str, own_graph: CheckedGraph | None = None) -> Stored:
+    """Contents of the bytes, to be made with the `own_graph` graph, which is the stored one with None.
 
     Raises:
         StoredError: they are damaged, of another version, kind or graph, or a model file is not as it was.
     """
-    first, _, rest = data.partition(b"\n")
-    seal, _, content = rest.partition(b"\n")
+    first, _, remainder = data.partition(b"\n")
+    seal, _, content = remainder.partition(b"\n")
     if not first.startswith(MAGIC):
         raise StoredError("these bytes are no stored tracker")
     if first != _first_line():
-        writer, here = (
+        writer, reader_line = (
             line[len(MAGIC) :][:80].decode("ascii", "replace").strip() for line in (first, _first_line())
         )
         raise StoredError(
-            f"the tracker was stored in {writer}, and this is {here}: a version reads its own format only; "
-            "load it with that one, or start anew"
+            f"the tracker was stored in {writer}, and this is {reader_line}: "
+            "a version reads its own format only; load it with that one, or start anew"
         )
     if hashlib.sha256(content).hexdigest().encode("ascii") != seal:
         raise StoredError("the stored tracker is damaged")
@@ -221,8 +224,8 @@ def unpack(data: bytes, kind: str, given: CheckedGraph | None = None) -> Stored:
             raise StoredError(f"a {header['kind']} was stored, and a {kind} is asked for")
         size, text, models, options = (header[name] for name in ("masks", "graph", "models", "options"))
         files = header["calibrations"]
-        found = decode(body[:size], ())
-        masks = {name: Mask(Path(path), sha256, gray) for name, (path, sha256, gray) in found.items()}
+        fields = decode(body[:size], ())
+        masks = {name: Mask(Path(path), sha256, gray) for name, (path, sha256, gray) in fields.items()}
     except StoredError:
         raise
     except (zlib.error, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -230,10 +233,10 @@ def unpack(data: bytes, kind: str, given: CheckedGraph | None = None) -> Stored:
     for path, sha256, _ in files.values():
         if file_sha256(path) != sha256:
             raise StoredError(f"{path} is not what it was when the tracker was stored")
-    if given is None:
+    if own_graph is None:
         cameras = {key: read_file(Path(path), name) for key, (path, _, name) in files.items()}
-        given = check(*read_graph(text, "the stored graph"), masks=masks, calibrations=cameras)
-    graph = given
+        own_graph = check(*read_graph(text, "the stored graph"), masks=masks, calibrations=cameras)
+    graph = own_graph
     _compare(graph, text, masks)
     for path, sha256 in models.items():
         if file_sha256(path) != sha256:
@@ -248,10 +251,10 @@ def _first_line() -> bytes:
 
 def _compare(graph: CheckedGraph, text: str, masks: Mapping[str, Mask]) -> None:
     if graph.text != text:
-        stored, given = graph_sha256(text)[:12], graph_sha256(graph.text)[:12]
+        stored, offered = graph_sha256(text)[:12], graph_sha256(graph.text)[:12]
         raise StoredError(
             f"the tracker was stored with another graph: SHA-256 {stored}, and {graph.spec.name}, which is "
-            f"given, has {given}; leave it out to go on with the stored one"
+            f"given, has {offered}; leave it out to go on with the stored one"
         )
     for name, mask in masks.items():
         if graph.masks[name].sha256 != mask.sha256:
@@ -289,8 +292,8 @@ class Storable:
 
             tracker.queries["in_goal"]["1"].probability, tracker.queries["inside"].total.mean
         """
-        now = self._now
-        return {} if now is None else {one.query: one for one in now.answers}
+        standing = self._now
+        return {} if standing is None else {answers.query: answers for answers in standing.answers}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the graph, the options and all that is known after the last frame into a file.
@@ -348,10 +351,10 @@ class Storable:
 
     def __copy__(self) -> Self:
         """A tracker that goes on from here by itself; what never changes is shared."""
-        other = type(self).__new__(type(self))
-        other.__dict__.update(self.__dict__, _turns=Turns(self._kind), _levels=copy.copy(self._levels))
-        other._renew_engine()
-        return other
+        twin = type(self).__new__(type(self))
+        twin.__dict__.update(self.__dict__, _turns=Turns(self._kind), _levels=copy.copy(self._levels))
+        twin._renew_engine()
+        return twin
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy like `copy.copy`: no tracker changes what copies share."""
@@ -368,6 +371,6 @@ class Storable:
         return _unpickled, (type(self), data, tuple(sorted(plugins.allowed()))), added or None
 
 
-def _unpickled(kind: type[Storable], data: bytes, allowed: tuple[str, ...]) -> Storable:
-    plugins.allow(allowed)
+def _unpickled(kind: type[Storable], data: bytes, plugin_names: tuple[str, ...]) -> Storable:
+    plugins.allow(plugin_names)
     return kind._of_bytes(data)

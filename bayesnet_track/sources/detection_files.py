@@ -32,7 +32,7 @@ def format_frame(frame: Frame, detections: Detections, as_json: bool) -> list[st
     if not as_json:
         return format_mot(frame.index, detections)
     corners = corner_from_centre(detections.boxes)
-    found = [
+    entries = [
         {
             "box": [round(float(value), DIGITS) for value in box],
             "score": round(float(score), SCORE_DIGITS),
@@ -40,7 +40,7 @@ def format_frame(frame: Frame, detections: Detections, as_json: bool) -> list[st
         }
         for box, score, label in zip(corners, detections.scores, detections.labels, strict=True)
     ]
-    return [json.dumps({"frame": frame.index, "time_s": round(frame.time_s, 6), "detections": found})]
+    return [json.dumps({"frame": frame.index, "time_s": round(frame.time_s, 6), "detections": entries})]
 
 
 def format_mot(index: int, detections: Detections) -> list[str]:
@@ -133,41 +133,43 @@ def _usable(rows: list[tuple[int, int, Found]], name: str) -> Iterable[tuple[int
     boxes = np.array([box for _, _, (box, _, _) in rows]).reshape(-1, 4)
     keep = usable(boxes).tolist()
     if not all(keep):
-        lines = [line for (line, _, _), one in zip(rows, keep, strict=True) if not one]
+        lines = [line for (line, _, _), is_usable in zip(rows, keep, strict=True) if not is_usable]
         notice(f"{name}: {describe_unusable(len(rows), lines)}")
-    return ((frame, found) for (_, frame, found), one in zip(rows, keep, strict=True) if one)
+    return (
+        (frame, detection) for (_, frame, detection), is_usable in zip(rows, keep, strict=True) if is_usable
+    )
 
 
-def _by_frame(found: Iterable[tuple[int, Found]]) -> dict[int, Detections]:
+def _by_frame(detections: Iterable[tuple[int, Found]]) -> dict[int, Detections]:
     frames = defaultdict(list)
-    for frame, one in found:
-        frames[frame].append(one)
-    return {frame: _detections(several) for frame, several in frames.items()}
+    for frame, detection in detections:
+        frames[frame].append(detection)
+    return {frame: _detections(of_frame) for frame, of_frame in frames.items()}
 
 
-def _detections(found: list[Found]) -> Detections:
-    best_first = sorted(found, key=lambda one: -one[1])
+def _detections(of_frame: list[Found]) -> Detections:
+    best_first = sorted(of_frame, key=lambda detection: -detection[1])
     boxes, scores, labels = zip(*best_first, strict=True)
     return Detections(centre_from_corner(np.array(boxes)), np.array(scores), labels)
 
 
 def _shares(confidences: Floats, name: str) -> Floats:
     """Confidences (N,), NaN where missing, as scores 0..1; says how others are mapped."""
-    given = ~np.isnan(confidences)
-    scores = np.where(given, confidences, 1.0)
-    is_missing = given & (confidences == MISSING)
-    rest = confidences[given & ~is_missing]
-    if ((rest >= 0) & (rest <= 1)).all():
+    has_confidence = ~np.isnan(confidences)
+    scores = np.where(has_confidence, confidences, 1.0)
+    is_missing = has_confidence & (confidences == MISSING)
+    stated = confidences[has_confidence & ~is_missing]
+    if ((stated >= 0) & (stated <= 1)).all():
         scores[is_missing] = 1.0
-        if is_missing.any() and len(rest):
+        if is_missing.any() and len(stated):
             notice(
                 f"{name}: {is_missing.sum()} of {len(confidences)} confidences are -1, which says none: they "
                 "are taken as 1"
             )
         return scores
-    values = confidences[given]
+    values = confidences[has_confidence]
     low, high = values.min(), values.max()
-    scores[given] = (values - low) / (high - low) if high > low else 1.0
+    scores[has_confidence] = (values - low) / (high - low) if high > low else 1.0
     to = f"{low:g} becomes 0 and {high:g} becomes 1" if high > low else "all become 1"
     notice(
         f"{name}: confidences from {low:g} to {high:g} are no probabilities, and are mapped: {to}; a "
@@ -181,28 +183,28 @@ def _json_lines(text: str, name: str) -> Iterable[tuple[int, int, Found]]:
     for number, line in enumerate(text.split("\n"), start=1):
         if line.strip():
             place = f"{name}:{number}"
-            frame, found = _object(line, place)
-            for k, one in enumerate(found):
-                yield number, frame, _detection(one, f"{place}: detection {k + 1}")
+            frame, entries = _object(line, place)
+            for k, entry in enumerate(entries):
+                yield number, frame, _detection(entry, f"{place}: detection {k + 1}")
 
 
 def _object(line: str, place: str) -> tuple[int, list[Any]]:
     try:
         entry = json.loads(line)
-        frame, found = entry["frame"], entry["detections"]
+        frame, detections = entry["frame"], entry["detections"]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise ValueError(f"{place}: expected an object with frame and detections") from None
     if not _is_whole(frame) or frame < 0:
         raise ValueError(f"{place}: frame {_shown(frame)}; expected a whole number from 0 on")
-    if not isinstance(found, list):
-        raise ValueError(f"{place}: detections {_shown(found)}; expected a list")
-    return frame, found
+    if not isinstance(detections, list):
+        raise ValueError(f"{place}: detections {_shown(detections)}; expected a list")
+    return frame, detections
 
 
-def _detection(one: Any, place: str) -> Found:
-    if not isinstance(one, dict) or "box" not in one:
-        raise ValueError(f"{place}: {_shown(one)}; expected an object with box, score, label")
-    box, score, label = one["box"], one.get("score", 1.0), one.get("label", "")
+def _detection(entry: Any, place: str) -> Found:
+    if not isinstance(entry, dict) or "box" not in entry:
+        raise ValueError(f"{place}: {_shown(entry)}; expected an object with box, score, label")
+    box, score, label = entry["box"], entry.get("score", 1.0), entry.get("label", "")
     if not isinstance(box, list) or len(box) != 4 or not all(map(_is_number, box)):
         raise ValueError(f"{place}: box {_shown(box)}; expected [left, top, width, height]")
     if not _is_finite(score) or not 0 <= score <= 1:

@@ -150,10 +150,10 @@ class Animation:
         size = declared_size(bytes(data[:64]))
         check_size(path.name, *(size or (1, 1)))
         self._at_once = max(1, AT_ONCE_PIXELS // math.prod(size or (1, 1)))
-        shown = [ms if ms > LEAST_MS else USUAL_MS for ms in _durations(data)]
-        usual = sorted(shown)[(len(shown) - 1) // 2]
-        self.interval_s = usual / 1000.0
-        self.times = [ms / usual for ms in accumulate(shown[:-1], initial=0)]
+        durations_ms = [ms if ms > LEAST_MS else USUAL_MS for ms in _durations(data)]
+        usual_ms = sorted(durations_ms)[(len(durations_ms) - 1) // 2]
+        self.interval_s = usual_ms / 1000.0
+        self.times = [ms / usual_ms for ms in accumulate(durations_ms[:-1], initial=0)]
         self._first, self._frames = 0, ()
 
     def read(self, index: int) -> Array:
@@ -163,10 +163,10 @@ class Animation:
         if not self._first <= index < self._first + len(self._frames):
             data = np.frombuffer(self._data, np.uint8)
             try:
-                _, found = cv2.imdecodeanimation(data, start=index, count=self._at_once)
+                _, animation = cv2.imdecodeanimation(data, start=index, count=self._at_once)
             except cv2.error as failed:
                 raise PictureError(f"{self._path.name}: {str(failed).strip()}") from failed
-            self._first, self._frames = index, tuple(found.frames)
+            self._first, self._frames = index, tuple(animation.frames)
         if not self._frames:
             raise PictureError(f"{self._path.name}, frame {index}: not a readable image")
         return self._frames[index - self._first]
@@ -174,15 +174,15 @@ class Animation:
 
 def _durations(data: bytearray) -> list[int]:
     """Milliseconds of each frame."""
-    at, found = 12, []
-    while at + 8 <= len(data):
-        kind, length = unpack_from("<4sI", data, at)
-        if kind == b"ANMF" and at + 24 <= len(data):
-            found.append(int.from_bytes(data[at + 20 : at + 23], "little"))
+    offset, durations = 12, []
+    while offset + 8 <= len(data):
+        kind, length = unpack_from("<4sI", data, offset)
+        if kind == b"ANMF" and offset + 24 <= len(data):
+            durations.append(int.from_bytes(data[offset + 20 : offset + 23], "little"))
         elif kind == b"ANMF":
-            found.append(0)
-        at += 8 + length + length % 2
-    return found
+            durations.append(0)
+        offset += 8 + length + length % 2
+    return durations
 
 
 LEAST_ALIKE, MOST_STRAYS = 3, 3
@@ -198,20 +198,22 @@ def check_names(text: str, paths: Sequence[Path]) -> None:
     Raises:
         SourceError: names both sequences, and patterns for them.
     """
-    found = overlapping(paths)
-    if not found:
+    sequences = overlapping(paths)
+    if not sequences:
         return
-    words = ", ".join(f"{name} ({count} images)" for name, count in list(found.items())[:3])
+    words = ", ".join(f"{name} ({count} images)" for name, count in list(sequences.items())[:3])
     folder = Path(text) if Path(text).is_dir() else None
-    is_like = len({re.sub(r"\d+", "0", name) for name in found}) == 1
+    is_like = len({re.sub(r"\d+", "0", name) for name in sequences}) == 1
     if folder is None or is_like:
-        notice(f"{text}: {len(found)} sequences with the same numbers are read one after the other: {words}")
+        notice(
+            f"{text}: {len(sequences)} sequences with the same numbers are read one after the other: {words}"
+        )
         return
     place = paths[0].parent
-    patterns = " or ".join(f"'{place / name}'" for name in list(found)[:2])
+    patterns = " or ".join(f"'{place / name}'" for name in list(sequences)[:2])
     raise SourceError(
         text,
-        f"{len(found)} sequences with the same numbers in one folder: {words}",
+        f"{len(sequences)} sequences with the same numbers in one folder: {words}",
         "images of one camera in a folder",
         f"give one of them, {patterns}, or all in the order of their names, '{place / '*'}'",
     )
@@ -230,16 +232,16 @@ def overlapping(paths: Sequence[Path]) -> dict[str, int]:
         named = _LAST_NUMBER.match(path.stem)
         if named is not None:
             numbers[f"{named[1]}*{named[3]}{path.suffix}", str(path.parent)].append(int(named[2]))
-    several = {key: values for key, values in numbers.items() if len(values) > 1}
+    sequences = {key: values for key, values in numbers.items() if len(values) > 1}
     counts: dict[int, int] = defaultdict(int)
-    for values in several.values():
+    for values in sequences.values():
         for value in set(values):
             counts[value] += 1
     shared = {value for value, times in counts.items() if times > 1}
     # Numbers at the end of one part and the start of the next one may meet by chance.
     return {
         name: len(values)
-        for (name, _), values in several.items()
+        for (name, _), values in sequences.items()
         if 2 * len(shared.intersection(values)) > len(values)
     }
 
@@ -250,10 +252,10 @@ def say_strays(text: str, paths: Sequence[Path]) -> None:
     Names are of one form where they differ in digits alone.
     """
     forms = [re.sub(r"\d+", "0", path.stem) for path in paths]
-    usual, count = Counter(forms).most_common(1)[0]
-    strays = [path.name for path, form in zip(paths, forms, strict=True) if form != usual]
-    if strays and "0" in usual and count >= LEAST_ALIKE and len(strays) <= count / MOST_STRAYS:
-        like = next(path.name for path, form in zip(paths, forms, strict=True) if form == usual)
+    common_form, count = Counter(forms).most_common(1)[0]
+    strays = [path.name for path, form in zip(paths, forms, strict=True) if form != common_form]
+    if strays and "0" in common_form and count >= LEAST_ALIKE and len(strays) <= count / MOST_STRAYS:
+        like = next(path.name for path, form in zip(paths, forms, strict=True) if form == common_form)
         notice(
             f"{text}: {len(strays)} of {len(paths)} images are named otherwise than {like} and the others, "
             f"and are frames in the order of names: {few(strays)}; move away what is no frame"
@@ -262,11 +264,11 @@ def say_strays(text: str, paths: Sequence[Path]) -> None:
 
 def say_other_images(text: str, folder: Path) -> None:
     """Say which images of a folder are of a format that is not read."""
-    others = sorted(
+    unread = sorted(
         path.name for path in folder.iterdir() if path.suffix.lower() in OTHER_IMAGES and not is_junk(path)
     )
-    if others:
-        notice(f"{text}: not read, as of a format that is not read in a folder of images: {few(others)}")
+    if unread:
+        notice(f"{text}: not read, as of a format that is not read in a folder of images: {few(unread)}")
 
 
 class ImageReader:
@@ -318,10 +320,10 @@ def say_orientation(name: str, data: bytes) -> None:
 
     encoded = np.frombuffer(data, dtype=np.uint8)
     stored = cv2.imdecode(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    shown = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
-    if stored is None or shown is None or np.array_equal(stored, shown):
+    upright = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    if stored is None or upright is None or np.array_equal(stored, upright):
         return
-    (rows, columns), (shown_rows, shown_columns) = stored.shape[:2], shown.shape[:2]
+    (rows, columns), (shown_rows, shown_columns) = stored.shape[:2], upright.shape[:2]
     notice(
         f"{name}: the file notes how its image is to be turned (EXIF orientation): viewers and "
         f"cv2.imread show {shown_columns}x{shown_rows} px, frames and boxes are of the {columns}x{rows} px "

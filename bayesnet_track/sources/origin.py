@@ -31,18 +31,18 @@ def stamps(paths: Iterable[Path]) -> dict[Path, Stamp]:
     >>> stamps([Path("nowhere.csv")])
     {}
     """
-    found = {}
+    stamp_of = {}
     for path in paths:
         with suppress(OSError):
-            held = path.stat()
-            found[path] = (held.st_ino, held.st_size, held.st_mtime_ns)
-    return found
+            status = path.stat()
+            stamp_of[path] = (status.st_ino, status.st_size, status.st_mtime_ns)
+    return stamp_of
 
 
-def changed_since(before: Mapping[Path, Stamp]) -> list[Path]:
+def changed_since(stamps_before: Mapping[Path, Stamp]) -> list[Path]:
     """The files that are others now; one that was removed was read, or its reader says what is missing."""
-    now = stamps(before)
-    return [path for path, stamp in before.items() if now.get(path, stamp) != stamp]
+    current = stamps(stamps_before)
+    return [path for path, stamp in stamps_before.items() if current.get(path, stamp) != stamp]
 
 
 Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
@@ -112,9 +112,13 @@ class Origin:
 
     def __post_init__(self) -> None:
         # Nothing on the network is opened again: what is kept of its address is for people.
-        for name, shown in (("text", shown_address), ("description", hide_secrets), ("right", shown_address)):
+        for name, redact in (
+            ("text", shown_address),
+            ("description", hide_secrets),
+            ("right", shown_address),
+        ):
             if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, shown(value))
+                object.__setattr__(self, name, redact(value))
 
     @property
     def only_once(self) -> str | None:
@@ -125,8 +129,8 @@ class Origin:
         for text in (self.text, self.right):
             if self.kind == "scene" or text is None or is_file(text):
                 continue
-            what = "camera" if text.isdigit() else "network source"
-            return f"its frames came from a {what} ({text}), which has others by now"
+            kind_of_source = "camera" if text.isdigit() else "network source"
+            return f"its frames came from a {kind_of_source} ({text}), which has others by now"
         return None
 
     def marked(self) -> Origin:
@@ -137,8 +141,8 @@ class Origin:
             SourceError: there is no source any more.
         """
 
-        given = [text for text in self.parts().values() if is_file(text)]
-        absolute = {text: str(Path(text).absolute()) for text in given}
+        texts = [text for text in self.parts().values() if is_file(text)]
+        absolute = {text: str(Path(text).absolute()) for text in texts}
         return replace(self, absolute=absolute, fingerprint=self._fingerprints(absolute))
 
     def changes(self) -> tuple[str, ...]:
@@ -148,39 +152,39 @@ class Origin:
             OSError: a file cannot be read.
             SourceError: there is no source any more.
         """
-        now = self._fingerprints(self.places())
+        fingerprints = self._fingerprints(self.places())
         return tuple(
-            f"{part}: {self.fingerprint[part]}, now {found}"
-            for part, found in now.items()
-            if part in self.fingerprint and found != self.fingerprint[part]
+            f"{part}: {self.fingerprint[part]}, now {current}"
+            for part, current in fingerprints.items()
+            if part in self.fingerprint and current != self.fingerprint[part]
         )
 
     def parts(self) -> dict[str, str]:
         """Part (source, right, depth, calibration) -> its path as given; empty for scenes and own objects."""
         if self.kind in ("scene", "own"):
             return {}
-        given = {"source": self.text, "right": self.right, "depth": self.depth}
-        given["calibration"] = self.calibration
-        return {part: text for part, text in given.items() if text is not None}
+        texts = {"source": self.text, "right": self.right, "depth": self.depth}
+        texts["calibration"] = self.calibration
+        return {part: text for part, text in texts.items() if text is not None}
 
     def places(self) -> dict[str, str]:
         """Each path as given -> where it is now: as it was, or as given where that is gone."""
         from glob import has_magic
 
-        found = {}
+        places = {}
         for text in self.parts().values():
-            then = self.absolute.get(text, text)
-            found[text] = then if has_magic(text) or os.path.exists(then) else text  # noqa: PTH110
-        return found
+            recorded = self.absolute.get(text, text)
+            places[text] = recorded if has_magic(text) or os.path.exists(recorded) else text  # noqa: PTH110
+        return places
 
     def files(self) -> list[Path]:
         """Every file that it is read from, as given."""
         parts = {part: text for part, text in self.parts().items() if is_file(text)}
         return [path for part, text in parts.items() for path in _files(part, text)]
 
-    def _fingerprints(self, at: Mapping[str, str]) -> dict[str, Fingerprint]:
+    def _fingerprints(self, places: Mapping[str, str]) -> dict[str, Fingerprint]:
         parts = {part: text for part, text in self.parts().items() if is_file(text)}
-        return {part: fingerprint(_files(part, at[text])) for part, text in parts.items()}
+        return {part: fingerprint(_files(part, places[text])) for part, text in parts.items()}
 
 
 def _files(part: str, text: str) -> Sequence[Path]:
@@ -200,9 +204,9 @@ def fingerprint(files: Sequence[Path]) -> Fingerprint:
     if len(files) > 1:
         for path, size in zip(files, sizes, strict=True):
             digest.update(f"{path.name}\0{size}\n".encode("utf-8", "surrogateescape"))
-    for chosen in sorted({0, len(files) // 2, len(files) - 1}) if files else ():
-        digest.update(f"{sizes[chosen]}\n".encode())
-        for sample in _samples(files[chosen], sizes[chosen]):
+    for index in sorted({0, len(files) // 2, len(files) - 1}) if files else ():
+        digest.update(f"{sizes[index]}\n".encode())
+        for sample in _samples(files[index], sizes[index]):
             digest.update(sample)
     return Fingerprint(len(files), sum(sizes), digest.hexdigest())
 
@@ -211,10 +215,10 @@ def _size(path: Path) -> int:
     """Of a plain file: a device or a pipe might never end. A broken link among the frames holds nothing."""
     if is_broken_link(path):
         return 0
-    found = path.stat()
-    if not S_ISREG(found.st_mode):
+    status = path.stat()
+    if not S_ISREG(status.st_mode):
         raise OSError(EINVAL, "not a plain file", str(path))
-    return found.st_size
+    return status.st_size
 
 
 def _samples(path: Path, size: int) -> Iterable[bytes]:

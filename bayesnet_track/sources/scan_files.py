@@ -63,9 +63,9 @@ class SensorColumns:
         """(N,) detections (N, K) between the least and the largest values, of angles any turn of them."""
         turns = self.periods < np.inf
         period = np.where(turns, self.periods, 1.0)
-        moved = np.where(turns, self.low + (values - self.low) % period, values)
+        turned = np.where(turns, self.low + (values - self.low) % period, values)
         slack = 1e-9 * (1.0 + np.abs(self.high))
-        return np.asarray(((moved >= self.low - slack) & (moved <= self.high + slack)).all(axis=1))
+        return np.asarray(((turned >= self.low - slack) & (turned <= self.high + slack)).all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +112,11 @@ def parse_scans(text: str, sensors: Mapping[str, SensorColumns], name: str = "<d
         _refuse_alike(sensors, name)
     times = [_number(row, clock, f"{name}:{line}") for line, row in rows]
     index = _indices(times, rows, clock, name)
-    held: dict[int, dict[str, list[tuple[int, list[float], float]]]] = {}
+    scans: dict[int, dict[str, list[tuple[int, list[float], float]]]] = {}
     not_finite = list[int]()
     for (line, row), moment in zip(rows, times, strict=True):
         for agent in _agents_of(row, sensors, named, f"{name}:{line}"):
-            looks = held.setdefault(index[moment], {}).setdefault(agent, [])
+            looks = scans.setdefault(index[moment], {}).setdefault(agent, [])
             values = _values(row, sensors[agent], f"{name}:{line}")
             if values is None:
                 continue
@@ -128,9 +128,9 @@ def parse_scans(text: str, sensors: Mapping[str, SensorColumns], name: str = "<d
                 raise ValueError(f"{place}: {wrong[1]}")
             looks.append((line, values, _score(row, f"{name}:{line}")))
     if not_finite:
-        what = "row has a number that is" if len(not_finite) == 1 else "rows have numbers that are"
-        notice(f"{name}: {len(not_finite)} {what} not finite, and left out: line {few(not_finite)}")
-    return ScanFile(_scans(held, sensors, name), clock == TIME)
+        fault = "row has a number that is" if len(not_finite) == 1 else "rows have numbers that are"
+        notice(f"{name}: {len(not_finite)} {fault} not finite, and left out: line {few(not_finite)}")
+    return ScanFile(_scans(scans, sensors, name), clock == TIME)
 
 
 def times_of(path: str | Path) -> tuple[list[int], list[float], str]:
@@ -141,7 +141,7 @@ def times_of(path: str | Path) -> tuple[list[int], list[float], str]:
     times = [_number(row, clock, f"{name}:{line}") for line, row in rows]
     index = _indices(times, rows, clock, name)
     order = sorted(index)
-    return [index[one] for one in order], order, clock
+    return [index[time] for time in order], order, clock
 
 
 class ScanReader:
@@ -153,8 +153,8 @@ class ScanReader:
     def __init__(self, text: str) -> None:
         self._numbers, times, clock = times_of(text)
         self.frame_interval_s = 1.0 if clock == TIME else 1 / 25
-        self._times = [one - times[0] for one in times] if clock == TIME else times
-        self._seconds = times if clock == TIME else [one * self.frame_interval_s for one in times]
+        self._times = [time - times[0] for time in times] if clock == TIME else times
+        self._seconds = times if clock == TIME else [time * self.frame_interval_s for time in times]
         self.declared_frames: int | None = self._numbers[-1] + 1 if self._numbers else 0
 
     def __iter__(self) -> Iterator[Picture]:
@@ -195,16 +195,16 @@ def _table(text: str, name: str) -> tuple[list[str], list[tuple[int, Row]]]:
 
 
 def _clock(header: Sequence[str], name: str) -> str:
-    given = [one for one in (FRAME, TIME) if one in header]
-    if len(given) != 1:
-        found = "neither a column 'frame' nor 'time_s'" if not given else "both columns 'frame' and 'time_s'"
-        raise ValueError(f"{name}:1: {found}; one of them is needed; there are {', '.join(header)}")
-    twice = [one for one in header if header.count(one) > 1]
+    clocks = [column for column in (FRAME, TIME) if column in header]
+    if len(clocks) != 1:
+        fault = "neither a column 'frame' nor 'time_s'" if not clocks else "both columns 'frame' and 'time_s'"
+        raise ValueError(f"{name}:1: {fault}; one of them is needed; there are {', '.join(header)}")
+    twice = [column for column in header if header.count(column) > 1]
     if twice:
         raise ValueError(
             f"{name}:1:{header.index(twice[0]) + 1}: {header.count(twice[0])} columns {twice[0]!r}"
         )
-    return given[0]
+    return clocks[0]
 
 
 def _check_columns(header: Sequence[str], sensors: Mapping[str, SensorColumns], name: str) -> None:
@@ -214,18 +214,24 @@ def _check_columns(header: Sequence[str], sensors: Mapping[str, SensorColumns], 
                 raise ValueError(
                     f"{name}:1: no column {quantity!r}, which {agent} measures; there are {', '.join(header)}"
                 )
-    used = {FRAME, TIME, SENSOR, SCORE, *(one for each in sensors.values() for one in each.quantities)}
-    unused = [one for one in header if one not in used]
+    known_columns = {
+        FRAME,
+        TIME,
+        SENSOR,
+        SCORE,
+        *(column for each in sensors.values() for column in each.quantities),
+    }
+    unused = [column for column in header if column not in known_columns]
     if unused:
         noun = "column is" if len(unused) == 1 else "columns are"
         notice(f"{name}: {len(unused)} {noun} not used: {few(unused)}")
 
 
 def _refuse_alike(sensors: Mapping[str, SensorColumns], name: str) -> None:
-    for first, one in sensors.items():
-        for second, other in sensors.items():
-            if first < second and set(one.quantities) & set(other.quantities):
-                shared = sorted(set(one.quantities) & set(other.quantities))[0]
+    for first, first_columns in sensors.items():
+        for second, second_columns in sensors.items():
+            if first < second and set(first_columns.quantities) & set(second_columns.quantities):
+                shared = sorted(set(first_columns.quantities) & set(second_columns.quantities))[0]
                 raise ValueError(
                     f"{name}:1: {first} and {second} both measure {shared!r}; a column 'sensor' has to say "
                     "which of them each row is of"
@@ -237,10 +243,10 @@ def _number(row: Row, column: str, place: str) -> float:
         value = float(row[column])
     except ValueError:
         value = math.nan
-    whole = column != FRAME or (math.isfinite(value) and value == int(value) and value >= 0)
-    if not math.isfinite(value) or not whole:
-        allowed = "a whole number from 0 on" if column == FRAME else "seconds, a finite number"
-        raise ValueError(f"{place}:{_column(row, column)}: {column} {row[column]!r}; {allowed}")
+    is_valid = column != FRAME or (math.isfinite(value) and value == int(value) and value >= 0)
+    if not math.isfinite(value) or not is_valid:
+        needed = "a whole number from 0 on" if column == FRAME else "seconds, a finite number"
+        raise ValueError(f"{place}:{_column(row, column)}: {column} {row[column]!r}; {needed}")
     return value
 
 
@@ -253,14 +259,14 @@ def _indices(
 ) -> dict[float, int]:
     """Time -> number of its frame; rows of `time_s` have to be in order."""
     if clock == FRAME:
-        return {one: int(one) for one in times}
-    for (line, row), before, now in zip(rows[1:], times, times[1:], strict=False):
-        if now < before:
+        return {time: int(time) for time in times}
+    for (line, row), previous, current in zip(rows[1:], times, times[1:], strict=False):
+        if current < previous:
             place = f"{name}:{line}:{_column(row, TIME)}"
             raise ValueError(
-                f"{place}: time_s {now:g} after {before:g}; rows are in the order of their times"
+                f"{place}: time_s {current:g} after {previous:g}; rows are in the order of their times"
             )
-    return {one: number for number, one in enumerate(sorted(set(times)))}
+    return {time: number for number, time in enumerate(sorted(set(times)))}
 
 
 def _agents_of(row: Row, sensors: Mapping[str, SensorColumns], named: bool, place: str) -> list[str]:
@@ -268,15 +274,15 @@ def _agents_of(row: Row, sensors: Mapping[str, SensorColumns], named: bool, plac
     if named:
         agent = row[SENSOR]
         if agent not in sensors:
-            at = f"{place}:{_column(row, SENSOR)}"
-            raise ValueError(f"{at}: sensor {agent!r}; the graph has {', '.join(sensors)}")
+            position = f"{place}:{_column(row, SENSOR)}"
+            raise ValueError(f"{position}: sensor {agent!r}; the graph has {', '.join(sensors)}")
         return [agent]
-    found = [agent for agent, one in sensors.items() if any(row[name] for name in one.quantities)]
-    if not found and len(sensors) > 1:
+    measuring = [agent for agent, columns in sensors.items() if any(row[name] for name in columns.quantities)]
+    if not measuring and len(sensors) > 1:
         raise ValueError(
             f"{place}: no quantity; a column 'sensor' has to say which of {', '.join(sensors)} saw nothing"
         )
-    return found or [*sensors]
+    return measuring or [*sensors]
 
 
 def _values(row: Row, columns: SensorColumns, place: str) -> list[float] | None:
@@ -287,8 +293,8 @@ def _values(row: Row, columns: SensorColumns, place: str) -> list[float] | None:
     values = []
     for name, cell in cells.items():
         if not cell:
-            given = ", ".join(one for one, text in cells.items() if text)
-            raise ValueError(f"{place}:{_column(row, name)}: {name} is empty, and {given} is given")
+            filled = ", ".join(quantity for quantity, text in cells.items() if text)
+            raise ValueError(f"{place}:{_column(row, name)}: {name} is empty, and {filled} is given")
         try:
             values.append(float(cell))
         except ValueError:
@@ -310,26 +316,26 @@ def _score(row: Row, place: str) -> float:
 
 
 def _scans(
-    held: Mapping[int, Mapping[str, list[tuple[int, list[float], float]]]],
+    rows_of_frames: Mapping[int, Mapping[str, list[tuple[int, list[float], float]]]],
     sensors: Mapping[str, SensorColumns],
     name: str,
 ) -> dict[int, dict[str, Scan]]:
-    outside: dict[str, list[int]] = {}
+    beyond: dict[str, list[int]] = {}
     counts = dict.fromkeys(sensors, 0)
-    found: dict[int, dict[str, Scan]] = {}
-    for number, looks in held.items():
+    scans: dict[int, dict[str, Scan]] = {}
+    for number, looks in rows_of_frames.items():
         for agent, rows in looks.items():
             columns = sensors[agent]
             counts[agent] += len(rows)
-            values = np.array([one for _, one, _ in rows], dtype=np.float64)
+            values = np.array([quantities for _, quantities, _ in rows], dtype=np.float64)
             values = values.reshape(-1, len(columns.quantities))
             keep = columns.inside(values)
-            outside.setdefault(agent, []).extend(
+            beyond.setdefault(agent, []).extend(
                 line for (line, _, _), is_kept in zip(rows, keep, strict=True) if not is_kept
             )
             scores = np.array([score for _, _, score in rows])
-            found.setdefault(number, {})[agent] = Scan(values[keep], scores[keep])
-    for agent, lines in outside.items():
+            scans.setdefault(number, {})[agent] = Scan(values[keep], scores[keep])
+    for agent, lines in beyond.items():
         if lines:
             notice(
                 f"{name}: {len(lines)} of {counts[agent]} detections of {agent} lie outside of its `within`, "
@@ -338,4 +344,4 @@ def _scans(
     for agent, count in counts.items():
         if not count:
             notice(f"{name}: no detection of {agent}")
-    return found
+    return scans

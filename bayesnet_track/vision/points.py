@@ -77,8 +77,8 @@ class PointMotion:
 
     def of(self, place: Floats) -> Floats:
         """Place to which the motion takes x, y."""
-        moved = self.target + self.factor * (complex(place[0], place[1]) - self.source)
-        return np.array([moved.real, moved.imag])
+        place_after = self.target + self.factor * (complex(place[0], place[1]) - self.source)
+        return np.array([place_after.real, place_after.imag])
 
 
 def cut(image: Image, region: Region) -> Image:
@@ -103,35 +103,35 @@ def mix_channels(image: Image, mix: Floats) -> Image:
 
 
 def corners_in(
-    image: Image, origin: tuple[int, int], box: Floats, least: float, apart: float, most: int
+    image: Image, origin: tuple[int, int], box: Floats, threshold: float, distance: float, max_count: int
 ) -> Floats:
-    """(N, 2) the strongest Shi-Tomasi corners in a centre box (4,), at least `apart` px from each other.
+    """(N, 2) the strongest Shi-Tomasi corners in a centre box (4,), at least `distance` px from each other.
 
     Ranked by the smaller eigenvalue of the gradient matrix (tracking chapter 3.1), which must exceed least^2
     (gray levels per px)^2.
     """
-    scores, first = _scores(image, origin, box, least)
+    scores, first = _scores(image, origin, box, threshold)
     rows, columns = np.nonzero(scores)
     strength = scores[rows, columns]
     order = np.argsort(-strength, kind="stable")
     places = np.column_stack([columns, rows])[order]
-    found: list[NDArray[np.int64]] = []
-    while len(places) and len(found) < most:
-        found.append(places[0])
-        places = places[((places - places[0]) ** 2).sum(axis=1) >= max(apart, 1.0) ** 2]
-    corners: Floats = np.array(found, dtype=np.float64).reshape(-1, 2) + first
+    accepted: list[NDArray[np.int64]] = []
+    while len(places) and len(accepted) < max_count:
+        accepted.append(places[0])
+        places = places[((places - places[0]) ** 2).sum(axis=1) >= max(distance, 1.0) ** 2]
+    corners: Floats = np.array(accepted, dtype=np.float64).reshape(-1, 2) + first
     return corners
 
 
-def clearest_mix(image: Image, origin: tuple[int, int], box: Floats, least: float) -> Floats:
+def clearest_mix(image: Image, origin: tuple[int, int], box: Floats, threshold: float) -> Floats:
     """(3,) weights of B, G, R: brightness, or the one channel in which the box's corners are far stronger."""
     mixes: list[Floats] = [GRAY, *np.eye(3)]
-    totals = [float(_scores(mix_channels(image, mix), origin, box, least)[0].sum()) for mix in mixes]
-    best = int(np.argmax(totals))
-    return mixes[best] if totals[best] > CLEARER * totals[0] else mixes[0]
+    totals = [float(_scores(mix_channels(image, mix), origin, box, threshold)[0].sum()) for mix in mixes]
+    clearest = int(np.argmax(totals))
+    return mixes[clearest] if totals[clearest] > CLEARER * totals[0] else mixes[0]
 
 
-def _scores(image: Image, origin: tuple[int, int], box: Floats, least: float) -> tuple[Floats, Floats]:
+def _scores(image: Image, origin: tuple[int, int], box: Floats, threshold: float) -> tuple[Floats, Floats]:
     """Corner scores of the whole pixels in a centre box as far as the picture goes, and x, y of the first."""
     from bayesnet_track.vision.kernels.flow_kernels import RIM, corner_scores
 
@@ -141,55 +141,61 @@ def _scores(image: Image, origin: tuple[int, int], box: Floats, least: float) ->
     wide_low, wide_high = np.maximum(low - RIM, 0), np.minimum(high + RIM, extent)
     part = for_reading(image[wide_low[1] : wide_high[1], wide_low[0] : wide_high[0]])
     scores = np.zeros(part.shape)
-    corner_scores(part, least**2, scores)
+    corner_scores(part, threshold**2, scores)
     start, end = low - wide_low, high - wide_low
     return scores[start[1] : end[1], start[0] : end[0]], np.asarray(low + np.array(origin, dtype=np.float64))
 
 
-def patches_at(image: Image, origin: tuple[int, int], at: Floats, turns: Array, side: int) -> Floats:
-    """(N, side, side) pixels around places `at` (N, 2), each grid scaled and rotated by its complex turn."""
+def patches_at(image: Image, origin: tuple[int, int], places: Floats, turns: Array, side: int) -> Floats:
+    """(N, side, side) pixels around `places` (N, 2), each grid scaled and rotated by its complex turn."""
     import cv2
 
-    if len(at) == 0:
+    if len(places) == 0:
         return np.zeros((0, side, side))
     step = np.arange(side) - side // 2
-    centres = at[:, 0] + 1j * at[:, 1] - complex(*origin)
+    centres = places[:, 0] + 1j * places[:, 1] - complex(*origin)
     square = step[None, :] + 1j * step[:, None]
     grid = (centres[:, None, None] + turns[:, None, None] * square).reshape(-1, side)
     x, y = grid.real.astype(np.float32), grid.imag.astype(np.float32)
-    found = cv2.remap(image.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float64).reshape(-1, side, side)
+    patches = cv2.remap(image.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(patches, np.float64).reshape(-1, side, side)
 
 
-def correlations(one: Floats, other: Floats) -> Floats:
+def correlations(first: Floats, second: Floats) -> Floats:
     """(N,) normalised correlation of patches (N, P, P); 0 where one of them is flat."""
-    a, b = (p.reshape(len(p), one.shape[1] ** 2) for p in (one, other))
+    a, b = (p.reshape(len(p), first.shape[1] ** 2) for p in (first, second))
     a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
     size = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
     return np.asarray(np.where(size > 1e-6, (a * b).sum(axis=1) / np.maximum(size, 1e-6), 0.0))
 
 
 def followed(
-    before: Image, now: Image, origin: tuple[int, int], guess: tuple[int, int], at: Floats, how: Following
+    previous: Image,
+    current: Image,
+    origin: tuple[int, int],
+    guess: tuple[int, int],
+    places: Floats,
+    how: Following,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """(N, 2) where the points `at` are in the picture `now`, and which of them came back when tracked back.
+    """(N, 2) where the points `places` are in `current`, and which came back when tracked back.
 
-    `before` is cut at `origin`, a multiple of 4, and `now` by `guess` further, as large, a multiple of 4 too.
+    `previous` is cut at `origin`, a multiple of 4, and `current` by `guess` further, also a
+    multiple of 4.
     """
     import cv2
 
     from bayesnet_track.vision.kernels.flow_kernels import track_points
 
-    middle, later = cv2.pyrDown(before), cv2.pyrDown(now)
-    flows, valid = np.zeros((len(at), 2)), np.zeros(len(at), np.uint8)
+    middle, later = cv2.pyrDown(previous), cv2.pyrDown(current)
+    flows, valid = np.zeros((len(places), 2)), np.zeros(len(places), np.uint8)
     track_points(
         cv2.pyrDown(middle),
         middle,
-        for_reading(before),
+        for_reading(previous),
         cv2.pyrDown(later),
         later,
-        for_reading(now),
-        np.rint(at).astype(np.int64),
+        for_reading(current),
+        np.rint(places).astype(np.int64),
         np.array(origin, dtype=np.int64),
         2 * how.half_window_px + 1,
         float(how.reach_px),
@@ -198,7 +204,7 @@ def followed(
         valid,
     )
     # The flow is that of the nearest pixel: rounding does not add up over frames.
-    return at + flows + guess, valid == 1
+    return places + flows + guess, valid == 1
 
 
 def find_agreement(
@@ -207,21 +213,21 @@ def find_agreement(
     """The translation or similarity that most candidates follow, fitted to them by least squares; or None."""
     from bayesnet_track.vision.kernels.flow_kernels import consensus
 
-    kept = np.zeros(len(source), dtype=np.bool_)
-    apart = 2.0 * how.half_window_px
-    among = consensus(source[candidates], target[candidates], how.agree_px, apart, how.max_scale)
-    kept[np.flatnonzero(candidates)[among]] = True
-    if not kept.any():
+    agreeing = np.zeros(len(source), dtype=np.bool_)
+    distance = 2.0 * how.half_window_px
+    among = consensus(source[candidates], target[candidates], how.agree_px, distance, how.max_scale)
+    agreeing[np.flatnonzero(candidates)[among]] = True
+    if not agreeing.any():
         return None
-    z, t = source[kept] @ [1, 1j], target[kept] @ [1, 1j]
-    centre, moved = complex(z.mean()), complex(t.mean())
+    z, t = source[agreeing] @ [1, 1j], target[agreeing] @ [1, 1j]
+    centre, target_centre = complex(z.mean()), complex(t.mean())
     spread = float((np.abs(z - centre) ** 2).sum())
     factor = 1.0 + 0.0j
     if len(z) > FEW and spread > 0:
-        factor = complex((np.conj(z - centre) * (t - moved)).sum() / spread)
-    squares = float((np.abs(t - moved - factor * (z - centre)) ** 2).sum())
+        factor = complex((np.conj(z - centre) * (t - target_centre)).sum() / spread)
+    squares = float((np.abs(t - target_centre - factor * (z - centre)) ** 2).sum())
     free = max(2 * len(z) - (4 if len(z) > FEW else 2), 1)
-    return PointMotion(kept, target, factor, centre, moved, squares / free, spread)
+    return PointMotion(agreeing, target, factor, centre, target_centre, squares / free, spread)
 
 
 UNSEEN = -12.0
@@ -310,8 +316,8 @@ def displace(
     """
     squares = mean_squares(points, image, origin, dt, centre, matching)
     variances = points.patches.var(axis=(1, 2))
-    seen = squares.min(axis=(1, 2)) < SEEN * variances
-    if not seen.any():
+    visible = squares.min(axis=(1, 2)) < SEEN * variances
+    if not visible.any():
         return None
     scale = np.minimum(matching.sd_gray**2, np.maximum(CONTRAST**2 * variances, 1e-9))
     likelihood = np.exp(np.maximum(-squares / (2.0 * scale[:, None, None]), UNSEEN))
@@ -320,13 +326,13 @@ def displace(
     evidence = joint.sum(axis=(1, 2), keepdims=True)
     feasible = evidence >= likelihood.mean(axis=(1, 2), keepdims=True)
     filtered = np.where(feasible, joint / np.maximum(evidence, 1e-300), measured)
-    total = filtered[seen].mean(axis=0)
+    total = filtered[visible].mean(axis=0)
     mean, covariance = moments(total)
     motion = centre + mean
-    chosen = centre + working_points(filtered, mean, matching)
-    moved = points.at + np.rint(chosen * dt).astype(np.int64)
-    now = Points(moved, points.patches, filtered, centre)
-    return Displaced(now, measured, seen, total, motion, covariance)
+    displacements = centre + working_points(filtered, mean, matching)
+    places = points.at + np.rint(displacements * dt).astype(np.int64)
+    points_after = Points(places, points.patches, filtered, centre)
+    return Displaced(points_after, measured, visible, total, motion, covariance)
 
 
 def mean_squares(
@@ -356,20 +362,20 @@ def predict_matrices(points: Points, dt: float, centre: Ints, matching: Matching
     size = points.motion.shape[1]
     first, taps = gaussian_taps(0.0, float(np.sqrt(dt)) * matching.sd_motion_px)
     spread = np.zeros((size, size))
-    for old in range(size):
+    for column in range(size):
         # Reflected at the ends, so that a matrix that knows nothing stays even.
-        cells = (old + first + np.arange(len(taps))) % (2 * size)
-        np.add.at(spread[:, old], np.where(cells < size, cells, 2 * size - 1 - cells), taps)
-    known = np.clip(spread @ points.motion @ spread.T, 0.0, None)
-    least = known.min(axis=(1, 2), keepdims=True)
-    moved = np.broadcast_to(least, known.shape).copy()
+        cells = (column + first + np.arange(len(taps))) % (2 * size)
+        np.add.at(spread[:, column], np.where(cells < size, cells, 2 * size - 1 - cells), taps)
+    spread_matrices = np.clip(spread @ points.motion @ spread.T, 0.0, None)
+    floor = spread_matrices.min(axis=(1, 2), keepdims=True)
+    shifted = np.broadcast_to(floor, spread_matrices.shape).copy()
     u, v = (int(c) for c in np.clip(centre - points.centre, -size, size))
     to, source = _overlap(u, size), _overlap(-u, size)
     to_rows, source_rows = _overlap(v, size), _overlap(-v, size)
-    moved[:, to_rows, to] = known[:, source_rows, source]
-    total = moved.sum(axis=(1, 2), keepdims=True)
-    moved = np.where(total > 0, moved / np.where(total > 0, total, 1.0), 1.0 / size**2)
-    return np.stack([flatten(matrix, matching.forget**dt) for matrix in moved])
+    shifted[:, to_rows, to] = spread_matrices[:, source_rows, source]
+    total = shifted.sum(axis=(1, 2), keepdims=True)
+    shifted = np.where(total > 0, shifted / np.where(total > 0, total, 1.0), 1.0 / size**2)
+    return np.stack([flatten(matrix, matching.forget**dt) for matrix in shifted])
 
 
 def _overlap(shift: int, size: int) -> slice:
@@ -380,19 +386,19 @@ def _overlap(shift: int, size: int) -> slice:
 def moments(matrix: Floats) -> tuple[Floats, Floats]:
     """Mean (u, v) from the centre and covariance (2, 2) of probabilities (K, K), px per frame."""
     steps = np.arange(len(matrix)) - (len(matrix) - 1) / 2
-    across, down = matrix.sum(axis=0), matrix.sum(axis=1)
-    mean = np.array([across @ steps, down @ steps])
+    column_sums, row_sums = matrix.sum(axis=0), matrix.sum(axis=1)
+    mean = np.array([column_sums @ steps, row_sums @ steps])
     u, v = steps - mean[0], steps - mean[1]
     mixed = v @ matrix @ u
-    return mean, np.array([[across @ u**2, mixed], [mixed, down @ v**2]])
+    return mean, np.array([[column_sums @ u**2, mixed], [mixed, row_sums @ v**2]])
 
 
 def working_points(filtered: Floats, motion: Floats, matching: Matching) -> Ints:
     """(N, 2) x_opt of each matrix, from its centre: its probable displacement nearest to the object's."""
     u, v = np.meshgrid(matching.steps, matching.steps)
     places = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
-    chosen = [nearest_probable(places, matrix.ravel(), motion, matching.epsilon) for matrix in filtered]
-    return places[chosen].astype(np.int64)
+    indices = [nearest_probable(places, matrix.ravel(), motion, matching.epsilon) for matrix in filtered]
+    return places[indices].astype(np.int64)
 
 
 def flat_motion(count: int, matching: Matching) -> Floats:
@@ -402,12 +408,12 @@ def flat_motion(count: int, matching: Matching) -> Floats:
 
 
 def cut_patches(
-    image: Bytes, origin: tuple[int, int], at: Ints, side: int
+    image: Bytes, origin: tuple[int, int], places: Ints, side: int
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """(N, side, side) patches around points (zeros outside), and (N,) which lie wholly in the picture."""
     half = side // 2
-    patches, whole = np.zeros((len(at), side, side)), np.zeros(len(at), dtype=bool)
-    for n, (x, y) in enumerate(at - np.array(origin) - half):
+    patches, is_whole = np.zeros((len(places), side, side)), np.zeros(len(places), dtype=bool)
+    for n, (x, y) in enumerate(places - np.array(origin) - half):
         if x >= 0 and y >= 0 and x + side <= image.shape[1] and y + side <= image.shape[0]:
-            patches[n], whole[n] = image[y : y + side, x : x + side], True
-    return patches, whole
+            patches[n], is_whole[n] = image[y : y + side, x : x + side], True
+    return patches, is_whole

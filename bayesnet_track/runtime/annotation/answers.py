@@ -53,23 +53,25 @@ def mend_names(
     >>> mend_names(["ball 1", "ball\\u00a01", "\\tcar  1", ""])
     {'ball\\xa01': 'ball 2', '\\tcar  1': 'car 1', '': 'target 1'}
     """
-    given = dict.fromkeys(names)
-    taken = {name for name in given if describe_fault(name) is None}
+    distinct = dict.fromkeys(names)
+    used = {name for name in distinct if describe_fault(name) is None}
     mended = {}
-    for name in given:
-        if name not in taken:
-            mended[name] = _find_free(_tidy(name), partial(_is_taken, name, taken, is_others))
-            taken.add(mended[name])
+    for name in distinct:
+        if name not in used:
+            mended[name] = _find_free(_tidy(name), partial(_is_taken, name, used, is_others))
+            used.add(mended[name])
     return mended
 
 
 def describe_mended(mended: dict[str, str]) -> str:
     """A sentence about names that were mended, each as it is from now on."""
-    shown = ", ".join(f"{_short(name)} is now {new!r}" for name, new in list(mended.items())[:5])
-    more = f", and {len(mended) - 5} more" if len(mended) > 5 else ""
+    listed = ", ".join(
+        f"{_short(name)} is now {mended_name!r}" for name, mended_name in list(mended.items())[:5]
+    )
+    remainder = f", and {len(mended) - 5} more" if len(mended) > 5 else ""
     return (
         f"names of targets are printable, on one line, of 1 to {LONGEST_NAME} characters, without a space at "
-        f"either end: {shown}{more}"
+        f"either end: {listed}{remainder}"
     )
 
 
@@ -82,9 +84,9 @@ def find_alike(names: Iterable[str]) -> list[tuple[str, str]]:
     first: dict[str, str] = {}
     pairs = []
     for name in dict.fromkeys(names):
-        other = first.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
-        if other != name:
-            pairs.append((other, name))
+        earlier = first.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
+        if earlier != name:
+            pairs.append((earlier, name))
     return pairs
 
 
@@ -99,8 +101,8 @@ def _printable(letter: str) -> str:
     return " " if letter.isspace() or unicodedata.category(letter) == "Cc" else ""
 
 
-def _is_taken(name: str, taken: set[str], is_others: Callable[[str, str], bool], new: str) -> bool:
-    return new in taken or is_others(name, new)
+def _is_taken(name: str, used: set[str], is_others: Callable[[str, str], bool], candidate: str) -> bool:
+    return candidate in used or is_others(name, candidate)
 
 
 def _find_free(name: str, is_taken: Callable[[str], bool]) -> str:
@@ -154,18 +156,18 @@ class Answer:
 UNDO = Answer("undo")
 
 
-def read_answer(given: Mapping[str, Any], frames: int, width: int, height: int) -> Answer:
+def read_answer(message: Mapping[str, Any], frames: int, width: int, height: int) -> Answer:
     """The answer that a line or a page gives.
 
     Raises:
         AnswerError: it is none of this video.
     """
-    kind = given.get("kind")
+    kind = message.get("kind")
     if kind not in KINDS:
         raise AnswerError(f"kind {kind!r}: one of {', '.join(KINDS)} is needed")
     if kind == "undo":
         return UNDO
-    frame, target = given.get("frame"), given.get("target")
+    frame, target = message.get("frame"), message.get("target")
     if type(frame) is not int or not 0 <= frame < frames:
         raise AnswerError(f"frame {frame!r}: the video has frames 0 to {frames - 1}")
     fault = describe_fault(target)
@@ -174,14 +176,14 @@ def read_answer(given: Mapping[str, Any], frames: int, width: int, height: int) 
     assert isinstance(target, str)
     if kind == "gone":
         return Answer("gone", frame, target)
-    return Answer(kind, frame, target, read_box(given.get("box"), width, height))
+    return Answer(kind, frame, target, read_box(message.get("box"), width, height))
 
 
-def read_box(given: object, width: int, height: int) -> Box:
+def read_box(sent: object, width: int, height: int) -> Box:
     """Four finite numbers x, y, w, h with an area that touches the frame; raises AnswerError."""
-    values = list(given) if isinstance(given, list | tuple) else []
+    values = list(sent) if isinstance(sent, list | tuple) else []
     if len(values) != 4 or any(type(value) not in (int, float) for value in values):
-        raise AnswerError(f"box {given!r}: four numbers x, y, w, h are needed")
+        raise AnswerError(f"box {sent!r}: four numbers x, y, w, h are needed")
     try:
         x, y, w, h = (float(value) for value in values)
     except OverflowError as error:
@@ -195,13 +197,13 @@ def read_box(given: object, width: int, height: int) -> Box:
 
 def in_force(answers: Iterable[Answer]) -> tuple[Answer, ...]:
     """Answers that no undo took back, in the order in which they were given."""
-    kept: list[Answer] = []
-    for one in answers:
-        if one.kind != "undo":
-            kept.append(one)
-        elif kept:
-            kept.pop()
-    return tuple(kept)
+    standing: list[Answer] = []
+    for answer in answers:
+        if answer.kind != "undo":
+            standing.append(answer)
+        elif standing:
+            standing.pop()
+    return tuple(standing)
 
 
 FORMAT = "bayesnet_track answers"
@@ -259,7 +261,7 @@ def write_answers(path: Path, header: Header, answers: Iterable[Answer] = ()) ->
     for name in ("max_side", "value_range"):
         if line[name] is None:
             del line[name]
-    text = "".join(f"{one}\n" for one in [json.dumps(line, allow_nan=False), *map(_line, answers)])
+    text = "".join(f"{entry}\n" for entry in [json.dumps(line, allow_nan=False), *map(_line, answers)])
     write_atomically(path, text.encode())
 
 
@@ -269,8 +271,8 @@ def append_answers(file: LineFile, answers: Iterable[Answer]) -> None:
     Raises:
         OutputError: they cannot be written, or something else changed the file; nothing is added then.
     """
-    for one in answers:
-        file.append(_line(one))
+    for answer in answers:
+        file.append(_line(answer))
     try:
         file.flush()
     except OutputError as error:
@@ -299,27 +301,27 @@ def read_answers(path: Path) -> AnswersFile:
     is_whole = data.endswith(b"\n")
     lines = [(number, line) for number, line in enumerate(data.splitlines(), 1) if line.strip()]
     header = _read_header(path, lines[0][1] if lines else b"")
-    given = []
+    objects = []
     torn = []
     for number, line in lines[1:]:
         try:
-            given.append((number, _object(line)))
+            objects.append((number, _object(line)))
         except AnswerError as error:
             if is_whole or number != lines[-1][0]:
                 raise AnswersFileError(f"{path}, line {number}: {error}") from error
             torn = [f"{path}: the last line, {number}, is unfinished and is left out: {line[:60]!r}"]
-    answers, renamed = _read(path, header.video, given)
+    answers, renamed = _read(path, header.video, objects)
     mended = [f"{path}: {describe_mended(renamed)}"] if renamed else []
     return AnswersFile(header, answers, (*mended, *torn), is_whole)
 
 
 def _read(
-    path: Path, video: Video, given: Sequence[tuple[int, dict[str, Any]]]
+    path: Path, video: Video, objects: Sequence[tuple[int, dict[str, Any]]]
 ) -> tuple[tuple[Answer, ...], dict[str, str]]:
-    names = (line["target"] for _, line in given if isinstance(line.get("target"), str))
+    names = (line["target"] for _, line in objects if isinstance(line.get("target"), str))
     renamed = mend_names(names)
     answers = []
-    for number, line in given:
+    for number, line in objects:
         target = line.get("target")
         if isinstance(target, str):
             line = {**line, "target": renamed.get(target, target)}
@@ -332,17 +334,19 @@ def _read(
 
 def _read_header(path: Path, line: bytes) -> Header:
     try:
-        given = _object(line)
-        if given.get("format") != FORMAT:
+        properties = _object(line)
+        if properties.get("format") != FORMAT:
             raise AnswerError("no header of answers")
-        if given.get("format_version") != VERSION:
-            raise AnswerError(f"format version {given.get('format_version')!r}; this program reads {VERSION}")
-        del given["format"], given["format_version"]
-        given["value_range"] = value_range_of(given.get("value_range"))
-        header = Header(**{**given, "video": Video(**given["video"])})
+        if properties.get("format_version") != VERSION:
+            raise AnswerError(
+                f"format version {properties.get('format_version')!r}; this program reads {VERSION}"
+            )
+        del properties["format"], properties["format_version"]
+        properties["value_range"] = value_range_of(properties.get("value_range"))
+        header = Header(**{**properties, "video": Video(**properties["video"])})
     except (ValueError, TypeError, KeyError) as error:
         raise AnswersFileError(f"{path}, line 1: {error}") from error
-    for name, (value, kinds, least) in {
+    for name, (value, kinds, minimum) in {
         "video.frames": (header.video.frames, (int,), 1),
         "video.width": (header.video.width, (int,), 1),
         "video.height": (header.video.height, (int,), 1),
@@ -352,40 +356,40 @@ def _read_header(path: Path, line: bytes) -> Header:
         "patience": (header.patience, (int,), 1),
         "max_side": (header.max_side, (int, type(None)), LEAST_MAX_SIDE),
     }.items():
-        is_low = least is not None and isinstance(value, int | float) and not value >= least
+        is_low = minimum is not None and isinstance(value, int | float) and not value >= minimum
         if type(value) not in kinds or is_low:
             needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
-            at_least = "" if least is None else f" of at least {least}"
+            at_least = "" if minimum is None else f" of at least {minimum}"
             raise AnswersFileError(f"{path}, line 1: {name} {value!r}; {needed}{at_least} is needed")
     return header
 
 
 def _object(line: bytes) -> dict[str, Any]:
     try:
-        given = json.loads(line)
+        parsed = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise AnswerError("it is no JSON") from error
-    if not isinstance(given, dict):
+    if not isinstance(parsed, dict):
         raise AnswerError("an object is needed")
-    return given
+    return parsed
 
 
-def first_difference(kept: Header, now: Header) -> str | None:
+def first_difference(stored: Header, current: Header) -> str | None:
     """The first property of the video or of the tracker that differs from the answers'; None if none does.
 
     When it asks may change: that changes no box.
     """
     for name in ("frames", "width", "height", "pixels"):
-        was, found = getattr(kept.video, name), getattr(now.video, name)
-        if was != found:
-            where = "frames differ (SHA-256)" if name == "pixels" else f"{name}: {found}, it was {was}"
-            if name == "pixels" and kept.value_range != now.value_range:
-                ranges = [one.value_range or "none" for one in (now, kept)]
+        was, value = getattr(stored.video, name), getattr(current.video, name)
+        if was != value:
+            difference = "frames differ (SHA-256)" if name == "pixels" else f"{name}: {value}, it was {was}"
+            if name == "pixels" and stored.value_range != current.value_range:
+                ranges = [header.value_range or "none" for header in (current, stored)]
                 kept_if = f"without {setting('--range')} it is kept"
-                where += f"; the range of values is {ranges[0]}, it was {ranges[1]} ({kept_if})"
-            return f"another video: {where}"
+                difference += f"; the range of values is {ranges[0]}, it was {ranges[1]} ({kept_if})"
+            return f"another video: {difference}"
     for name in ("graph_name", "graph", "seed", "max_side", "version"):
-        was, found = getattr(kept, name), getattr(now, name)
-        if was != found:
-            return f"{name.replace('_', ' ')}: {found}, it was {was}"
+        was, value = getattr(stored, name), getattr(current, name)
+        if was != value:
+            return f"{name.replace('_', ' ')}: {value}, it was {was}"
     return None

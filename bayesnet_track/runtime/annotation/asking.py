@@ -77,27 +77,27 @@ class TrackerRuns:
         key = (start, box, step)
         run = self._runs.setdefault(key, _Run(partial(self._find, start, box, step)))
         if not run.reaches(abs(frame - start) - 1):
-            self._live = [one for one in self._live if one != key] + [key]
-            for old in self._live[:-AT_ONCE]:
-                self._runs[old].rest()
+            self._live = [live for live in self._live if live != key] + [key]
+            for idle in self._live[:-AT_ONCE]:
+                self._runs[idle].rest()
             self._live = self._live[-AT_ONCE:]
         return run.at(abs(frame - start) - 1)
 
     def _find(self, start: int, box: Box, step: int) -> Iterator[TrackedBox]:
         tracker = Tracker(self.graph, self.seed, max_side=self.max_side)
         tracker.init(self.frames.image(start), box)
-        found = TrackedBox(box, 1.0, (0.0, 0.0), "tracking")
-        last = len(self.frames) if step > 0 else -1
-        for frame in range(start + step, last, step):
+        tracked = TrackedBox(box, 1.0, (0.0, 0.0), "tracking")
+        end = len(self.frames) if step > 0 else -1
+        for frame in range(start + step, end, step):
             tracker.update(self.frames.image(frame))
-            yield (found := _found(tracker, found))
+            yield (tracked := _found(tracker, tracked))
 
 
-def _found(tracker: Tracker, before: TrackedBox) -> TrackedBox:
+def _found(tracker: Tracker, previous: TrackedBox) -> TrackedBox:
     try:
         line = tracker.metrics
     except RuntimeError:  # it has ended: a person corrects the box where it was last
-        return replace(before, probability=0.0, status="lost")
+        return replace(previous, probability=0.0, status="lost")
     x, y, w, h = (float(value) for value in line.xywh)
     return TrackedBox((x, y, w, h), line.score, (float(line.sd[0]), float(line.sd[1])), tracker.status)
 
@@ -154,19 +154,19 @@ class BoxMark:
     probability: float = 1.0
 
 
-def iou(one: Box, other: Box) -> float:
+def iou(first: Box, second: Box) -> float:
     """Intersection over union of two corner boxes."""
-    wide = min(one[0] + one[2], other[0] + other[2]) - max(one[0], other[0])
-    tall = min(one[1] + one[3], other[1] + other[3]) - max(one[1], other[1])
+    wide = min(first[0] + first[2], second[0] + second[2]) - max(first[0], second[0])
+    tall = min(first[1] + first[3], second[1] + second[3]) - max(first[1], second[1])
     if wide <= 0 or tall <= 0:
         return 0.0
-    both = wide * tall
-    return both / (one[2] * one[3] + other[2] * other[3] - both)
+    common = wide * tall
+    return common / (first[2] * first[3] + second[2] * second[3] - common)
 
 
-def between(one: Box, other: Box, share: float) -> Box:
+def between(first: Box, second: Box, share: float) -> Box:
     """The box at `share` of the way from one to the other."""
-    x, y, w, h = ((1.0 - share) * a + share * b for a, b in zip(one, other, strict=True))
+    x, y, w, h = ((1.0 - share) * a + share * b for a, b in zip(first, second, strict=True))
     return x, y, w, h
 
 
@@ -183,15 +183,15 @@ def fuse(frame: int, forward: TrackedBox, backward: TrackedBox, line: Box) -> Bo
         box = between(forward.box, backward.box, q / (p + q) if p + q > 0 else 0.5)
         return BoxMark(frame, box, "tracked", _share(right, wrong))
     of_forward, of_backward, of_none = p * (1.0 - q), q * (1.0 - p), (1.0 - p) * (1.0 - q)
-    best = max(of_forward, of_backward)
-    probability = _share(best, of_forward + of_backward + of_none - best)
+    larger = max(of_forward, of_backward)
+    probability = _share(larger, of_forward + of_backward + of_none - larger)
     if probability < LEAST_TRACKED:
         return BoxMark(frame, line, "interpolated", probability)
     return BoxMark(frame, (forward if of_forward >= of_backward else backward).box, "tracked", probability)
 
 
-def _share(part: float, rest: float) -> float:
-    return part / (part + rest) if part + rest > 0 else 0.0
+def _share(part: float, complement: float) -> float:
+    return part / (part + complement) if part + complement > 0 else 0.0
 
 
 THRESHOLD, PATIENCE = 0.8, 20
@@ -244,7 +244,7 @@ class Annotations:
     @property
     def failures(self) -> tuple[Question, ...]:
         """Questions because of which a target is not tracked."""
-        return tuple(one for one in self.questions if one.is_failure)
+        return tuple(question for question in self.questions if question.is_failure)
 
 
 def annotate(
@@ -254,9 +254,9 @@ def annotate(
     asking = asking or Asking()
     marks: dict[str, Mapping[int, BoxMark]] = {}
     questions = []
-    for target, own in answers.items():
-        found, question = annotate_target(target, own, runs, frames, asking)
-        marks[target] = found
+    for target, of_target in answers.items():
+        target_marks, question = annotate_target(target, of_target, runs, frames, asking)
+        marks[target] = target_marks
         questions += [] if question is None else [question]
     return Annotations(marks, tuple(questions))
 
@@ -265,15 +265,15 @@ def annotate_target(
     target: str, answers: Sequence[Answer], runs: Runs, frames: int, asking: Asking
 ) -> tuple[dict[int, BoxMark], Question | None]:
     """The marks of one target by frame, and what to ask about it first."""
-    marks = {one.frame: _given(one) for one in answers}
+    marks = {answer.frame: _given(answer) for answer in answers}
     questions = []
-    for one, then in pairwise(answers):
-        marks |= {mark.frame: mark for mark in _between(one, then, runs)}
-        question = _doubt_between(target, one, then, marks, asking)
+    for answer, following in pairwise(answers):
+        marks |= {mark.frame: mark for mark in _between(answer, following, runs)}
+        question = _doubt_between(target, answer, following, marks, asking)
         questions += [] if question is None else [question]
     if answers and not questions:
-        ahead = range(answers[-1].frame + 1, frames)
-        question = _run_ahead(target, answers[-1], runs, ahead, marks, asking)
+        remaining = range(answers[-1].frame + 1, frames)
+        question = _run_ahead(target, answers[-1], runs, remaining, marks, asking)
         questions += [] if question is None else [question]
     return dict(sorted(marks.items())), next(iter(questions), None)
 
@@ -286,40 +286,40 @@ def fail(
     A box with which nothing can be computed is none of them.
     """
     marks = {
-        one.frame: _given(one)
-        for one in answers
-        if one.box is None or usable(np.array([one.box], dtype=np.float64))[0]
+        answer.frame: _given(answer)
+        for answer in answers
+        if answer.box is None or usable(np.array([answer.box], dtype=np.float64))[0]
     }
-    shown = marks.get(frame, BoxMark(frame, None, "gone", 0.0))
-    return marks, Question(target, frame, shown, f"not tracked: {reason}", True)
+    mark = marks.get(frame, BoxMark(frame, None, "gone", 0.0))
+    return marks, Question(target, frame, mark, f"not tracked: {reason}", True)
 
 
 def _given(answer: Answer) -> BoxMark:
     return BoxMark(answer.frame, answer.box, "gone" if answer.box is None else "given")
 
 
-def _between(one: Answer, then: Answer, runs: Runs) -> Iterator[BoxMark]:
-    for frame in range(one.frame + 1, then.frame):
-        if one.box is None:
+def _between(answer: Answer, following: Answer, runs: Runs) -> Iterator[BoxMark]:
+    for frame in range(answer.frame + 1, following.frame):
+        if answer.box is None:
             yield BoxMark(frame, None, "gone")
             continue
-        forward = runs.at(one.frame, one.box, frame)
-        if then.box is None:
+        forward = runs.at(answer.frame, answer.box, frame)
+        if following.box is None:
             yield BoxMark(frame, forward.box, "tracked", forward.probability)
             continue
-        backward = runs.at(then.frame, then.box, frame)
-        share = (frame - one.frame) / (then.frame - one.frame)
-        yield fuse(frame, forward, backward, between(one.box, then.box, share))
+        backward = runs.at(following.frame, following.box, frame)
+        share = (frame - answer.frame) / (following.frame - answer.frame)
+        yield fuse(frame, forward, backward, between(answer.box, following.box, share))
 
 
 def _doubt_between(
-    target: str, one: Answer, then: Answer, marks: Mapping[int, BoxMark], asking: Asking
+    target: str, answer: Answer, following: Answer, marks: Mapping[int, BoxMark], asking: Asking
 ) -> Question | None:
     """The most doubtful frame between two answers; of equals the one in the middle of the gap."""
-    middle = (one.frame + then.frame) / 2
+    middle = (answer.frame + following.frame) / 2
     doubtful = [
         marks[frame]
-        for frame in range(one.frame + 1, then.frame)
+        for frame in range(answer.frame + 1, following.frame)
         if marks[frame].probability < asking.threshold
     ]
     if not doubtful:
@@ -327,15 +327,15 @@ def _doubt_between(
     worst = min(doubtful, key=lambda mark: (round(mark.probability, 2), abs(mark.frame - middle)))
     compared = f"probability of being on target {worst.probability:.2f} < {asking.threshold:.2f}"
     how = (
-        f"tracked forward from frame {one.frame}, before it is gone"
-        if then.box is None
-        else f"tracked forward from frame {one.frame} and backward from frame {then.frame}"
+        f"tracked forward from frame {answer.frame}, before it is gone"
+        if following.box is None
+        else f"tracked forward from frame {answer.frame} and backward from frame {following.frame}"
     )
     return Question(target, worst.frame, worst, f"{compared}, {how}")
 
 
 def _run_ahead(
-    target: str, last: Answer, runs: Runs, ahead: range, marks: dict[int, BoxMark], asking: Asking
+    target: str, answer: Answer, runs: Runs, remaining: range, marks: dict[int, BoxMark], asking: Asking
 ) -> Question | None:
     """Track on from the last answer until a frame is to be asked about: the last one, if none before it.
 
@@ -344,26 +344,26 @@ def _run_ahead(
     """
     doubtful = 0
     mark: BoxMark | None = None
-    for frame in ahead:
-        if last.box is None:
+    for frame in remaining:
+        if answer.box is None:
             marks[frame] = BoxMark(frame, None, "gone")
             continue
-        found = runs.at(last.frame, last.box, frame)
-        mark = marks[frame] = BoxMark(frame, found.box, "tracked", found.probability)
+        tracked = runs.at(answer.frame, answer.box, frame)
+        mark = marks[frame] = BoxMark(frame, tracked.box, "tracked", tracked.probability)
         doubtful = doubtful + 1 if mark.probability < asking.threshold else 0
-        if doubtful >= asking.patience or (doubtful and frame == ahead[-1]):
-            since = "" if doubtful == 1 else f" for {doubtful} frames"
-            status = "" if found.status == "tracking" else f", status {found.status}"
+        if doubtful >= asking.patience or (doubtful and frame == remaining[-1]):
+            duration = "" if doubtful == 1 else f" for {doubtful} frames"
+            status = "" if tracked.status == "tracking" else f", status {tracked.status}"
             reason = (
-                f"probability of being on target {mark.probability:.2f} < {asking.threshold:.2f}{since}, "
-                f"{frame - last.frame} frames after the last answer; standard deviation "
-                f"{found.sd[0]:.0f} x {found.sd[1]:.0f} px{status}"
+                f"probability of being on target {mark.probability:.2f} < {asking.threshold:.2f}{duration}, "
+                f"{frame - answer.frame} frames after the last answer; standard deviation "
+                f"{tracked.sd[0]:.0f} x {tracked.sd[1]:.0f} px{status}"
             )
             return Question(target, frame, mark, reason)
     if mark is None:
         return None
     reason = (
-        f"the last frame: nothing is in doubt since frame {last.frame}, but that was tracked forward alone; "
-        "from here it is tracked backward, too"
+        f"the last frame: nothing is in doubt since frame {answer.frame}, but that was tracked forward "
+        "alone; from here it is tracked backward, too"
     )
     return Question(target, mark.frame, mark, reason)

@@ -97,12 +97,12 @@ class AnnotationServer:
         """The page, and its content security policy."""
         return self._page
 
-    def feed(self, first: int, seen: int) -> bytes:
+    def feed(self, first: int, seen_version: int) -> bytes:
         """The state of the session; with the marks, unless the page has those of number `first`."""
         with self._news:
-            self._news.wait_for(lambda: self._version != seen or self._is_closed, WAIT_S)
+            self._news.wait_for(lambda: self._version != seen_version or self._is_closed, WAIT_S)
             annotations = self._session.annotations
-            about = self._session.header.video
+            video = self._session.header.video
             answer: dict[str, Any] = {
                 "version": self._version,
                 "marks": self._marks_version,
@@ -113,22 +113,22 @@ class AnnotationServer:
                 "left": self._is_left,
                 "answers": len(in_force(self._session.answers)),
                 "about": {
-                    "name": about.name,
-                    "frames": about.frames,
-                    "width": about.width,
-                    "height": about.height,
-                    "interval": about.frame_interval_s,
+                    "name": video.name,
+                    "frames": video.frames,
+                    "width": video.width,
+                    "height": video.height,
+                    "interval": video.frame_interval_s,
                     "threshold": self._session.header.threshold,
                     "graph": self._session.header.graph_name,
                     "out": self._out,
                 },
                 "questions": [
-                    {"target": one.target, "frame": one.frame, "reason": one.reason}
-                    for one in annotations.questions
+                    {"target": question.target, "frame": question.frame, "reason": question.reason}
+                    for question in annotations.questions
                 ],
             }
         if self._marks_version != first:
-            answer["targets"] = [_row(name, own, about.frames) for name, own in annotations.marks.items()]
+            answer["targets"] = [_row(name, marks, video.frames) for name, marks in annotations.marks.items()]
         return json.dumps(answer, allow_nan=False).encode()
 
     def picture(self, frame: int) -> tuple[int, bytes] | None:
@@ -139,16 +139,16 @@ class AnnotationServer:
         if scale < 1.0:
             size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-        return (frame, data.tobytes()) if done else None
+        is_encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        return (frame, data.tobytes()) if is_encoded else None
 
-    def ask(self, what: Mapping[str, Any]) -> None:
+    def ask(self, request: Mapping[str, Any]) -> None:
         """`{"do": "answer", ...}` with what `read_answer` takes, or `{"do": "leave"}`; raises Refused."""
-        if what.get("do") == "leave":
+        if request.get("do") == "leave":
             self._is_left = True
-        elif what.get("do") == "answer":
+        elif request.get("do") == "answer":
             try:
-                self._session.give(what)
+                self._session.give(request)
             except (AnswerError, OutputError) as error:
                 raise Refused(str(error)) from error
         else:
@@ -180,7 +180,9 @@ class AnnotationServer:
             try:
                 is_done: bool | None = self._session.update(self._runs, self._notice)
                 failed = self._session.annotations.failures if is_done else ()
-                self._trouble = "; ".join(f"{one.target}, frame {one.frame}: {one.reason}" for one in failed)
+                self._trouble = "; ".join(
+                    f"{question.target}, frame {question.frame}: {question.reason}" for question in failed
+                )
             except Exception as error:
                 self._trouble = f"tracking failed: {type(error).__name__}: {error}"
                 is_done = None
@@ -194,14 +196,14 @@ class AnnotationServer:
     def _notice(self, target: str, frame: int) -> None:
         if self._is_closed:
             raise SystemExit  # ends the thread alone
-        now = time.monotonic()
-        if now - self._told >= PROGRESS_S:
-            self._told, self._busy = now, {"target": target, "frame": frame}
+        now_s = time.monotonic()
+        if now_s - self._told >= PROGRESS_S:
+            self._told, self._busy = now_s, {"target": target, "frame": frame}
             self._tell()
 
 
-def _row(name: str, own: Mapping[int, BoxMark], frames: int) -> dict[str, Any]:
-    marks = [own.get(frame) for frame in range(frames)]
+def _row(name: str, of_target: Mapping[int, BoxMark], frames: int) -> dict[str, Any]:
+    marks = [of_target.get(frame) for frame in range(frames)]
     return {
         "name": name,
         "how": "".join(UNKNOWN if mark is None else SHORT[mark.how] for mark in marks),

@@ -71,7 +71,9 @@ class FrameStore:
     """
 
     def __init__(self, name: str, interval_s: float, expected: int | None = None) -> None:
-        self._name = "".join(one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in name)
+        self._name = "".join(
+            character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in name
+        )
         self._interval_s, self._expected = interval_s, expected
         self._ends, self._size = [0], (0, 0)
         self._near: OrderedDict[int, Image] = OrderedDict()
@@ -110,8 +112,8 @@ class FrameStore:
         return store
 
     def _add(self, image: Image) -> None:
-        done, data = cv2.imencode(".png", image, FASTEST)
-        assert done
+        is_encoded, data = cv2.imencode(".png", image, FASTEST)
+        assert is_encoded
         try:
             write_whole(self._file, data.tobytes())
         except OSError as error:
@@ -135,8 +137,8 @@ class FrameStore:
         room = "" if free is None else f", {_megabytes(free)} free"
         needed = f"{len(self)} frames take {_megabytes(size)}"
         if self._expected is not None and len(self):
-            whole = size / len(self) * max(self._expected, len(self))
-            needed = f"all {self._expected} frames need about {_megabytes(whole)}, the first {needed}"
+            total = size / len(self) * max(self._expected, len(self))
+            needed = f"all {self._expected} frames need about {_megabytes(total)}, the first {needed}"
         place = f"{tempfile.gettempdir()}: {reason}{room}"
         return OutputError(f"{place} (decoded frames of {self._name}): {needed}; {REMEDY}")
 
@@ -146,18 +148,18 @@ class FrameStore:
     def image(self, frame: int) -> Image:
         """A frame (H, W, 3) uint8, BGR."""
         with self._lock:
-            found = self._near.get(frame)
-            if found is not None:
-                return found
+            image = self._near.get(frame)
+            if image is not None:
+                return image
             start, end = self._ends[frame], self._ends[frame + 1]
             self._file.seek(start)
             data = np.frombuffer(self._file.read(end - start), np.uint8)
-        found = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+        image = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
         with self._lock:
-            self._near[frame] = found
+            self._near[frame] = image
             while len(self._near) > AT_HAND:
                 self._near.popitem(last=False)
-        return found
+        return image
 
     def about(self) -> Video:
         """Properties of the video that annotations must fit."""

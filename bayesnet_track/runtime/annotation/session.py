@@ -67,22 +67,22 @@ class Session:
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _is_closed: bool = False
 
-    def give(self, given: Mapping[str, Any]) -> None:
+    def give(self, message: Mapping[str, Any]) -> None:
         """Take an answer, or an undo; raises AnswerError, or OutputError where it cannot be kept."""
         video = self.header.video
-        if given.get("kind") == "correct" and "box" not in given:
-            given = {**given, "box": self._shown(given)}
-        answer = read_answer(given, video.frames, video.width, video.height)
+        if message.get("kind") == "correct" and "box" not in message:
+            message = {**message, "box": self._shown(message)}
+        answer = read_answer(message, video.frames, video.width, video.height)
         with self._lock:
-            kept = in_force(self.answers)
-            if answer == UNDO and not kept:
+            standing = in_force(self.answers)
+            if answer == UNDO and not standing:
                 raise AnswerError("there is no answer to take back")
             fault = (
                 None if answer.box is None else describe_untrackable(answer.box, video, self.header.max_side)
             )
             if fault is not None:
                 raise AnswerError(fault)
-            if answer.kind == "gone" and not any(one.target == answer.target for one in kept):
+            if answer.kind == "gone" and not any(previous.target == answer.target for previous in standing):
                 raise AnswerError(f"{answer.target} has no box yet")
             self._keep([answer])
 
@@ -91,24 +91,31 @@ class Session:
 
         Names that no target can have are mended. What is not used, or not as it stands there, is said.
         """
-        given = list(answers)
+        imported = list(answers)
         with self._lock:
-            known = {(one.target, one.frame): one for one in self.answers if one != UNDO}
-            targets, own = {target for target, _ in known}, by_target(given)
+            recorded = {(answer.target, answer.frame): answer for answer in self.answers if answer != UNDO}
+            targets, of_target = {target for target, _ in recorded}, by_target(imported)
 
-            def is_others(name: str, new: str) -> bool:
+            def is_others(name: str, name_in_session: str) -> bool:
                 """Unless the target came by that name out of the same file before."""
-                same = (known.get((new, one.frame)) == replace(one, target=new) for one in own[name])
-                return new in targets and not any(same)
+                same = (
+                    recorded.get((name_in_session, answer.frame)) == replace(answer, target=name_in_session)
+                    for answer in of_target[name]
+                )
+                return name_in_session in targets and not any(same)
 
-            mended = mend_names(own, is_others)
+            mended = mend_names(of_target, is_others)
             if mended:
                 notice(f"{place}: {describe_mended(mended)}")
-            given = [replace(one, target=mended.get(one.target, one.target)) for one in given]
-            _notice_unused(place, given, known)
-            for one, other in find_alike([*(key[0] for key in known), *(one.target for one in given)]):
-                notice(f"{place}: {one!r} and {other!r} look alike and are two targets")
-            self._keep([one for one in given if (one.target, one.frame) not in known])
+            imported = [
+                replace(answer, target=mended.get(answer.target, answer.target)) for answer in imported
+            ]
+            _notice_unused(place, imported, recorded)
+            for answer, lookalike in find_alike(
+                [*(key[0] for key in recorded), *(answer.target for answer in imported)]
+            ):
+                notice(f"{place}: {answer!r} and {lookalike!r} look alike and are two targets")
+            self._keep([answer for answer in imported if (answer.target, answer.frame) not in recorded])
 
     def update(self, runs: Runs, hear: Callable[[str, int], None] = lambda target, frame: None) -> bool:
         """Track what the answers ask for; False where another answer came meanwhile: then nothing changed.
@@ -125,9 +132,9 @@ class Session:
         marks: dict[str, Mapping[int, BoxMark]] = {}
         questions = []
         try:
-            for target, own in answers.items():
-                watched = _Watched(runs, is_stale, partial(hear, target), own[0].frame)
-                marks[target], question = self._track(target, own, watched)
+            for target, of_target in answers.items():
+                watched = _Watched(runs, is_stale, partial(hear, target), of_target[0].frame)
+                marks[target], question = self._track(target, of_target, watched)
                 questions += [] if question is None else [question]
         except _StaleError:
             return False
@@ -138,22 +145,22 @@ class Session:
             return True
 
     def _track(
-        self, target: str, own: Sequence[Answer], watched: _Watched
+        self, target: str, of_target: Sequence[Answer], watched: _Watched
     ) -> tuple[Mapping[int, BoxMark], Question | None]:
         """The marks of a target and what is asked about it: where it fails, the given ones, and why."""
         video, max_side = self.header.video, self.header.max_side
-        for one in own:
-            fault = None if one.box is None else describe_untrackable(one.box, video, max_side)
+        for answer in of_target:
+            fault = None if answer.box is None else describe_untrackable(answer.box, video, max_side)
             if fault is not None:
-                return fail(target, own, one.frame, f"{fault}; give another box, or `gone`")
+                return fail(target, of_target, answer.frame, f"{fault}; give another box, or `gone`")
         try:
             asking = Asking(self.header.threshold, self.header.patience)
-            return annotate_target(target, own, watched, self.frames, asking)
+            return annotate_target(target, of_target, watched, self.frames, asking)
         except _StaleError:
             raise
         except Exception as error:
-            said = str(error) if isinstance(error, StartError) else f"{type(error).__name__}: {error}"
-            return fail(target, own, watched.frame, said)
+            reason = str(error) if isinstance(error, StartError) else f"{type(error).__name__}: {error}"
+            return fail(target, of_target, watched.frame, reason)
 
     def close(self) -> None:
         """Write no more, and take nothing from what is still being tracked."""
@@ -171,8 +178,8 @@ class Session:
         """The annotations, for writing."""
         return Document(self.header.video, self.annotations.marks)
 
-    def _shown(self, given: Mapping[str, Any]) -> Box:
-        target, frame = given.get("target"), given.get("frame")
+    def _shown(self, message: Mapping[str, Any]) -> Box:
+        target, frame = message.get("target"), message.get("frame")
         mark: BoxMark | None = None
         if isinstance(target, str) and isinstance(frame, int):
             mark = self.annotations.marks.get(target, {}).get(frame)
@@ -205,33 +212,44 @@ def open_session(folder: Path, header: Header) -> tuple[Session, str | None]:
     if not is_there:
         write_answers(path, header)
         return Session(path, header, LineFile(path, after=path.stat().st_size)), None
-    found = read_answers(path)
-    difference = first_difference(found.header, header)
+    stored = read_answers(path)
+    difference = first_difference(stored.header, header)
     if difference is not None and difference.startswith("another video"):
         raise AnswersFileError(f"{path}: {difference}; give the video of these answers, or another folder")
-    if found.mended:
+    if stored.mended:
         write_atomically(folder / BEFORE, path.read_bytes())
-        for sentence in found.mended:
+        for sentence in stored.mended:
             notice(f"{sentence}; the file as it was is {folder / BEFORE}")
-    if found.mended or not found.is_whole:
-        write_answers(path, found.header, found.answers)
+    if stored.mended or not stored.is_whole:
+        write_answers(path, stored.header, stored.answers)
     file = LineFile(path, after=path.stat().st_size)
-    return Session(path, header, file, list(found.answers), version=1), difference
+    return Session(path, header, file, list(stored.answers), version=1), difference
 
 
-def _notice_unused(place: str, given: Sequence[Answer], known: Mapping[tuple[str, int], Answer]) -> None:
+def _notice_unused(
+    place: str, imported: Sequence[Answer], recorded: Mapping[tuple[str, int], Answer]
+) -> None:
     """Say what of an import is not used: other boxes where there is an answer, all but the last of two."""
-    old = [one for one in given if (one.target, one.frame) in known and known[one.target, one.frame] != one]
-    if old:
-        places = few([f"{one.target} in frame {one.frame}" for one in old])
+    contradicted = [
+        answer
+        for answer in imported
+        if (answer.target, answer.frame) in recorded and recorded[answer.target, answer.frame] != answer
+    ]
+    if contradicted:
+        places = few([f"{answer.target} in frame {answer.frame}" for answer in contradicted])
         notice(
-            f"{place}: {len(old)} of {len(given)} boxes are not used, the session has other answers: {places}"
+            f"{place}: {len(contradicted)} of {len(imported)} boxes are not used, "
+            f"the session has other answers: {places}"
         )
-    last = {(one.target, one.frame): one for one in given if one.box is not None}
-    twice = [one for one in given if one.box is not None and last[one.target, one.frame].box != one.box]
+    newest = {(answer.target, answer.frame): answer for answer in imported if answer.box is not None}
+    twice = [
+        answer
+        for answer in imported
+        if answer.box is not None and newest[answer.target, answer.frame].box != answer.box
+    ]
     if twice:
-        places = few([f"{one.target} in frame {one.frame}" for one in twice])
-        notice(f"{place}: {len(twice)} of {len(given)} boxes are not used, another one follows: {places}")
+        places = few([f"{answer.target} in frame {answer.frame}" for answer in twice])
+        notice(f"{place}: {len(twice)} of {len(imported)} boxes are not used, another one follows: {places}")
 
 
 class _StaleError(Exception):
@@ -261,10 +279,12 @@ class _Watched:
 
 def by_target(answers: Iterable[Answer]) -> dict[str, tuple[Answer, ...]]:
     """Target -> its answers by frame, the last of a frame; targets in the order in which they came."""
-    found: dict[str, dict[int, Answer]] = {}
-    for one in answers:
-        found.setdefault(one.target, {})[one.frame] = one
-    return {target: tuple(own[frame] for frame in sorted(own)) for target, own in found.items()}
+    frames: dict[str, dict[int, Answer]] = {}
+    for answer in answers:
+        frames.setdefault(answer.target, {})[answer.frame] = answer
+    return {
+        target: tuple(of_target[frame] for frame in sorted(of_target)) for target, of_target in frames.items()
+    }
 
 
 def describe_untrackable(box: Box, video: Video, max_side: int | None = None) -> str | None:

@@ -66,17 +66,17 @@ class FrameStore:
 
     def put(self, frame: Frame) -> SharedFrame:
         """Write the frame, unless it is one of the last ones already, and return its place."""
-        for held, shared in self._held:
-            if held is frame:
+        for stored, shared in self._held:
+            if stored is frame:
                 return shared
-        other = pixels_of(frame.depth)
-        size = _align(frame.image.nbytes) + (0 if other is None else _align(other.nbytes))
+        second = pixels_of(frame.depth)
+        size = _align(frame.image.nbytes) + (0 if second is None else _align(second.nbytes))
         if size > self._slot_size:
             self._grow(size)
-        at = self._base + self._number % SLOTS * self._slot_size
+        offset = self._base + self._number % SLOTS * self._slot_size
         self._number += 1
-        image = self._write(frame.image, at)
-        depth = None if other is None else self._write(other, at + _align(frame.image.nbytes))
+        image = self._write(frame.image, offset)
+        depth = None if second is None else self._write(second, offset + _align(frame.image.nbytes))
         geometry = frame.depth.geometry if isinstance(frame.depth, RightEye) else None
         times = (frame.index, frame.time, frame.time_s)
         shared = SharedFrame(self._number, *times, frame.has_color, image, depth, geometry, frame.stride)
@@ -122,7 +122,7 @@ class FrameView:
         """The frame; the same object as long as it is one of the last."""
         frame = self._frames.get(shared.number)
         if frame is None:
-            for number in [known for known in self._frames if known <= shared.number - SLOTS]:
+            for number in [stored for stored in self._frames if stored <= shared.number - SLOTS]:
                 del self._frames[number]
             frame = Frame(
                 shared.index,
@@ -147,8 +147,8 @@ class FrameView:
         end = block.offset + size * dtype.itemsize
         if self._memory is None or len(self._memory) < end:
             # The old memory stays as long as a frame in it does.
-            whole = os.fstat(self._descriptor).st_size
-            self._memory = mmap.mmap(self._descriptor, whole, access=mmap.ACCESS_READ)
+            file_size = os.fstat(self._descriptor).st_size
+            self._memory = mmap.mmap(self._descriptor, file_size, access=mmap.ACCESS_READ)
         return np.frombuffer(self._memory, dtype, size, block.offset).reshape(block.shape)
 
 

@@ -102,10 +102,10 @@ class Sent:
         """The reference, without the arrays that the worker has."""
         arrays: dict[str, tuple[int | None, Array | None]] = {}
         for name, value in reference.items():
-            known = self._by_id.get(id(value))
-            if known is not None:
+            place = self._by_id.get(id(value))
+            if place is not None:
                 self._by_id.move_to_end(id(value))
-                arrays[name] = known[1], None
+                arrays[name] = place[1], None
             elif isinstance(value, np.ndarray) and value.nbytes >= LEAST_BYTES:
                 arrays[name] = self._keep(value), value
             else:
@@ -123,8 +123,8 @@ class Sent:
             else:
                 reference[name] = value
                 if number is not None:
-                    kept = self._keep(value)
-                    assert kept == number
+                    own_number = self._keep(value)
+                    assert own_number == number
         return reference
 
     def _forgotten(self) -> tuple[int, ...]:
@@ -171,20 +171,20 @@ class Received:
             self.arrays.pop(number, None)
 
     def encode(
-        self, reference: Mapping[str, Any], given: Sequence[EncodedReference], next_number: int
+        self, reference: Mapping[str, Any], questions: Sequence[EncodedReference], next_number: int
     ) -> EncodedReference:
-        """A reference that was made here of those `given`; their arrays are not sent back."""
-        known = {
+        """A reference that was made here of those `questions`; their arrays are not sent back."""
+        numbers = {
             id(self.arrays[number]): number
-            for encoded in given
+            for encoded in questions
             for number, _ in encoded.arrays.values()
             if number is not None
         }
         arrays: dict[str, tuple[int | None, Array | None]] = {}
         for name, value in reference.items():
             array = np.asarray(value)
-            if id(array) in known:
-                arrays[name] = known[id(array)], None
+            if id(array) in numbers:
+                arrays[name] = numbers[id(array)], None
             elif array.nbytes >= LEAST_BYTES:
                 # A view may look into a frame, which does not last.
                 self.arrays[next_number] = read_only(array if array.base is None else array.copy())
@@ -224,9 +224,9 @@ def send(channel: socket.socket, plain: tuple[Any, ...], *values: Any) -> None:
     pieces = [HEAD.pack(arrays_at, size) + description.ljust(arrays_at, b"\0"), *packing.pieces]
     if len(pieces) > MOST_PIECES:
         pieces = [b"".join(pieces)]
-    left = HEAD.size + size - channel.sendmsg(pieces)
-    if left:
-        channel.sendall(memoryview(b"".join(pieces))[-left:])
+    unsent = HEAD.size + size - channel.sendmsg(pieces)
+    if unsent:
+        channel.sendall(memoryview(b"".join(pieces))[-unsent:])
 
 
 def receive(channel: socket.socket) -> tuple[Any, list[Any]]:
@@ -238,18 +238,18 @@ def receive(channel: socket.socket) -> tuple[Any, list[Any]]:
     """
     head = channel.recv(HEAD.size)
     while len(head) < HEAD.size:
-        more = channel.recv(HEAD.size - len(head)) if head else b""
-        if not more:
+        chunk = channel.recv(HEAD.size - len(head)) if head else b""
+        if not chunk:
             raise EOFError
-        head += more
+        head += chunk
     arrays_at, size = HEAD.unpack(head)
     body = bytearray(size)
-    at = channel.recv_into(body)
-    while at < size:
-        came = channel.recv_into(memoryview(body)[at:]) if at else 0
+    received = channel.recv_into(body)
+    while received < size:
+        came = channel.recv_into(memoryview(body)[received:]) if received else 0
         if not came:
             raise EOFError
-        at += came
+        received += came
     plain, flat = marshal.loads(body)  # what is behind it is not looked at
     return plain, [part if type(part) is not tuple else _whole(part, body, arrays_at) for part in flat]
 
@@ -269,7 +269,10 @@ class _Packing:
         if kind is np.ndarray:
             return self._array(value)
         if kind is Hypotheses and type(value.fields) is dict:
-            fields = [(self.flat(name), self.flat(own)) for name, own in value.fields.items()]
+            fields = [
+                (self.flat(name), self.flat(values_of_field))
+                for name, values_of_field in value.fields.items()
+            ]
             return HYPOTHESES, self.flat(value.boxes), fields
         if kind is EncodedReference:
             return TOLD, [
@@ -314,13 +317,13 @@ def _whole(flat: Any, body: bytearray, arrays_at: int) -> Any:
     if kind == ARRAY:
         return _shape(np.frombuffer(body, flat[1], flat[5], arrays_at + flat[4]), flat[2], flat[3])
     if kind == HYPOTHESES:
-        own = {_whole(name, body, arrays_at): _whole(values, body, arrays_at) for name, values in flat[2]}
-        return Hypotheses(_whole(flat[1], body, arrays_at), own)
+        fields = {_whole(name, body, arrays_at): _whole(values, body, arrays_at) for name, values in flat[2]}
+        return Hypotheses(_whole(flat[1], body, arrays_at), fields)
     if kind == TOLD:
         return EncodedReference(
             {
-                _whole(name, body, arrays_at): (number, _kept(_whole(one, body, arrays_at)))
-                for name, number, one in flat[1]
+                _whole(name, body, arrays_at): (number, _kept(_whole(array, body, arrays_at)))
+                for name, number, array in flat[1]
             }
         )
     if kind == FLOAT64:

@@ -61,11 +61,11 @@ class SentFrames:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The places of the two frames."""
-        where: NDArray[np.object_] = np.empty(2, dtype=object)
+        places: NDArray[np.object_] = np.empty(2, dtype=object)
         # The older one first: it lies there already, and must not be overwritten by the newer.
-        where[1] = None if frames.previous is None else self.transport.send_frame(frames.previous)
-        where[0] = self.transport.send_frame(frames.current)
-        return where
+        places[1] = None if frames.previous is None else self.transport.send_frame(frames.previous)
+        places[0] = self.transport.send_frame(frames.current)
+        return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,30 +88,30 @@ class Placed:
 
     def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
         """Ask what the method of that name returns, which what is returned waits for."""
-        asked = self._blending(*arguments) if method == "blend" else (method, *arguments)
-        return self.transport.begin(self._call(asked[0], asked[1], asked[2:]))
+        question = self._blending(*arguments) if method == "blend" else (method, *arguments)
+        return self.transport.begin(self._call(question[0], question[1], question[2:]))
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """Learn like a `Cue`."""
         return Learnt(self, "learn", planes, (box,))
 
-    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+    def blend(self, learned: Reference, recent: Reference, rate: float) -> Reference:
         """Blend like a `Cue`; a reference that was learnt just now is learnt and blended at once."""
-        blended: Reference = self.ask(*self._blending(old, new, rate))
+        blended: Reference = self.ask(*self._blending(learned, recent, rate))
         return blended
 
     def _call(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> Call:
         # Before the transport is busy with this question: what was learnt may have to be asked for.
-        known = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
+        encodable = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
         if planes is None:
-            return Call(self.agent, method, None, None, known)
+            return Call(self.agent, method, None, None, encodable)
         current, previous = planes[self.sent]
-        return Call(self.agent, method, (current, previous), planes.region, known)
+        return Call(self.agent, method, (current, previous), planes.region, encodable)
 
-    def _blending(self, old: Reference, new: Reference, rate: float) -> tuple[Any, ...]:
-        if isinstance(new, Learnt) and new.of is self and new.planes is not None:
-            return LEARN_AND_BLEND, new.planes, new.method, old, rate, *new.arguments
-        return "blend", None, old, new, rate
+    def _blending(self, learned: Reference, recent: Reference, rate: float) -> tuple[Any, ...]:
+        if isinstance(recent, Learnt) and recent.of is self and recent.planes is not None:
+            return LEARN_AND_BLEND, recent.planes, recent.method, learned, rate, *recent.arguments
+        return "blend", None, learned, recent, rate
 
 
 class Learnt(Mapping[str, NDArray[Any]]):
@@ -169,12 +169,12 @@ FURTHER: Mapping[str, Any] = {
 
 def make_proxy(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) -> AnyCue:
     """A proxy of `cue`, which fulfils the runtime protocols that `cue` does."""
-    own = {name: method for name, method in FURTHER.items() if hasattr(cue, name)}
+    methods = {name: method for name, method in FURTHER.items() if hasattr(cue, name)}
     if hasattr(cue, "rule"):
-        own["rule"] = cue.rule
+        methods["rule"] = cue.rule
     from bayesnet_track.observation.cue import context_of
 
-    kind = type("Placed" + type(cue).__name__, (Placed,), own)
+    kind = type("Placed" + type(cue).__name__, (Placed,), methods)
     proxy: AnyCue = kind(agent, transport, sent, context_of(cue))
     return proxy
 
@@ -194,8 +194,8 @@ def parse_places(texts: Iterable[str]) -> dict[str, Place]:
     """
     places: dict[str, Place] = {}
     for text in texts:
-        agent, _, where = text.partition("=")
-        found = next((place for place in PLACES if place == where), None)
+        agent, _, text_of_place = text.partition("=")
+        found = next((place for place in PLACES if place == text_of_place), None)
         if found is None or not agent:
             name = to_caller("--place", "place")
             raise PlacingError(f"{name} {text!r}: AGENT=WHERE is needed, WHERE one of {', '.join(PLACES)}")
@@ -218,25 +218,25 @@ def places_of(
         PlacingError: `wanted` names no agent, or an opaque agent is put into a process.
     """
     declarations = _declarations(engine, cues)
-    found: dict[tuple[str, str], Place] = {}
+    places: dict[tuple[str, str], Place] = {}
     unused = set(wanted)
     for plate, compiled in engine.plates.items():
         for agent in compiled.cues:
             node = compiled.plate.agent(agent)
-            own = next((name for name in (f"{plate}.{agent}", agent) if name in wanted), None)
+            wanted_name = next((name for name in (f"{plate}.{agent}", agent) if name in wanted), None)
             unused -= {f"{plate}.{agent}", agent}
-            place = node.on if own is None else wanted[own]
+            place = node.on if wanted_name is None else wanted[wanted_name]
             if declarations[node.agent.cue].opaque:
                 if place == "process":
                     raise PlacingError(
                         f"agent {agent} cannot be in a process: {node.agent.cue} keeps what cannot be sent"
                     )
                 place = "engine"
-            found[plate, agent] = place or default
+            places[plate, agent] = place or default
     if unused:
-        agents = dict.fromkeys(agent for _, agent in found)
+        agents = dict.fromkeys(agent for _, agent in places)
         raise PlacingError(f"no agent {sorted(unused)[0]!r}; the graph has {', '.join(agents)}")
-    return found
+    return places
 
 
 def agent_specs(
@@ -246,14 +246,14 @@ def agent_specs(
 ) -> dict[str, AgentSpec]:
     """Name of every agent that works in a process -> how its cue is made there."""
     declarations = _declarations(engine, cues)
-    found = {}
+    specs = {}
     for (plate, agent), place in places.items():
         if place == "process":
             compiled = engine.plates[plate]
             make = declarations[compiled.plate.agent(agent).agent.cue].make
             parameters = compiled.plate.parameters[agent]
-            found[_name(plate, agent)] = AgentSpec(make, parameters, compiled.costs_ms[agent] * 1e-3)
-    return found
+            specs[_name(plate, agent)] = AgentSpec(make, parameters, compiled.costs_ms[agent] * 1e-3)
+    return specs
 
 
 def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], transport: Transport) -> Engine:
@@ -278,7 +278,11 @@ def _name(plate: str, agent: str) -> str:
 def _declarations(engine: Engine, cues: Mapping[str, CueDeclaration] | None) -> Mapping[str, CueDeclaration]:
     if cues is not None:
         return cues
-    return {one.name: one for compiled in engine.plates.values() for one in compiled.declared.values()}
+    return {
+        declaration.name: declaration
+        for compiled in engine.plates.values()
+        for declaration in compiled.declared.values()
+    }
 
 
 NAMES = ("scipy_openblas_{}64_", "scipy_openblas_{}", "openblas_{}64_", "openblas_{}")
@@ -294,7 +298,7 @@ def one_thread_inside(opencv: bool) -> Iterator[None]:
     import cv2
 
     blas = _blas()
-    before = cv2.getNumThreads(), [get() for get, _ in blas]
+    thread_counts = cv2.getNumThreads(), [get() for get, _ in blas]
     if opencv:
         cv2.setNumThreads(1)
     for _, set_threads in blas:
@@ -303,8 +307,8 @@ def one_thread_inside(opencv: bool) -> Iterator[None]:
         yield
     finally:
         if opencv:
-            cv2.setNumThreads(before[0])
-        for (_, set_threads), threads in zip(blas, before[1], strict=True):
+            cv2.setNumThreads(thread_counts[0])
+        for (_, set_threads), threads in zip(blas, thread_counts[1], strict=True):
             set_threads(threads)
 
 
@@ -312,7 +316,7 @@ def one_thread_inside(opencv: bool) -> Iterator[None]:
 def _blas() -> list[tuple[Any, Any]]:
     """Functions that get and set the number of threads of each OpenBLAS in the wheels of NumPy and SciPy."""
     site = Path(np.__file__).parent.parent
-    found = []
+    functions = []
     for package in ("numpy", "scipy"):
         if package not in sys.modules:
             continue
@@ -325,9 +329,9 @@ def _blas() -> list[tuple[Any, Any]]:
                 get = getattr(library, name.format("get_num_threads"), None)
                 set_threads = getattr(library, name.format("set_num_threads"), None)
                 if get is not None and set_threads is not None:
-                    found.append((get, set_threads))
+                    functions.append((get, set_threads))
                     break
-    return found
+    return functions
 
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
@@ -387,8 +391,8 @@ class Executing:
         if specs:
             if not has_workers():
                 raise PlacingError(no_workers())
-            again = retries if self._retries is None else self._retries
-            transport = self.processes = Processes(specs, self.workers, self._limits, again)
+            attempts = retries if self._retries is None else self._retries
+            transport = self.processes = Processes(specs, self.workers, self._limits, attempts)
             self._open.callback(transport.close)
             engine = with_proxies(engine, places, transport)
         return engine

@@ -50,9 +50,9 @@ class Pending:
         self.outcome: Answer | Exception | None = None
         self.lost: list[str] = []
 
-    def until_from(self, now: float) -> float | None:
-        """The moment by which the answer is needed, when it is asked for `now`."""
-        return None if self.patience is None else self.patience.until(self.agent, now)
+    def until_from(self, asked_at: float) -> float | None:
+        """The moment by which the answer is needed, when it is asked for `asked_at`."""
+        return None if self.patience is None else self.patience.until(self.agent, asked_at)
 
 
 COMING_S = 0.002
@@ -171,27 +171,27 @@ class Processes:
         """Send a question, when its worker is there and free for it."""
         while (slot := self._pool.slot(pending.agent)).asked is not None:
             self._drive(slot.asked)
-        until = pending.until_from(time.monotonic())
+        due = pending.until_from(time.monotonic())
         busy_with = None if slot.worker is None else slot.worker.busy_with
         if slot.worker is not None and busy_with == pending.agent:  # nobody waited for that answer
-            self._drop_answer(slot, slot.worker, until)
+            self._drop_answer(slot, slot.worker, due)
         elif busy_with is not None:
             self._pool.set_apart(slot, busy_with)
         while not pending.is_sent:
-            worker = self._pool.await_answer(slot, until)
-            if until is not None and until <= time.monotonic():
+            worker = self._pool.await_answer(slot, due)
+            if due is not None and due <= time.monotonic():
                 raise Late("there was no time left to ask it")
             with suppress(WorkerGone):  # a fresh one is never that
-                self._hand_over(pending, slot, worker, until)
+                self._hand_over(pending, slot, worker, due)
 
     def _forward(self, pending: Pending) -> bool:
         """Send the question if that takes no waiting; true if it was sent."""
         slot = self._pool.slot(pending.agent)
         if slot.asked is not None or (slot.worker is not None and slot.worker.busy_with is not None):
             return False
-        now = time.monotonic()
-        until = pending.until_from(now)
-        if until is not None and until <= now:
+        now_s = time.monotonic()
+        due = pending.until_from(now_s)
+        if due is not None and due <= now_s:
             return False
         try:
             worker = self._pool.come(slot)
@@ -200,7 +200,7 @@ class Processes:
         if worker is None:
             return False
         try:
-            self._hand_over(pending, slot, worker, until)
+            self._hand_over(pending, slot, worker, due)
         except WorkerGone:
             self._pool.start(slot)
             return False
@@ -208,7 +208,7 @@ class Processes:
             pending.outcome = lost
         return True
 
-    def _hand_over(self, pending: Pending, slot: Slot, worker: Worker, until: float | None) -> None:
+    def _hand_over(self, pending: Pending, slot: Slot, worker: Worker, due: float | None) -> None:
         try:
             self._pool.assign(worker, pending.agent)
             worker.ask(pending.asked)
@@ -216,7 +216,7 @@ class Processes:
             slot.worker = None
             raise
         slot.asked, pending.is_sent = pending, True
-        pending.until, pending.sent_at = until, time.monotonic()
+        pending.until, pending.sent_at = due, time.monotonic()
 
     def _drive(self, pending: Pending) -> None:
         """Receive answers, and send what waits for their workers, until the outcome of `pending` is known."""
@@ -224,16 +224,16 @@ class Processes:
             working = [slot for slot in self._pool.slots if slot.asked is not None]
             end = min(_end(slot) for slot in working)
             is_coming = self._unsent and any(
-                self._pool.slot(one.agent).worker is None for one in self._unsent
+                self._pool.slot(waiting.agent).worker is None for waiting in self._unsent
             )
-            left = max(end - time.monotonic(), 0.0)
-            ready = _readable(working, min(left, COMING_S) if is_coming else left)
+            remaining_s = max(end - time.monotonic(), 0.0)
+            ready = _readable(working, min(remaining_s, COMING_S) if is_coming else remaining_s)
             for slot in ready:
                 self._receive(slot)
-            if not ready and left < COMING_S:
+            if not ready and remaining_s < COMING_S:
                 self._give_up(working)
             if self._unsent:
-                self._unsent = [one for one in self._unsent if not self._forward(one)]
+                self._unsent = [waiting for waiting in self._unsent if not self._forward(waiting)]
 
     def _receive(self, slot: Slot) -> None:
         """Take the answer that is there."""
@@ -246,19 +246,19 @@ class Processes:
 
     def _give_up(self, working: list[Slot]) -> None:
         """Leave what takes too long: the worker its work, or its life."""
-        now = time.monotonic()
+        now_s = time.monotonic()
         for slot in working:
             pending, worker = slot.asked, slot.worker
             assert worker is not None
-            if worker.until <= now:
+            if worker.until <= now_s:
                 slot.worker, slot.asked, pending.outcome = None, None, worker.overdue()
-            elif pending.until is not None and pending.until <= now:
+            elif pending.until is not None and pending.until <= now_s:
                 slot.asked, pending.outcome = None, Late("gave no answer by the deadline")
 
-    def _drop_answer(self, slot: Slot, worker: Worker, until: float | None) -> None:
+    def _drop_answer(self, slot: Slot, worker: Worker, due: float | None) -> None:
         """Wait for an answer that is too late for its question, but due before the next."""
         slot.asked = late = Pending(Call(str(worker.busy_with), "", None, None, ()), None)
-        late.until = until
+        late.until = due
         self._drive(late)
         if isinstance(late.outcome, Exception):
             raise late.outcome
@@ -267,8 +267,8 @@ class Processes:
 def _end(slot: Slot) -> float:
     """The moment at which the slot's question is given up."""
     assert slot.worker is not None
-    until = slot.asked.until
-    return slot.worker.until if until is None else min(slot.worker.until, until)
+    due = slot.asked.until
+    return slot.worker.until if due is None else min(slot.worker.until, due)
 
 
 def _readable(slots: list[Slot], seconds: float) -> list[Slot]:

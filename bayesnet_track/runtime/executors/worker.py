@@ -84,12 +84,12 @@ class AgentHost:
 
     def answer(self, question: Call) -> Answer:
         """Ask the cue; an exception that it raises becomes part of the answer."""
-        started = time.perf_counter()
+        began_s = time.perf_counter()
         try:
             value = self._ask(question)
-            return Answer(value, seconds=time.perf_counter() - started)
+            return Answer(value, seconds=time.perf_counter() - began_s)
         except FAULTS as error:  # a guest's code: the engine decides what comes of it
-            seconds = time.perf_counter() - started
+            seconds = time.perf_counter() - began_s
             if self._is_limited and _is_shortage(error):
                 return Answer(out_of_memory=True, seconds=seconds)
             return Answer(raised=(type(error).__name__, text_of(error)), seconds=seconds)
@@ -107,8 +107,8 @@ class AgentHost:
             planes = self._cache(question.frames).planes(cue.needs, question.region)
             arguments.insert(1 if question.method == LEARN_AND_BLEND else 0, planes)
         if question.method == LEARN_AND_BLEND:
-            learn, seen, old, rate, *box = arguments
-            returned = cue.blend(old, getattr(cue, learn)(seen, *box), rate)
+            learn, planes_of_question, learned, rate, *box = arguments
+            returned = cue.blend(learned, getattr(cue, learn)(planes_of_question, *box), rate)
         else:
             returned = getattr(cue, question.method)(*arguments)
         match question.method:
@@ -121,8 +121,8 @@ class AgentHost:
             return None
         # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
         reference: Mapping[str, Any] = dict(returned.items())
-        given = [part for part in question.arguments if isinstance(part, EncodedReference)]
-        return received.encode(reference, given, question.next_number)
+        references = [part for part in question.arguments if isinstance(part, EncodedReference)]
+        return received.encode(reference, references, question.next_number)
 
     def _cache(self, frames: tuple[Any, Any]) -> PlaneCache:
         current, previous = frames
@@ -147,11 +147,11 @@ def _measurement(returned: Any) -> Measurement | Foreign | None:
     fields = tuple(str(name) for name in returned.fields)
     mean, covariance = np.array(returned.mean, float), np.array(returned.covariance, float)
     choices: list[tuple[float, Measurement]] = []
-    for weight, one in returned.choices:
-        own = _measurement(one)
-        if not isinstance(own, Measurement):
+    for weight, choice in returned.choices:
+        measured = _measurement(choice)
+        if not isinstance(measured, Measurement):
             return Foreign("Measurement with a choice that is none")
-        choices.append((float(weight), own))
+        choices.append((float(weight), measured))
     return Measurement(fields, mean, covariance, returned.floor, tuple(choices), returned.confidence)
 
 
@@ -180,9 +180,9 @@ def main(control_number: int, frames: int, memory_mb: int) -> None:
     with suppress(ConnectionError):  # the engine has gone, perhaps while it waited for an answer
         control.sendall(NUMBER.pack(READY))
         _fork_and_reap(control, children, frames, memory_mb)
-    until = time.monotonic() + END_S
+    deadline = time.monotonic() + END_S
     for child in children:
-        _wait_for_end(child, until)
+        _wait_for_end(child, deadline)
 
 
 def _fork_and_reap(control: socket.socket, children: set[int], frames: int, memory_mb: int) -> None:
@@ -224,19 +224,19 @@ def _load(cue_files: bytes) -> None:
     gc.freeze()  # workers share that memory, and none looks through it again
 
 
-def _wait_for_end(child: int, until: float) -> int:
-    """The exit code of a child, minus the signal that killed it; after `until` it is killed.
+def _wait_for_end(child: int, deadline: float) -> int:
+    """The exit code of a child, minus the signal that killed it; after `deadline` it is killed.
 
     UNKNOWN where it is no child of this fork server but of one before it.
     """
     while True:
         try:
-            found, status = os.waitpid(child, os.WNOHANG)
+            ended, status = os.waitpid(child, os.WNOHANG)
         except ChildProcessError:
             return UNKNOWN
-        if found:
+        if ended:
             return os.waitstatus_to_exitcode(status)
-        if time.monotonic() >= until:
+        if time.monotonic() >= deadline:
             os.kill(child, signal.SIGKILL)
             return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         time.sleep(POLL_S)
@@ -274,14 +274,14 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
         if kind == DISMISS:
             host.unassign(agent)
             continue
-        method, numbers, where, next_number, forget, new = plain
-        for frame in [values.pop() for _ in range(new)]:
+        method, numbers, region_bounds, next_number, forget, frame_count = plain
+        for frame in [values.pop() for _ in range(frame_count)]:
             known_frames[frame.number] = frame
             if len(known_frames) > 4 * SLOTS:
                 for number in [n for n in known_frames if n is not None and n <= frame.number - SLOTS]:
                     del known_frames[number]
         both = None if numbers is None else (known_frames[numbers[0]], known_frames[numbers[1]])
-        region = None if where is None else Region(*where)
+        region = None if region_bounds is None else Region(*region_bounds)
         question = Call(agent, method, both, region, tuple(values), next_number, forget)
         answer = host.answer(question)
         try:

@@ -47,9 +47,9 @@ def grow_blobs(
         (N, max_blobs, 4) blobs in `BLOB_COLUMNS`, largest first, and (N,) how many there are.
     """
     blobs: Floats = np.zeros((len(boxes), max_blobs, 4))
-    found: NDArray[np.int64] = np.zeros(len(boxes), np.int64)
+    counts: NDArray[np.int64] = np.zeros(len(boxes), np.int64)
     tolerance = int(tolerance_deg * 256 / 360)
-    least = max(math.ceil(min_share * cells * cells), 1)
+    min_cells = max(math.ceil(min_share * cells * cells), 1)
     _grow(
         for_reading(hue),
         np.ascontiguousarray(boxes),
@@ -57,13 +57,13 @@ def grow_blobs(
         origin[1],
         cells,
         tolerance,
-        least,
+        min_cells,
         _COSINES,
         _SINES,
         blobs,
-        found,
+        counts,
     )
-    return blobs, found
+    return blobs, counts
 
 
 @compiled
@@ -74,22 +74,22 @@ def _grow(
     top: int,
     cells: int,
     tolerance: int,
-    least: int,
+    min_cells: int,
     cosines: NDArray[np.int64],
     sines: NDArray[np.int64],
     blobs: Floats,
-    found: NDArray[np.int64],
+    counts: NDArray[np.int64],
 ) -> None:
     """`grow_blobs` by joining runs of cells side by side."""
     # Written almost without branches, which a grid of real hues makes unpredictable.
     rows, columns = hue.shape
     size = cells * cells
     column_of = np.empty(cells, np.int64)
-    here = np.full(cells + size, -1, np.int32)  # after an empty row, so that every cell has one above
-    beside, below, link = np.zeros((3, cells + size), np.int32)
-    now, left_of, above = here[cells:], here[cells - 1 :], here[:size]
+    samples = np.full(cells + size, -1, np.int32)  # after an empty row, so that every cell has one above
+    beside, joined_above, link = np.zeros((3, cells + size), np.int32)
+    current, left_of, upper = samples[cells:], samples[cells - 1 :], samples[:size]
     beside_now, beside_above = beside[cells:], beside[:size]
-    below_now, below_left, link_now = below[cells:], below[cells - 1 :], link[cells:]
+    below_now, below_left, link_now = joined_above[cells:], joined_above[cells - 1 :], link[cells:]
     run_of, link_at = np.zeros(cells + size, np.int64), np.empty(size + 1, np.int64)
     own_run = run_of[cells:]
     start, end = np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
@@ -101,28 +101,30 @@ def _grow(
         for i in range(cells):
             share = (i + 0.5) / cells - 0.5
             column_of[i] = math.floor(boxes[n, 0] + share * boxes[n, 2] + 0.5) - left
-        at = cells
+        index = cells
         for j in range(cells):
             share = (j + 0.5) / cells - 0.5
             row = math.floor(boxes[n, 1] + share * boxes[n, 3] + 0.5) - top
             for i in range(cells):
                 column = column_of[i]
-                inside = 0 <= row < rows and 0 <= column < columns
-                here[at] = hue[row, column] if inside else -1
-                at += 1
+                is_inside = 0 <= row < rows and 0 <= column < columns
+                samples[index] = hue[row, column] if is_inside else -1
+                index += 1
         for k in range(size):
-            apart = (now[k] - left_of[k]) & 255
-            beside_now[k] = (min(apart, 256 - apart) <= tolerance) & ((now[k] | left_of[k]) >= 0)
+            difference = (current[k] - left_of[k]) & 255
+            beside_now[k] = (min(difference, 256 - difference) <= tolerance) & (
+                (current[k] | left_of[k]) >= 0
+            )
         for k in range(size):
-            apart = (now[k] - above[k]) & 255
-            below_now[k] = (min(apart, 256 - apart) <= tolerance) & ((now[k] | above[k]) >= 0)
+            difference = (current[k] - upper[k]) & 255
+            below_now[k] = (min(difference, 256 - difference) <= tolerance) & ((current[k] | upper[k]) >= 0)
         for j in range(cells):
             beside_now[j * cells] = 0
         for k in range(size):  # the first cell where a run meets one above
             link_now[k] = below_now[k] & (1 - (beside_now[k] & below_left[k] & beside_above[k]))
         runs, links, cosine_sum, sine_sum = 0, 0, 0, 0
         for k in range(size):  # runs of cells joined side by side, numbered from 1; 0 takes what is none
-            colored = np.int64(now[k] >= 0)
+            colored = np.int64(current[k] >= 0)
             begins = colored & (1 - beside_now[k])
             runs += begins
             own_run[k] = runs
@@ -130,8 +132,8 @@ def _grow(
             start[runs * begins] = k
             link_at[links] = k
             links += link_now[k]
-            cosine_sum += cosines[now[k]]
-            sine_sum += sines[now[k]]
+            cosine_sum += cosines[current[k]]
+            sine_sum += sines[current[k]]
             cosine[k + 1] = cosine_sum
             sine[k + 1] = sine_sum
         for run in range(runs):
@@ -144,36 +146,38 @@ def _grow(
             sums[run, 3] = cosine[past] - cosine[first]
             sums[run, 4] = sine[past] - sine[first]
         for m in range(links):
-            one, other = own_run[link_at[m]] - 1, run_of[link_at[m]] - 1
-            while parent[one] != one:
-                one = parent[one]
-            while parent[other] != other:
-                other = parent[other]
-            parent[max(one, other)] = min(one, other)
+            root, other_root = own_run[link_at[m]] - 1, run_of[link_at[m]] - 1
+            while parent[root] != root:
+                root = parent[root]
+            while parent[other_root] != other_root:
+                other_root = parent[other_root]
+            parent[max(root, other_root)] = min(root, other_root)
         for run in range(runs - 1, -1, -1):  # a parent comes before its children
             if parent[run] != run:
                 for k in range(5):
                     sums[parent[run], k] += sums[run, k]
                 sums[run, 0] = 0
-        kept = 0
+        blob_count = 0
         for run in range(runs):  # insert into the largest so far, in order
             count = sums[run, 0]
-            if count < least or (kept == order.shape[0] and count <= sums[order[kept - 1], 0]):
+            if count < min_cells or (
+                blob_count == order.shape[0] and count <= sums[order[blob_count - 1], 0]
+            ):
                 continue
-            kept = min(kept + 1, order.shape[0])
-            place = kept - 1
+            blob_count = min(blob_count + 1, order.shape[0])
+            place = blob_count - 1
             while place > 0 and sums[order[place - 1], 0] < count:
                 order[place] = order[place - 1]
                 place -= 1
             order[place] = run
-        for k in range(kept):
+        for k in range(blob_count):
             run = order[k]
             count = sums[run, 0]
             blobs[n, k, 0] = (sums[run, 1] / count + 0.5) / cells - 0.5
             blobs[n, k, 1] = (sums[run, 2] / count + 0.5) / cells - 0.5
             blobs[n, k, 2] = math.degrees(math.atan2(sums[run, 4], sums[run, 3])) % 360.0
             blobs[n, k, 3] = count / size
-        found[n] = kept
+        counts[n] = blob_count
 
 
 def match_blobs(
@@ -194,7 +198,7 @@ def match_blobs(
         (thesis eq. 3.4, corrected), `limit` for none.
     """
     match, cost = np.empty(len(ours), np.int64), np.empty(len(ours))
-    used = np.empty(len(theirs))
+    penalty = np.empty(len(theirs))
     _match(
         np.ascontiguousarray(ours),
         np.ascontiguousarray(theirs),
@@ -204,7 +208,7 @@ def match_blobs(
         limit,
         match,
         cost,
-        used,
+        penalty,
     )
     return match, cost
 
@@ -219,23 +223,23 @@ def _match(
     limit: float,
     match: NDArray[np.int64],
     cost: Floats,
-    used: Floats,
+    penalty: Floats,
 ) -> None:
     by_offset, by_hue = 0.5 / sd_offset**2, 0.5 / sd_hue_deg**2
     for j in range(others):
-        used[j] = 0.0
+        penalty[j] = 0.0
     for i in range(ours.shape[0]):
-        least, to = limit, -1
+        lowest, to = limit, -1
         for j in range(others):
             x, y = ours[i, 0] - theirs[j, 0], ours[i, 1] - theirs[j, 1]
             hue = abs(ours[i, 2] - theirs[j, 2])
             hue = min(hue, 360.0 - hue)
-            pair = by_offset * (x * x + y * y) + by_hue * hue * hue + used[j]
-            to = j if pair < least else to
-            least = min(pair, least)
-        match[i], cost[i] = to, least
+            pair = by_offset * (x * x + y * y) + by_hue * hue * hue + penalty[j]
+            to = j if pair < lowest else to
+            lowest = min(pair, lowest)
+        match[i], cost[i] = to, lowest
         if to >= 0:
-            used[to] = np.inf
+            penalty[to] = np.inf
 
 
 @compiled

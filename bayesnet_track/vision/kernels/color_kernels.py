@@ -63,8 +63,8 @@ def bins_of_hue(hue: NDArray[np.int16], bin_of_hue: NDArray[np.uint8]) -> NDArra
     bins = np.empty(hue.shape, np.uint8)
     for y in range(hue.shape[0]):
         for x in range(hue.shape[1]):
-            own = hue[y, x]
-            bins[y, x] = bin_of_hue[own if own >= 0 else 256]
+            angle = hue[y, x]
+            bins[y, x] = bin_of_hue[angle if angle >= 0 else 256]
     return bins
 
 
@@ -78,13 +78,13 @@ def fill_cells(line: NDArray[np.uint8], layout: NDArray[np.uint16], cells: NDArr
             number of a cell, which is at most 65535.
         cells: filled.
     """
-    one, two, three = layout[0, 0], layout[0, 1], layout[0, 2]
+    factor_blue, factor_green, factor_red = layout[0, 0], layout[0, 1], layout[0, 2]
     first, second, third = layout[1, 0], layout[1, 1], layout[1, 2]
     half = np.uint16(8)
     for x in range(len(cells)):  # whole numbers of 16 bits: four times as many at once as of 64
-        a = np.uint16(np.uint16(np.uint16(line[3 * x]) * one) >> half) * first
-        b = np.uint16(np.uint16(np.uint16(line[3 * x + 1]) * two) >> half) * second
-        c = np.uint16(np.uint16(np.uint16(line[3 * x + 2]) * three) >> half) * third
+        a = np.uint16(np.uint16(np.uint16(line[3 * x]) * factor_blue) >> half) * first
+        b = np.uint16(np.uint16(np.uint16(line[3 * x + 1]) * factor_green) >> half) * second
+        c = np.uint16(np.uint16(np.uint16(line[3 * x + 2]) * factor_red) >> half) * third
         cells[x] = np.uint16(a) + np.uint16(b) + np.uint16(c)
 
 
@@ -117,17 +117,17 @@ def count_cells(image: Bytes, layout: Words, boxes: Floats, counts: Floats) -> N
     height, width, size = image.shape[0], image.shape[1], len(boxes)
     bounds = np.empty((size + 1, 4), np.int64)  # first and last column, first and last row
     for k in range(size):
-        x, y, across, down = boxes[k, 0], boxes[k, 1], boxes[k, 2] * 0.5, boxes[k, 3] * 0.5
-        bounds[k, 0] = int(np.floor(min(max(x - across + 0.5, 0.0), float(width))))
-        bounds[k, 1] = int(np.ceil(min(max(x + across + 0.5, 0.0), float(width))))
-        bounds[k, 2] = int(np.floor(min(max(y - down + 0.5, 0.0), float(height))))
-        bounds[k, 3] = int(np.ceil(min(max(y + down + 0.5, 0.0), float(height))))
+        x, y, half_width, half_height = boxes[k, 0], boxes[k, 1], boxes[k, 2] * 0.5, boxes[k, 3] * 0.5
+        bounds[k, 0] = int(np.floor(min(max(x - half_width + 0.5, 0.0), float(width))))
+        bounds[k, 1] = int(np.ceil(min(max(x + half_width + 0.5, 0.0), float(width))))
+        bounds[k, 2] = int(np.floor(min(max(y - half_height + 0.5, 0.0), float(height))))
+        bounds[k, 3] = int(np.ceil(min(max(y + half_height + 0.5, 0.0), float(height))))
     bounds[size] = 0
     first, last = bounds[0, 0], bounds[0, 1]
     cells = np.empty(last - first, np.uint16)
     # Each pixel is counted in the smallest box that has it. Four counts each: the next pixels are often of
     # the same cell, and would wait for this one.
-    apart = np.zeros((*counts.shape, 4), np.int32)
+    partial = np.zeros((*counts.shape, 4), np.int32)
     for y in range(bounds[0, 2], bounds[0, 3]):
         fill_cells(image[y, first:last].reshape(3 * (last - first)), layout, cells)
         for k in range(size):
@@ -137,15 +137,15 @@ def count_cells(image: Bytes, layout: Words, boxes: Floats, counts: Floats) -> N
             left, right = stop, stop
             if bounds[k + 1, 2] <= y < bounds[k + 1, 3]:
                 left, right = bounds[k + 1, 0] - first, bounds[k + 1, 1] - first
-            own = apart[k]
+            box_counts = partial[k]
             for begin, end in ((start, left), (right, stop)):
                 for x in range(begin, end):
-                    own[cells[x], x & 3] += 1
+                    box_counts[cells[x], x & 3] += 1
     for cell in range(counts.shape[1]):
         total = 0
         for k in range(size - 1, -1, -1):
-            one = apart[k, cell]
-            total += one[0] + one[1] + one[2] + one[3]
+            counters = partial[k, cell]
+            total += counters[0] + counters[1] + counters[2] + counters[3]
             counts[k, cell] = total
 
 
@@ -159,9 +159,9 @@ def ring_shares(counts: Floats, shares: Floats) -> None:
     for k in range(3):
         total = 0.0
         for cell in range(counts.shape[1]):
-            own = counts[3, cell] if k == 2 else counts[k, cell] - counts[2, cell]
-            shares[k, cell] = own
-            total += own
+            count = counts[3, cell] if k == 2 else counts[k, cell] - counts[2, cell]
+            shares[k, cell] = count
+            total += count
         for cell in range(counts.shape[1]):
             shares[k, cell] /= max(total, 1.0)
 
@@ -173,16 +173,16 @@ def color_posterior(
     memory: Floats,
     share: float,
     unseen: tuple[float, float],
-    found: Bytes,
+    posterior: Bytes,
 ) -> None:
-    """Fill `found` (cells,) with 255 f / (f + b), b with the `share` of `memory`.
+    """Fill `posterior` (cells,) with 255 f / (f + b), b with the `share` of `memory`.
 
     `unseen` is added to f and to f + b.
     """
     for cell in range(len(foreground)):
-        around = (1.0 - share) * background[cell] + share * memory[cell]
-        of_all = (foreground[cell] + unseen[0]) / (foreground[cell] + around + unseen[1])
-        found[cell] = np.uint8(np.rint(255.0 * of_all))
+        elsewhere = (1.0 - share) * background[cell] + share * memory[cell]
+        of_all = (foreground[cell] + unseen[0]) / (foreground[cell] + elsewhere + unseen[1])
+        posterior[cell] = np.uint8(np.rint(255.0 * of_all))
 
 
 @compiled
@@ -201,12 +201,12 @@ def integral_of_cells(image: Bytes, layout: Words, levels: Bytes, crop: Ints) ->
     integral[0] = 0
     for y in range(bottom - top):
         fill_cells(image[top + y, left:right].reshape(3 * (right - left)), layout, cells)
-        above, own = integral[y], integral[y + 1]
-        own[0] = 0
+        previous, current = integral[y], integral[y + 1]
+        current[0] = 0
         total = np.int64(0)
         for x in range(right - left):
             total += np.int64(levels[cells[x]])
-            own[x + 1] = above[x + 1] + total
+            current[x + 1] = previous[x + 1] + total
     return integral
 
 
@@ -214,13 +214,15 @@ def integral_of_cells(image: Bytes, layout: Words, levels: Bytes, crop: Ints) ->
 def _corner(integral: Ints, x: int, y: int) -> int:
     """The integral up to (x, y), both in steps of a pixel: bilinear, times STEPS squared."""
     column, row = x // STEPS, y // STEPS
-    right, down = x - column * STEPS, y - row * STEPS
+    column_part, row_part = x - column * STEPS, y - row * STEPS
     # The last row and column are edges: there is nothing beyond them, and the share of it is 0.
-    after, below = min(column + 1, integral.shape[1] - 1), min(row + 1, integral.shape[0] - 1)
-    top = integral[row, column] * (STEPS - right) + integral[row, after] * right
-    bottom = integral[below, column] * (STEPS - right) + integral[below, after] * right
-    found: int = top * (STEPS - down) + bottom * down
-    return found
+    next_column, next_row = min(column + 1, integral.shape[1] - 1), min(row + 1, integral.shape[0] - 1)
+    top = integral[row, column] * (STEPS - column_part) + integral[row, next_column] * column_part
+    bottom = (
+        integral[next_row, column] * (STEPS - column_part) + integral[next_row, next_column] * column_part
+    )
+    level: int = top * (STEPS - row_part) + bottom * row_part
+    return level
 
 
 @compiled
@@ -237,20 +239,20 @@ def box_and_ring_means(
         ring: width of the ring in mean sides of the box.
         means: (N, 2) filled.
     """
-    across, down = image.shape[1] * STEPS, image.shape[0] * STEPS
+    width, height = image.shape[1] * STEPS, image.shape[0] * STEPS
     edges = np.empty((len(boxes), 2, 4), np.int64)  # of the box and around its ring: left, right, top, bottom
-    crop = np.array([across, 0, down, 0])
+    crop = np.array([width, 0, height, 0])
     for k in range(len(boxes)):
         x, y, w, h = boxes[k, 0] + 0.5, boxes[k, 1] + 0.5, boxes[k, 2], boxes[k, 3]
         for outer in range(2):
             grown = outer * ring * 0.5 * (w + h)
-            own = edges[k, outer]
-            own[0] = min(max(int(np.floor((x - 0.5 * w - grown) * STEPS + 0.5)), 0), across)
-            own[1] = min(max(int(np.floor((x + 0.5 * w + grown) * STEPS + 0.5)), 0), across)
-            own[2] = min(max(int(np.floor((y - 0.5 * h - grown) * STEPS + 0.5)), 0), down)
-            own[3] = min(max(int(np.floor((y + 0.5 * h + grown) * STEPS + 0.5)), 0), down)
-        crop[0], crop[1] = min(crop[0], own[0]), max(crop[1], own[1])
-        crop[2], crop[3] = min(crop[2], own[2]), max(crop[3], own[3])
+            edge = edges[k, outer]
+            edge[0] = min(max(int(np.floor((x - 0.5 * w - grown) * STEPS + 0.5)), 0), width)
+            edge[1] = min(max(int(np.floor((x + 0.5 * w + grown) * STEPS + 0.5)), 0), width)
+            edge[2] = min(max(int(np.floor((y - 0.5 * h - grown) * STEPS + 0.5)), 0), height)
+            edge[3] = min(max(int(np.floor((y + 0.5 * h + grown) * STEPS + 0.5)), 0), height)
+        crop[0], crop[1] = min(crop[0], edge[0]), max(crop[1], edge[1])
+        crop[2], crop[3] = min(crop[2], edge[2]), max(crop[3], edge[3])
     crop[0], crop[1] = crop[0] // STEPS, -(-crop[1] // STEPS)
     crop[2], crop[3] = crop[2] // STEPS, -(-crop[3] // STEPS)
     if crop[0] >= crop[1] or crop[2] >= crop[3]:
@@ -259,7 +261,7 @@ def box_and_ring_means(
     integral = integral_of_cells(image, layout, levels, crop)
     x0, y0 = crop[0] * STEPS, crop[2] * STEPS
     for k in range(len(boxes)):
-        inside, whole, own_area, whole_area = 0, 0, 0, 0
+        box_level, ring_level, box_area, grown_area = 0, 0, 0, 0
         for outer in range(2):
             left, right, top, bottom = edges[k, outer]
             area = (right - left) * (bottom - top)
@@ -271,11 +273,11 @@ def box_and_ring_means(
                     - _corner(integral, right - x0, top - y0)
                     + _corner(integral, left - x0, top - y0)
                 )
-            inside, own_area, whole, whole_area = whole, whole_area, level, area
-        nominal = max(boxes[k, 2] * boxes[k, 3] * STEPS * STEPS, float(own_area), 1.0)
-        around = whole_area - own_area
-        means[k, 0] = inside / nominal
-        means[k, 1] = (whole - inside) / around if around > 0 else 0.0
+            box_level, box_area, ring_level, grown_area = ring_level, grown_area, level, area
+        nominal = max(boxes[k, 2] * boxes[k, 3] * STEPS * STEPS, float(box_area), 1.0)
+        ring_area = grown_area - box_area
+        means[k, 0] = box_level / nominal
+        means[k, 1] = (ring_level - box_level) / ring_area if ring_area > 0 else 0.0
 
 
 BACKGROUND, SHADOW, FOREGROUND = 0, 64, 128
@@ -315,12 +317,12 @@ def update_mixture(
         evidence: (H, W) is filled in.
     """
     rows, columns, modes = weights.shape
-    value, seen = np.empty(3), np.empty(3)
+    value, expected = np.empty(3), np.empty(3)
     for y in range(rows):
         for x in range(columns):
             for c in range(3):
                 value[c] = float(image[y, x, c])
-            before, matched, is_background, nearest = 0.0, -1, False, np.inf
+            weight_so_far, matched, is_background, nearest = 0.0, -1, False, np.inf
             for k in range(modes):
                 weight = float(weights[y, x, k])
                 if weight <= 0.0:
@@ -329,26 +331,26 @@ def update_mixture(
                 for c in range(3):
                     away += (value[c] - min(gain * means[y, x, k, c], 255.0)) ** 2
                 distance = away / variances[y, x, k]
-                if before < background_share:
+                if weight_so_far < background_share:
                     nearest = min(nearest, distance)
                 if distance < match:
-                    matched, is_background = k, before < background_share
+                    matched, is_background = k, weight_so_far < background_share
                     break
-                before += weight
+                weight_so_far += weight
             evidence[y, x] = BACKGROUND
             if not is_background:
                 evidence[y, x] = min(128.0 * np.sqrt(max(nearest / match, 1.0)), 255.0)
                 product, square = 0.0, 0.0
                 for c in range(3):
-                    seen[c] = min(gain * means[y, x, 0, c], 255.0)
-                    product += value[c] * seen[c]
-                    square += seen[c] * seen[c]
+                    expected[c] = min(gain * means[y, x, 0, c], 255.0)
+                    product += value[c] * expected[c]
+                    square += expected[c] * expected[c]
                 ratio = product / max(square, 1.0)
                 if darkest <= ratio < 1.0:
-                    off = 0.0
+                    chroma_square = 0.0
                     for c in range(3):
-                        off += (value[c] - ratio * seen[c]) ** 2
-                    if off < 3.0 * chroma:
+                        chroma_square += (value[c] - ratio * expected[c]) ** 2
+                    if chroma_square < 3.0 * chroma:
                         evidence[y, x] = SHADOW
             _learn(
                 value,
@@ -388,14 +390,14 @@ def _learn(
     for m in range(modes):
         weights[m] /= total
     if matched >= 0:
-        own = min(rate / weights[k], 1.0)
-        away = 0.0
+        gain = min(rate / weights[k], 1.0)
+        square = 0.0
         for c in range(3):
             step = value[c] - means[k, c]
-            away += step * step
-            means[k, c] += own * step
+            square += step * step
+            means[k, c] += gain * step
         # the part of the squared step that is scatter: with a share `own` of the new mean it is shorter
-        variances[k] = max((1.0 - own) * (variances[k] + own * away / 3.0), min_variance)
+        variances[k] = max((1.0 - gain) * (variances[k] + gain * square / 3.0), min_variance)
     while k > 0 and weights[k] > weights[k - 1]:
         weights[k], weights[k - 1] = weights[k - 1], weights[k]
         variances[k], variances[k - 1] = variances[k - 1], variances[k]

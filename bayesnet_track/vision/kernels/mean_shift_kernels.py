@@ -68,15 +68,15 @@ def count_pixels(frame: Frame, cells: CellLayout, boxes: Floats) -> Floats:
 
     They are kept while the frame lives: an agent and a verifier learn in the same box.
     """
-    known, asked = _OF_FRAME.setdefault(frame, {}), (cells, boxes.tobytes())
-    counts = known.get(asked)
+    of_frame, key = _OF_FRAME.setdefault(frame, {}), (cells, boxes.tobytes())
+    counts = of_frame.get(key)
     if counts is None:
         filled = np.empty((len(boxes), cells.count))
         count_cells(for_reading(frame.image), cells.layout, plain(boxes), filled)
         counts = read_only(filled)
-        if len(known) >= KEPT:
-            known.clear()
-        known[asked] = counts
+        if len(of_frame) >= KEPT:
+            of_frame.clear()
+        of_frame[key] = counts
     return counts
 
 
@@ -92,16 +92,16 @@ def shares_of(counts: Floats) -> Floats:
 
 def grow_boxes(boxes: Floats, ring: float) -> Floats:
     """Centre boxes (..., 4) with a ring of `ring` mean sides around them."""
-    more = ring * (boxes[..., 2:3] + boxes[..., 3:4])
-    return np.concatenate([boxes[..., :2], boxes[..., 2:] + more], axis=-1)
+    growth = ring * (boxes[..., 2:3] + boxes[..., 3:4])
+    return np.concatenate([boxes[..., :2], boxes[..., 2:] + growth], axis=-1)
 
 
 def means(frame: Frame, cells: CellLayout, levels: Bytes, boxes: Floats, ring: float) -> Floats:
     """(N, 2) mean posterior, 0..1, inside each centre box (N, 4) and in a ring of `ring` mean sides."""
-    found = np.empty((len(boxes), 2))
+    shares = np.empty((len(boxes), 2))
     image = for_reading(frame.image)
-    box_and_ring_means(image, cells.layout, for_reading(levels), plain(boxes), ring, found)
-    return found / TOP
+    box_and_ring_means(image, cells.layout, for_reading(levels), plain(boxes), ring, shares)
+    return shares / TOP
 
 
 def posterior(shares: Mapping[str, Floats], memory: float, prior: float) -> Bytes:
@@ -110,32 +110,32 @@ def posterior(shares: Mapping[str, Floats], memory: float, prior: float) -> Byte
     `shares` of the pixels are f in the `foreground`, and b in the `background` with the share `memory` of the
     `memory`. `prior` is that of a colour which none of them has; it counts as a share of `UNSEEN`.
     """
-    f, b, old = (for_reading(shares[name]) for name in ("foreground", "background", "memory"))
-    found = np.empty(len(f), np.uint8)
-    color_posterior(f, b, old, memory, (prior * UNSEEN, UNSEEN), found)
-    return found
+    f, b, remembered = (for_reading(shares[name]) for name in ("foreground", "background", "memory"))
+    levels = np.empty(len(f), np.uint8)
+    color_posterior(f, b, remembered, memory, (prior * UNSEEN, UNSEEN), levels)
+    return levels
 
 
 Cells = NDArray[np.uint16]
 
 
 @compiled
-def _step(box: Floats, most: int) -> int:
+def _step(box: Floats, max_pixels: int) -> int:
     """Step between the rows and columns that are taken of a box: 1, 2, ... Radii below 1 px count as 1."""
-    return max(int(np.ceil(np.sqrt(4.0 * max(box[2] / 2, 1.0) * max(box[3] / 2, 1.0) / most))), 1)
+    return max(int(np.ceil(np.sqrt(4.0 * max(box[2] / 2, 1.0) * max(box[3] / 2, 1.0) / max_pixels))), 1)
 
 
 @compiled
 def _sampled(cells: Cells, left: int, top: int, step: int, numbers: Cells) -> Cells:
     """Every `step`-th row and column of the cells, counted from the frame's first, by their new `numbers`."""
-    above, before = (top + step - 1) // step * step - top, (left + step - 1) // step * step - left
-    rows, columns = max(cells.shape[0] - above - 1, -1), max(cells.shape[1] - before - 1, -1)
-    found = np.empty(((rows + step) // step, (columns + step) // step), np.uint16)
-    for j in range(found.shape[0]):
-        line = cells[above + j * step]
-        for i in range(found.shape[1]):
-            found[j, i] = numbers[line[before + i * step]]
-    return found
+    first_row, first_column = (top + step - 1) // step * step - top, (left + step - 1) // step * step - left
+    rows, columns = max(cells.shape[0] - first_row - 1, -1), max(cells.shape[1] - first_column - 1, -1)
+    sampled = np.empty(((rows + step) // step, (columns + step) // step), np.uint16)
+    for j in range(sampled.shape[0]):
+        line = cells[first_row + j * step]
+        for i in range(sampled.shape[1]):
+            sampled[j, i] = numbers[line[first_column + i * step]]
+    return sampled
 
 
 @compiled
@@ -162,36 +162,36 @@ def _count(cells: Cells, left: int, top: int, step: int, box: Floats, parts: Flo
     rows, columns = cells.shape
     x, y = box[0], box[1]
     rx, ry = max(box[2] / 2, 1.0), max(box[3] / 2, 1.0)
-    whole, per_radius, per_height, per_step = 0.0, 1.0 / rx, 1.0 / ry, 1.0 / step
+    total_weight, per_radius, per_height, per_step = 0.0, 1.0 / rx, 1.0 / ry, 1.0 / step
     if not (x + rx >= left * step and x - rx < (left + columns) * step):
-        return whole
+        return total_weight
     if not (y + ry >= top * step and y - ry < (top + rows) * step):
-        return whole
+        return total_weight
     west, north = int(np.ceil((x - rx) * per_step)), int(np.ceil((y - ry) * per_step))
     squares, heights, firsts, lasts, weights = room[0], room[1], room[2], room[3], room[4]
     for i in range(int(np.floor((x + rx) * per_step)) + 1 - west):
-        away = ((west + i) * step - x) * per_radius
-        squares[i] = away * away
+        dx = ((west + i) * step - x) * per_radius
+        squares[i] = dx * dx
     high = int(np.floor((y + ry) * per_step)) + 1 - north
     for j in range(high):  # without branches, so that it becomes vector instructions
-        below = ((north + j) * step - y) * per_height
-        heights[j] = max(1.0 - below * below, 0.0)
+        dy = ((north + j) * step - y) * per_height
+        heights[j] = max(1.0 - dy * dy, 0.0)
         reach = rx * np.sqrt(heights[j])
         firsts[j], lasts[j] = np.ceil((x - reach) * per_step), np.floor((x + reach) * per_step)
         count = max(lasts[j] - firsts[j] + 1.0, 0.0)
         # The row's weight, count * height - sum of squares, in closed form.
-        near = firsts[j] * step - x
-        total = count * near * near + near * step * count * (count - 1)
+        offset = firsts[j] * step - x
+        total = count * offset * offset + offset * step * count * (count - 1)
         total += step * step * (count - 1) * count * (2 * count - 1) * (1.0 / 6.0)
         weights[j] = count * heights[j] - total * (per_radius * per_radius)
     for j in range(high):
-        whole += weights[j]
+        total_weight += weights[j]
     for j in range(max(top - north, 0), min(high, top + rows - north)):
         line = cells[north + j - top]
         for column in range(max(int(firsts[j]), left), min(int(lasts[j]), left + columns - 1) + 1):
             weight = max(heights[j] - squares[np.uint64(column - west)], 0.0)
             parts[line[np.uint64(column - left)], column & 3] += weight
-    return whole
+    return total_weight
 
 
 @compiled_summing
@@ -209,7 +209,7 @@ def _compare(
     cells: Cells,
     place: tuple[int, int],
     boxes: Floats,
-    most: int,
+    max_pixels: int,
     numbers: Cells,
     roots: Floats,
     parts: Floats,
@@ -222,7 +222,7 @@ def _compare(
     left, top = place
     steps, size = np.empty(len(boxes), np.int64), 0
     for n in range(len(boxes)):
-        steps[n] = _step(boxes[n], most)
+        steps[n] = _step(boxes[n], max_pixels)
         size = max(size, _room(boxes[n], steps[n]))
     room = np.empty((5, size))
     for step in range(steps.min(), steps.max() + 1):
@@ -233,23 +233,23 @@ def _compare(
         for n in range(len(boxes)):
             if steps[n] != step:
                 continue
-            whole = _count(some, column, row, step, boxes[n], parts, room)
-            if len(roots) > 0 and whole > 0.0:
-                rho[n] = _overlap(parts, roots) / np.sqrt(whole)
+            weight = _count(some, column, row, step, boxes[n], parts, room)
+            if len(roots) > 0 and weight > 0.0:
+                rho[n] = _overlap(parts, roots) / np.sqrt(weight)
 
 
-def kernel_shares(cells: Cells, left: int, top: int, box: Floats, most: int, bins: int) -> Floats:
+def kernel_shares(cells: Cells, left: int, top: int, box: Floats, max_pixels: int, bins: int) -> Floats:
     """(bins,) shares of the colours of a centre box (4,) under the kernel, of what lies in the frame.
 
     Their sum is 1, or 0 when nothing does. Tracking chapter, 3.83-3.85. Arguments as of `coefficients`.
     """
     parts, nothing, numbers = np.zeros((bins, 4)), np.empty(0), np.arange(bins, dtype=np.uint16)
-    _compare(cells, (left, top), plain(box[None]), most, numbers, nothing, parts, nothing)
+    _compare(cells, (left, top), plain(box[None]), max_pixels, numbers, nothing, parts, nothing)
     histogram = parts.sum(axis=1)
     return np.asarray(histogram / max(histogram.sum(), 1e-9))
 
 
-def coefficients(cells: Cells, left: int, top: int, boxes: Floats, most: int, roots: Floats) -> Floats:
+def coefficients(cells: Cells, left: int, top: int, boxes: Floats, max_pixels: int, roots: Floats) -> Floats:
     """(N,) rho = sum over u of sqrt(p_u q_u), p the histogram of each box and q the model (3.87).
 
     The part of a box outside the frame has colours that no model has.
@@ -258,16 +258,16 @@ def coefficients(cells: Cells, left: int, top: int, boxes: Floats, most: int, ro
         cells: (rows, columns) cell of each pixel.
         left: column of the frame at the first of them; likewise `top`.
         boxes: (N, 4) centre boxes in the frame, px.
-        most: of a larger box, in pixels, every k-th row and column is taken, counted from the frame's first.
+        max_pixels: of a larger box every k-th row and column is taken, counted from the first of the frame.
         roots: (cells,) sqrt(q).
     """
-    known, rho = np.flatnonzero(roots > 0.0), np.zeros(len(boxes))
-    if len(known) and len(boxes):
+    colors, rho = np.flatnonzero(roots > 0.0), np.zeros(len(boxes))
+    if len(colors) and len(boxes):
         # The colours of the model are numbered anew; all others share the number after, which nobody reads.
-        numbers = np.full(len(roots), len(known), np.uint16)
-        numbers[known] = np.arange(len(known))
-        parts = np.zeros((len(known) + 1, 4))
-        _compare(cells, (left, top), plain(boxes), most, numbers, roots[known], parts, rho)
+        numbers = np.full(len(roots), len(colors), np.uint16)
+        numbers[colors] = np.arange(len(colors))
+        parts = np.zeros((len(colors) + 1, 4))
+        _compare(cells, (left, top), plain(boxes), max_pixels, numbers, roots[colors], parts, rho)
     return rho
 
 
@@ -281,71 +281,71 @@ def kernel_histogram(cells: Cells, x: float, y: float, rx: float, ry: float, bin
     histogram = np.zeros(bins)
     rows, columns = cells.shape
     rx, ry = max(rx, 1.0), max(ry, 1.0)
-    whole = 0.0
+    total = 0.0
     for row in range(int(np.ceil(y - ry)), int(np.floor(y + ry)) + 1):
-        down = ((row - y) / ry) ** 2
+        height = ((row - y) / ry) ** 2
         for column in range(int(np.ceil(x - rx)), int(np.floor(x + rx)) + 1):
-            weight = 1.0 - down - ((column - x) / rx) ** 2
+            weight = 1.0 - height - ((column - x) / rx) ** 2
             if weight > 0.0:
-                whole += weight
+                total += weight
                 if 0 <= row < rows and 0 <= column < columns:
                     histogram[cells[row, column]] += weight
-    if whole > 0.0:
-        histogram /= whole
+    if total > 0.0:
+        histogram /= total
     return histogram
 
 
 @compiled
 def bhattacharyya(cells: Cells, model: Floats, x: float, y: float, rx: float, ry: float) -> float:
     """rho = sum over cells of sqrt(p q), p the histogram at a place and q the model (chapter, 3.87)."""
-    here = kernel_histogram(cells, x, y, rx, ry, len(model))
+    histogram = kernel_histogram(cells, x, y, rx, ry, len(model))
     rho = 0.0
     for u in range(len(model)):
-        rho += np.sqrt(here[u] * model[u])
+        rho += np.sqrt(histogram[u] * model[u])
     return rho
 
 
 @compiled
 def shift(
-    cells: Cells, model: Floats, x: float, y: float, rx: float, ry: float, tolerance: float, most: int
+    cells: Cells, model: Floats, x: float, y: float, rx: float, ry: float, tolerance: float, max_steps: int
 ) -> tuple[float, float, int]:
     """Mean shift of an ellipse toward the place whose colours are those of `model`; the place and the steps.
 
     Each pixel weighs sqrt(q_u / p_u), p the histogram where the window stands: for the Epanechnikov kernel
     the mean of these weights climbs the Bhattacharyya coefficient, linearised there. A step after which rho
-    itself is lower is halved. Stops below `tolerance` px a step, after `most` steps, or where no pixel has a
-    colour of the model (0 steps then, if at once).
+    itself is lower is halved. Stops below `tolerance` px a step, after `max_steps` steps, or where no pixel
+    has a colour of the model (0 steps then, if at once).
     """
     rows, columns = cells.shape
     rx, ry = max(rx, 1.0), max(ry, 1.0)
     steps = 0
     weights = np.zeros(len(model))
     rho = bhattacharyya(cells, model, x, y, rx, ry)
-    for _ in range(most):
-        here = kernel_histogram(cells, x, y, rx, ry, len(model))
+    for _ in range(max_steps):
+        histogram = kernel_histogram(cells, x, y, rx, ry, len(model))
         for u in range(len(model)):
-            weights[u] = np.sqrt(model[u] / here[u]) if here[u] > 0.0 else 0.0
-        total = down = across = 0.0
+            weights[u] = np.sqrt(model[u] / histogram[u]) if histogram[u] > 0.0 else 0.0
+        total = dy = dx = 0.0
         for row in range(max(int(np.ceil(y - ry)), 0), min(int(np.floor(y + ry)) + 1, rows)):
             height = ((row - y) / ry) ** 2
             for column in range(max(int(np.ceil(x - rx)), 0), min(int(np.floor(x + rx)) + 1, columns)):
                 if height + ((column - x) / rx) ** 2 < 1.0:
                     weight = weights[cells[row, column]]
                     total += weight
-                    across += weight * (column - x)
-                    down += weight * (row - y)
+                    dx += weight * (column - x)
+                    dy += weight * (row - y)
         if total <= 0.0:
             break
         steps += 1
-        across, down = across / total, down / total
-        after = bhattacharyya(cells, model, x + across, y + down, rx, ry)
-        while after < rho and across**2 + down**2 >= tolerance**2:
-            across, down = across / 2, down / 2
-            after = bhattacharyya(cells, model, x + across, y + down, rx, ry)
-        if after < rho:
+        dx, dy = dx / total, dy / total
+        next_rho = bhattacharyya(cells, model, x + dx, y + dy, rx, ry)
+        while next_rho < rho and dx**2 + dy**2 >= tolerance**2:
+            dx, dy = dx / 2, dy / 2
+            next_rho = bhattacharyya(cells, model, x + dx, y + dy, rx, ry)
+        if next_rho < rho:
             break
-        x, y, rho = x + across, y + down, after
-        if across**2 + down**2 < tolerance**2:
+        x, y, rho = x + dx, y + dy, next_rho
+        if dx**2 + dy**2 < tolerance**2:
             break
     return x, y, steps
 

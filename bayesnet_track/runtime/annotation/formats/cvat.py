@@ -57,28 +57,28 @@ def as_cvat(document: Document) -> bytes:
                     "z_order": "0",
                 },
             )
-            shown = {"how": mark.how, "probability": f"{mark.probability:.3f}"} if mark.box else {}
-            for name, value in {**shown, "name": target}.items():
+            properties = {"how": mark.how, "probability": f"{mark.probability:.3f}"} if mark.box else {}
+            for name, value in {**properties, "name": target}.items():
                 Tree.SubElement(element, "attribute", {"name": name}).text = value
     Tree.indent(root)
     data: bytes = Tree.tostring(root, encoding="utf-8", xml_declaration=True)
     return data + b"\n"
 
 
-def _with_ends(own: Mapping[int, BoxMark]) -> Iterator[tuple[BoxMark, Box]]:
+def _with_ends(of_target: Mapping[int, BoxMark]) -> Iterator[tuple[BoxMark, Box]]:
     """The boxes, and one that is outside where the target goes or nothing is known of the next frame."""
-    last = None
-    for frame in sorted(own):
-        mark = own[frame]
-        if last is not None and last[0].frame + 1 < frame:
-            yield BoxMark(last[0].frame + 1, None, "gone"), last[1]
-            last = None
+    previous = None
+    for frame in sorted(of_target):
+        mark = of_target[frame]
+        if previous is not None and previous[0].frame + 1 < frame:
+            yield BoxMark(previous[0].frame + 1, None, "gone"), previous[1]
+            previous = None
         if mark.box is not None:
-            last = mark, mark.box
-            yield last
-        elif last is not None:
-            yield mark, last[1]
-            last = None
+            previous = mark, mark.box
+            yield previous
+        elif previous is not None:
+            yield mark, previous[1]
+            previous = None
 
 
 def _add_meta(meta: Tree.Element, document: Document) -> None:
@@ -100,14 +100,14 @@ def _add_meta(meta: Tree.Element, document: Document) -> None:
             ("name", "text", ""),
         ):
             attribute = Tree.SubElement(attributes, "attribute")
-            about = {
+            properties = {
                 "name": called,
                 "mutable": "True",
                 "input_type": kind,
                 "default_value": "",
                 "values": values,
             }
-            for key, value in about.items():
+            for key, value in properties.items():
                 Tree.SubElement(attribute, key).text = value
 
 
@@ -124,8 +124,8 @@ class Task:
 
     def frame(self, found: int, place: str) -> int:
         """The frame of the video; raises MismatchError where a number is between its steps."""
-        frame, rest = divmod(found - self.first, self.step)
-        if rest:
+        frame, remainder = divmod(found - self.first, self.step)
+        if remainder:
             raise MismatchError(
                 f"{place}: frame {found} is none of {self.first}, {self.first + self.step}, ..."
             )
@@ -163,12 +163,14 @@ def read_cvat(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     return answers_of(_track_rows(tracks, task, video, path), video, path, names)
 
 
-def _check_meta(root: Tree.Element, chosen: str | None, video: Video, path: Path) -> Task:
-    """Read how the task, of a project the `chosen` one, numbers its frames; raises MismatchError."""
+def _check_meta(root: Tree.Element, task_id: str | None, video: Video, path: Path) -> Task:
+    """Read how the task, of a project the `task_id` one, numbers its frames; raises MismatchError."""
     of_project = root.findall("meta/project/tasks/task")
     jobs = [*root.findall("meta/task"), *root.findall("meta/job")]
     task = Task()
-    for job in jobs + [one for one in of_project if chosen is not None and one.findtext("id") == chosen]:
+    for job in jobs + [
+        candidate for candidate in of_project if task_id is not None and candidate.findtext("id") == task_id
+    ]:
         size = job.find("original_size")
         if size is not None:
             w, h = (whole(size.findtext(side), side, f"{path}, meta") for side in ("width", "height"))
@@ -181,19 +183,19 @@ def _check_meta(root: Tree.Element, chosen: str | None, video: Video, path: Path
 def _numbered(job: Tree.Element, video: Video, place: str) -> Task:
     size = whole(job.findtext("size"), "size", place)
     first = whole(job.findtext("start_frame") or "0", "start_frame", place)
-    chosen = "".join((job.findtext("frame_filter") or "").split())
-    step = whole(chosen.removeprefix("step="), "frame_filter", place) if chosen else 1
-    last = whole(job.findtext("stop_frame") or str(first + (size - 1) * step), "stop_frame", place)
+    frame_filter = "".join((job.findtext("frame_filter") or "").split())
+    step = whole(frame_filter.removeprefix("step="), "frame_filter", place) if frame_filter else 1
+    stop = whole(job.findtext("stop_frame") or str(first + (size - 1) * step), "stop_frame", place)
     if step < 1 or first < 0:
         raise MismatchError(f"{place}: frames from {first} in steps of {step}")
     if (first, step) == (0, 1) and size == video.frames:
         return Task()
     if (first, step) != (0, 1) and size == video.frames:
         notice(
-            f"{place}: its frames {first} to {last} in steps of {step} are taken as the {size} of the video"
+            f"{place}: its frames {first} to {stop} in steps of {step} are taken as the {size} of the video"
         )
         return Task(first, step)
-    if ((first, step) != (0, 1) or job.tag == "job") and last < video.frames:
+    if ((first, step) != (0, 1) or job.tag == "job") and stop < video.frames:
         return Task()
     raise MismatchError(f"{place}, size: {size} frames; the video has {video.frames}")
 
@@ -202,28 +204,28 @@ def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: 
     left, unknown, empty = 0, Counter[str](), list[str]()
     for n, track in enumerate(tracks):
         place, label = f"track {track.get('id', n)}", track.get("label", "target")
-        shapes = [one for one in track if one.tag in SHAPES]
-        unknown.update(one.tag for one in track if one.tag not in SHAPES)
-        is_gone, given = True, 0
-        numbered = ((whole(one.get("frame"), "frame", f"{path}, {place}"), one) for one in shapes)
-        for found, one in sorted(numbered, key=lambda pair: pair[0]):
-            here = f"{place}, frame {found}"
+        shapes = [element for element in track if element.tag in SHAPES]
+        unknown.update(element.tag for element in track if element.tag not in SHAPES)
+        is_gone, count = True, 0
+        numbered = ((whole(element.get("frame"), "frame", f"{path}, {place}"), element) for element in shapes)
+        for found, element in sorted(numbered, key=lambda pair: pair[0]):
+            position = f"{place}, frame {found}"
             frame = task.frame(found, f"{path}, {place}")
-            if one.get("outside") == "1":
+            if element.get("outside") == "1":
                 if not is_gone:
-                    yield Row(here, frame, n, label, None)
+                    yield Row(position, frame, n, label, None)
                 is_gone = True
                 continue
             is_gone = False
-            how = _attribute(one, "how")
-            is_key = one.get("keyframe", "1") == "1"
+            how = _attribute(element, "how")
+            is_key = element.get("keyframe", "1") == "1"
             if how == "given" or (how not in HOWS and is_key):
-                box, shape = _upright(one, f"{path}, {here}")
-                yield Row(here, frame, n, label, box, shape)
-                given += 1
+                box, shape = _upright(element, f"{path}, {position}")
+                yield Row(position, frame, n, label, box, shape)
+                count += 1
             else:
                 left += not is_key
-        if not given:
+        if not count:
             empty.append(f"{place} ({label}): {_explain_empty(shapes)}")
     if empty:
         notice(f"{path}: {len(empty)} of {len(tracks)} tracks give no box: {few(empty)}")
@@ -232,33 +234,35 @@ def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: 
 
 def _explain_empty(shapes: Sequence[Tree.Element]) -> str:
     """The reason why no box of a track is given."""
-    outside = sum(one.get("outside") == "1" for one in shapes)
-    between = sum(one.get("keyframe", "1") != "1" for one in shapes if one.get("outside") != "1")
-    reasons = [f"{outside} outside"] * bool(outside) + [f"{between} between key frames (keyframe 0)"] * bool(
+    hidden = sum(shape.get("outside") == "1" for shape in shapes)
+    between = sum(shape.get("keyframe", "1") != "1" for shape in shapes if shape.get("outside") != "1")
+    reasons = [f"{hidden} outside"] * bool(hidden) + [f"{between} between key frames (keyframe 0)"] * bool(
         between
     )
     return f"of {len(shapes)} shapes {', '.join(reasons)}" if reasons else f"{len(shapes)} shapes, none given"
 
 
 def _image_rows(root: Tree.Element, video: Video, images: Sequence[str], path: Path) -> Iterator[Row]:
-    found = root.findall("image")
-    names = [one.get("name", "") for one in found]
+    elements = root.findall("image")
+    names = [element.get("name", "") for element in elements]
     if len(set(names)) < len(names):
         raise MismatchError(f"{path}: two images have the same name")
     frames = frames_of_names(names, video, images, f"{path}, images")
     unknown = Counter[str]()
-    for image, name in zip(found, names, strict=True):
+    for image, name in zip(elements, names, strict=True):
         if image.get("width") is not None:
             w, h = (whole(image.get(side), side, f"{path}, image {name}") for side in ("width", "height"))
             check_size(w, h, video, f"{path}, image {name}")
-        for n, one in enumerate(image):
-            if one.tag not in SHAPES:
-                unknown[one.tag] += 1
+        for n, element in enumerate(image):
+            if element.tag not in SHAPES:
+                unknown[element.tag] += 1
                 continue
-            here, label = f"image {name}, <{one.tag}> {n}", one.get("label", "target")
-            known = next((v for v in (_attribute(one, key) for key in ("track_id", "id")) if v), None)
-            box, shape = _upright(one, f"{path}, {here}")
-            yield Row(here, frames[name], label if known is None else (label, known), label, box, shape)
+            position, label = f"image {name}, <{element.tag}> {n}", element.get("label", "target")
+            identity = next((v for v in (_attribute(element, key) for key in ("track_id", "id")) if v), None)
+            box, shape = _upright(element, f"{path}, {position}")
+            yield Row(
+                position, frames[name], label if identity is None else (label, identity), label, box, shape
+            )
     _say(path, 0, unknown)
 
 
@@ -270,7 +274,9 @@ def _say(path: Path, left: int, unknown: Counter[str]) -> None:
 
 
 def _attribute(shape: Tree.Element, name: str) -> str | None:
-    return next((one.text for one in shape.findall("attribute") if one.get("name") == name), None)
+    return next(
+        (attribute.text for attribute in shape.findall("attribute") if attribute.get("name") == name), None
+    )
 
 
 def _upright(shape: Tree.Element, place: str) -> tuple[Box, str]:
@@ -323,8 +329,8 @@ def _of_points(shape: Tree.Element, place: str) -> tuple[Box, str]:
 
 
 def _of_skeleton(shape: Tree.Element, place: str) -> tuple[Box, str]:
-    seen = [one for one in shape.findall("points") if one.get("outside") != "1"]
-    return box_around([point for one in seen for point in _points(one, place)]), "skeleton"
+    visible = [one for one in shape.findall("points") if one.get("outside") != "1"]
+    return box_around([point for one in visible for point in _points(one, place)]), "skeleton"
 
 
 SHAPES: dict[str, Callable[[Tree.Element, str], tuple[Box, str]]] = {

@@ -61,28 +61,30 @@ def read_mot(path: Path, video: Video) -> list[Answer]:
         raise MismatchError(str(error)) from error
     scored = lines.only(lines.rest[:, 0] != IGNORED)
     if len(scored) < len(lines):
-        said = (
+        reason = (
             f"{len(lines) - len(scored)} of {len(lines)} boxes have confidence 0, which says not to be scored"
         )
         if not len(scored):
             raise MismatchError(
-                f"{path}: {said}: no box can be used; write confidence 1 for those that count"
+                f"{path}: {reason}: no box can be used; write confidence 1 for those that count"
             )
-        notice(f"{path}: {said}, and are left out: at line {few(lines.numbers[lines.rest[:, 0] == IGNORED])}")
+        notice(
+            f"{path}: {reason}, and are left out: at line {few(lines.numbers[lines.rest[:, 0] == IGNORED])}"
+        )
     rows = list(_rows(scored, _classes(path)))
     free = [row for row in rows if row.key == NO_TRACK]
     if free:
-        said = f"{len(free)} of {len(rows)} boxes have the identity -1, so that no target is known"
+        reason = f"{len(free)} of {len(rows)} boxes have the identity -1, so that no target is known"
         if len(free) == len(rows):
-            raise MismatchError(f"{path}: {said}")
-        notice(f"{path}: {said}, and are left out: at {few([row.place for row in free])}")
+            raise MismatchError(f"{path}: {reason}")
+        notice(f"{path}: {reason}, and are left out: at {few([row.place for row in free])}")
         rows = [row for row in rows if row.key != NO_TRACK]
     return answers_of(rows, video, path, {row.key: f"{row.label} {row.key}" for row in rows})
 
 
 def _rows(lines: MotLines, classes: list[str]) -> Iterator[Row]:
     columns = (lines.numbers, lines.frames, lines.ids, lines.boxes, lines.classes)
-    for number, frame, identity, box, kind in zip(*(one.tolist() for one in columns), strict=True):
+    for number, frame, identity, box, kind in zip(*(column.tolist() for column in columns), strict=True):
         yield Row(f"line {number}", frame, identity, _label(kind, classes), tuple(box))
 
 
@@ -134,9 +136,9 @@ def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> li
     why: list[str] = []
     with heard(why.append):
         answers = _read(path, video, images)
-    if not any(one.kind == "box" for one in answers):
-        said = "; ".join(sentence.removeprefix(f"{path}: ") for sentence in why)
-        raise MismatchError(f"{path}: no box can be used: {said or 'it holds none'}")
+    if not any(answer.kind == "box" for answer in answers):
+        reasons = "; ".join(sentence.removeprefix(f"{path}: ") for sentence in why)
+        raise MismatchError(f"{path}: no box can be used: {reasons or 'it holds none'}")
     for sentence in why:
         notice(sentence)
     return answers
@@ -144,23 +146,23 @@ def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> li
 
 def _read(path: Path, video: Video, images: Sequence[str]) -> list[Answer]:
     with unpacked(path) as place:
-        found = annotations_in(place) if place.is_dir() else place
-        if found.is_dir():
-            return read_yolo(found, video, images)
-        if found.suffix.lower() == ".xml":
-            return read_cvat(found, video, images)
-        if found.suffix.lower() != ".json":
-            return read_mot(found, video)
-        content = read_json(found)
+        file = annotations_in(place) if place.is_dir() else place
+        if file.is_dir():
+            return read_yolo(file, video, images)
+        if file.suffix.lower() == ".xml":
+            return read_cvat(file, video, images)
+        if file.suffix.lower() != ".json":
+            return read_mot(file, video)
+        content = read_json(file)
         if isinstance(content, dict) and "images" in content:
-            return read_coco(found, video, images)
-        known = explain_json(content)
-        if known is not None and not known.endswith(IMPORT):
-            raise MismatchError(f"{found}: it is {known}")
+            return read_coco(file, video, images)
+        tool = explain_json(content)
+        if tool is not None and not tool.endswith(IMPORT):
+            raise MismatchError(f"{file}: it is {tool}")
         first = content[0] if isinstance(content, list) and content else content
         if not isinstance(first, dict) or "bbox" in first or "items" in first:
             raise MismatchError(
-                f"{found}: neither COCO (an object with images and annotations) nor a task of Label Studio; "
+                f"{file}: neither COCO (an object with images and annotations) nor a task of Label Studio; "
                 "results of detections and Datumaro's JSON do not say which image is which frame"
             )
-        return read_label_studio(found, video)
+        return read_label_studio(file, video)

@@ -257,19 +257,20 @@ def _box(annotation: Mapping[str, Any], place: str) -> tuple[Box, str]:
     return (turned_box(box, turn), "rotated box") if turn else (box, "")
 
 
-def _segmented(around: Any, place: str) -> tuple[Box, str]:
+def _segmented(segmentation: Any, place: str) -> tuple[Box, str]:
     try:
-        if isinstance(around, Mapping):
-            height = whole(listed(around.get("size"), f"{place}, size")[0], "size", place)
-            counts = around.get("counts")
+        if isinstance(segmentation, Mapping):
+            height = whole(listed(segmentation.get("size"), f"{place}, size")[0], "size", place)
+            counts = segmentation.get("counts")
             if not isinstance(counts, str | list):
                 raise ValueError("counts are missing")
             return mask_box(counts, height), "mask"
-        polygons = listed(around, f"{place}, segmentation")
+        polygons = listed(segmentation, f"{place}, segmentation")
         values = [
-            pairs(number(value, "segmentation", place) for value in listed(one, place)) for one in polygons
+            pairs(number(value, "segmentation", place) for value in listed(polygon, place))
+            for polygon in polygons
         ]
-        return box_around([point for one in values for point in one]), "polygon"
+        return box_around([point for polygon in values for point in polygon]), "polygon"
     except (ValueError, IndexError) as error:
         if isinstance(error, MismatchError):
             raise
@@ -286,33 +287,33 @@ def as_label_studio(document: Document) -> bytes:
             "from_name": "box",
             "to_name": "video",
             "origin": "manual",
-            "meta": {"text": [target], "given": [f + 1 for f in sorted(own) if own[f].how == "given"]},
+            "meta": {"text": [target], "given": [f + 1 for f in sorted(boxes) if boxes[f].how == "given"]},
             "value": {
                 "framesCount": video.frames,
                 "duration": tidy(video.frames * video.frame_interval_s, 6),
-                "sequence": [*_key_frames(own, video)],
+                "sequence": [*_key_frames(boxes, video)],
                 "labels": [label_of(target)],
             },
         }
-        for number, (target, own) in enumerate(document.marks.items(), 1)
+        for number, (target, boxes) in enumerate(document.marks.items(), 1)
     ]
     task = {"id": 1, "data": {"video": video.name}, "annotations": [{"id": 1, "result": results}]}
     return (json.dumps([task], allow_nan=False) + "\n").encode()
 
 
-def _key_frames(own: Mapping[int, BoxMark], video: Video) -> Iterator[dict[str, Any]]:
+def _key_frames(boxes: Mapping[int, BoxMark], video: Video) -> Iterator[dict[str, Any]]:
     """The marks of a target that have a box, as key frames; one that is not enabled ends the region."""
-    for frame in sorted(own):
-        box = own[frame].box
+    for frame in sorted(boxes):
+        box = boxes[frame].box
         if box is None:
             continue
         x, y, w, h = box
-        after = own.get(frame + 1)
+        following = boxes.get(frame + 1)
         yield {
             "frame": frame + 1,
             "time": tidy(frame * video.frame_interval_s, 6),
             # The region ends behind a key frame that is not enabled.
-            "enabled": after is not None and after.box is not None,
+            "enabled": following is not None and following.box is not None,
             "rotation": 0,
             "x": tidy(100.0 * x / video.width, 6),
             "y": tidy(100.0 * y / video.height, 6),
@@ -331,18 +332,18 @@ def read_label_studio(path: Path, video: Video) -> list[Answer]:
     results = _results(read_json(path), path)
     rows: list[Row] = []
     names: dict[Hashable, str] = {}
-    for n, one in enumerate(results):
-        place = f"result {one.get('id', n)}"
-        value = needed(one["value"], ("sequence",), f"{path}, {place}, value")
+    for n, result in enumerate(results):
+        place = f"result {result.get('id', n)}"
+        value = needed(result["value"], ("sequence",), f"{path}, {place}, value")
         if "framesCount" in value:
             _check_frames(value["framesCount"], video, f"{path}, {place}, framesCount")
-        meta = one.get("meta")
-        given = meta.get("given") if isinstance(meta, Mapping) else None
-        if given is not None and isinstance(meta, Mapping) and meta.get("text"):
+        meta = result.get("meta")
+        given_frames = meta.get("given") if isinstance(meta, Mapping) else None
+        if given_frames is not None and isinstance(meta, Mapping) and meta.get("text"):
             names[n] = str(listed(meta["text"], f"{path}, {place}, meta")[0])
         labels = value.get("labels") or value.get("rectanglelabels") or ["target"]
         label = str(listed(labels, f"{path}, {place}, labels")[0])
-        rows += _read_key_frames(value["sequence"], (n, label), video, place, path, given)
+        rows += _read_key_frames(value["sequence"], (n, label), video, place, path, given_frames)
     return answers_of(rows, video, path, names)
 
 
@@ -353,8 +354,8 @@ def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
         raise MismatchError(f"{path}: {len(tasks)} tasks; one of one video is needed")
     task = needed(tasks[0], (), f"{path}, task")
     if "annotations" not in task:
-        regions = [one for values in task.values() if isinstance(values, list) for one in values]
-        values = [one for one in regions if isinstance(one, Mapping) and "sequence" in one]
+        regions = [entry for values in task.values() if isinstance(values, list) for entry in values]
+        values = [entry for entry in regions if isinstance(entry, Mapping) and "sequence" in entry]
         if not values:
             raise MismatchError(
                 f"{path}: no video task of Label Studio: the key 'annotations' is missing, or the regions of "
@@ -362,22 +363,22 @@ def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
             )
         return [{"value": value} for value in values]
     annotations = [
-        needed(one, ("result",), f"{path}, annotations[{n}]")
-        for n, one in enumerate(listed(task["annotations"], f"{path}, annotations"))
+        needed(entry, ("result",), f"{path}, annotations[{n}]")
+        for n, entry in enumerate(listed(task["annotations"], f"{path}, annotations"))
     ]
-    finished = [one for one in annotations if one.get("was_cancelled") is not True]
+    finished = [entry for entry in annotations if entry.get("was_cancelled") is not True]
     if len(finished) != 1:
-        ids = ", ".join(str(one.get("id")) for one in finished)
+        ids = ", ".join(str(entry.get("id")) for entry in finished)
         raise MismatchError(
             f"{path}: the task has {len(finished)} annotations"
             + (f" (id {ids}); leave the one that is meant" if finished else "")
         )
     entries = listed(finished[0]["result"], f"{path}, result")
-    results = [needed(one, ("type", "value"), f"{path}, result[{n}]") for n, one in enumerate(entries)]
-    other_kinds = Counter(str(one["type"]) for one in results if one["type"] != "videorectangle")
+    results = [needed(entry, ("type", "value"), f"{path}, result[{n}]") for n, entry in enumerate(entries)]
+    other_kinds = Counter(str(entry["type"]) for entry in results if entry["type"] != "videorectangle")
     for kind, count in other_kinds.items():
         notice(f"{path}: {count} results of type {kind} are no boxes of a video, and are not used")
-    return [one for one in results if one["type"] == "videorectangle"]
+    return [entry for entry in results if entry["type"] == "videorectangle"]
 
 
 def _read_key_frames(

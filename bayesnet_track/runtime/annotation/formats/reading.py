@@ -48,11 +48,11 @@ class Document:
 
     def boxes(self) -> Iterator[tuple[int, str, BoxMark, Box]]:
         """Number of the target from 1, its name, mark and box, by target and frame."""
-        for number, (target, own) in enumerate(self.marks.items(), 1):
-            for frame in sorted(own):
-                box = own[frame].box
+        for number, (target, of_target) in enumerate(self.marks.items(), 1):
+            for frame in sorted(of_target):
+                box = of_target[frame].box
                 if box is not None:
-                    yield number, target, own[frame], box
+                    yield number, target, of_target[frame], box
 
     def image(self, frame: int) -> str:
         """The file name of a frame: that of its source, or else its number."""
@@ -108,21 +108,21 @@ def unpacked(path: Path) -> Iterator[Path]:
         root = Path(folder) / path.name
         root.mkdir()
         _unpack(path, root)
-        said: list[str] = []
+        sentences: list[str] = []
         try:
-            with heard(said.append):
+            with heard(sentences.append):
                 yield root
         except MismatchError as error:
             raise MismatchError(str(error).replace(str(root), str(path))) from error
-        for sentence in said:
+        for sentence in sentences:
             notice(sentence.replace(str(root), str(path)))
 
 
 def _unpack(path: Path, root: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
-            members = [one for one in archive.infolist() if _is_text(one.filename)]
-            if sum(one.file_size for one in members) > MOST_BYTES:
+            members = [entry for entry in archive.infolist() if _is_text(entry.filename)]
+            if sum(entry.file_size for entry in members) > MOST_BYTES:
                 raise MismatchError(f"{path}: more than 1 GiB of text in it; unzip it")
             for member in members:
                 archive.extract(member, root)
@@ -133,8 +133,8 @@ def _unpack(path: Path, root: Path) -> None:
 
 
 def _is_text(name: str) -> bool:
-    inside = Path(name)
-    return not name.endswith("/") and inside.suffix.lower() in TEXTS and not is_junk(inside)
+    member = Path(name)
+    return not name.endswith("/") and member.suffix.lower() in TEXTS and not is_junk(member)
 
 
 def annotations_in(folder: Path) -> Path:
@@ -143,30 +143,30 @@ def annotations_in(folder: Path) -> Path:
     CVAT writes `annotations.xml`, `annotations/instances_default.json` and `gt/gt.txt`, Roboflow
     `train/_annotations.coco.json`. Raises MismatchError where several would do.
     """
-    known = [folder / "annotations.xml", folder / "gt" / "gt.txt"]
-    known += sorted(folder.glob("annotations/instances_*.json"))
-    found = [file for file in known if file.is_file()]
-    if not found and not label_folders(folder):
+    candidates = [folder / "annotations.xml", folder / "gt" / "gt.txt"]
+    candidates += sorted(folder.glob("annotations/instances_*.json"))
+    present = [file for file in candidates if file.is_file()]
+    if not present and not label_folders(folder):
         patterns = ("*.xml", "*.json", "annotations/*.json", "*/_annotations.coco.json")
-        found = sorted(file for one in patterns for file in folder.glob(one) if not is_junk(file))
-        found += label_files(folder)[:1] if found else []
-    if len(found) > 1:
-        names = ", ".join(str(file.relative_to(folder)) for file in found)
+        present = sorted(file for pattern in patterns for file in folder.glob(pattern) if not is_junk(file))
+        present += label_files(folder)[:1] if present else []
+    if len(present) > 1:
+        names = ", ".join(str(file.relative_to(folder)) for file in present)
         raise MismatchError(f"{folder}: {names}: name the file that is meant, or leave the others out")
-    return found[0] if found else folder
+    return present[0] if present else folder
 
 
 def label_folders(folder: Path) -> list[Path]:
     """Folders of YOLO's labels below a folder, if they are not in itself."""
-    found = [folder / "labels", *sorted(folder.glob("obj_*_data")), *sorted(folder.glob("*/labels"))]
-    return [one for one in found if one.is_dir()]
+    candidates = [folder / "labels", *sorted(folder.glob("obj_*_data")), *sorted(folder.glob("*/labels"))]
+    return [folder_of_labels for folder_of_labels in candidates if folder_of_labels.is_dir()]
 
 
 def label_files(folder: Path) -> list[Path]:
     """The files of YOLO's labels below a folder, in natural order; lists of classes and images are none."""
-    below = [file for one in label_folders(folder) for file in one.rglob("*.txt")]
+    texts = [file for labels in label_folders(folder) for file in labels.rglob("*.txt")]
     return sorted(
-        (file for file in below or folder.glob("*.txt") if _has_labels(file, folder)), key=natural_key
+        (file for file in texts or folder.glob("*.txt") if _has_labels(file, folder)), key=natural_key
     )
 
 
@@ -199,12 +199,12 @@ def read_json(path: Path) -> Any:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        seen = set[str]()
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        met = set[str]()
+        twice = next(key for key, _ in pairs if key in met or met.add(key))  # type: ignore[func-returns-value]
         raise ValueError(f"an object has the key {twice!r} twice")
-    return found
+    return mapping
 
 
 class _Builder(Tree.TreeBuilder):
@@ -241,10 +241,10 @@ def number(value: object, name: str, place: str) -> float:
 
 def whole(value: object, name: str, place: str) -> int:
     """A whole number below 10⁹, or a text of one; raises MismatchError."""
-    found = number(value, name, place)
-    if not (math.isfinite(found) and found.is_integer() and abs(found) <= LARGEST_FRAME):
+    parsed = number(value, name, place)
+    if not (math.isfinite(parsed) and parsed.is_integer() and abs(parsed) <= LARGEST_FRAME):
         raise MismatchError(f"{place}: {name} {_shown(value)}; a whole number is needed")
-    return int(found)
+    return int(parsed)
 
 
 def corner_box(values: object, name: str, place: str) -> Box:
@@ -264,14 +264,14 @@ def identity(value: object, name: str, place: str) -> str:
     return str(value)
 
 
-def needed(one: object, keys: Iterable[str], place: str) -> Mapping[str, Any]:
+def needed(value: object, keys: Iterable[str], place: str) -> Mapping[str, Any]:
     """An object that has all the keys; raises MismatchError."""
-    if not isinstance(one, Mapping):
-        raise MismatchError(f"{place}: {_shown(one)}; an object is needed")
+    if not isinstance(value, Mapping):
+        raise MismatchError(f"{place}: {_shown(value)}; an object is needed")
     for key in keys:
-        if key not in one:
-            raise MismatchError(f"{place}: the key {key!r} is missing; it has {', '.join(one) or 'none'}")
-    return one
+        if key not in value:
+            raise MismatchError(f"{place}: the key {key!r} is missing; it has {', '.join(value) or 'none'}")
+    return value
 
 
 def listed(values: object, place: str) -> list[Any]:
@@ -304,8 +304,8 @@ def box_around(points: Sequence[tuple[float, float]]) -> Box:
 
 def pairs(values: Iterable[float]) -> list[tuple[float, float]]:
     """Points of x, y, x, y, ...; raises ValueError where one has no y."""
-    found = list(values)
-    return list(zip(found[::2], found[1::2], strict=True))
+    coordinates = list(values)
+    return list(zip(coordinates[::2], coordinates[1::2], strict=True))
 
 
 def turned_box(box: Box, degrees: float, corner: bool = False) -> Box:

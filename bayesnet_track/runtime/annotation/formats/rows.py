@@ -59,56 +59,58 @@ def answers_of(
     """
     rows = list(rows)
     boxes = [row for row in rows if row.box is not None]
-    kept, said = _fitting(boxes, video)
-    if boxes and not kept:
-        raise MismatchError(f"{path}: no box can be used: {'; '.join(said)}")
-    shapes = Counter(row.shape for row in kept if row.shape)
-    said += [f"{_of(count, len(kept))} the upright box around a {shape}" for shape, count in shapes.items()]
-    kept, more = _once(kept, path, unnamed)
-    labels, others = _labels(kept)
-    for sentence in [*said, *more, *others]:
+    usable_rows, sentences = _fitting(boxes, video)
+    if boxes and not usable_rows:
+        raise MismatchError(f"{path}: no box can be used: {'; '.join(sentences)}")
+    shapes = Counter(row.shape for row in usable_rows if row.shape)
+    sentences += [
+        f"{_of(count, len(usable_rows))} the upright box around a {shape}" for shape, count in shapes.items()
+    ]
+    usable_rows, of_repeats = _once(usable_rows, path, unnamed)
+    labels, of_classes = _labels(usable_rows)
+    for sentence in [*sentences, *of_repeats, *of_classes]:
         notice(f"{path}: {sentence}")
     named = number_names(labels, names or {})
     gone = [row for row in rows if row.box is None and row.key in named and 0 <= row.frame < video.frames]
     return [
         Answer("gone" if row.box is None else "box", row.frame, named[row.key], row.box)
-        for row in [*kept, *gone]
+        for row in [*usable_rows, *gone]
     ]
 
 
 def _fitting(boxes: list[Row], video: Video) -> tuple[list[Row], list[str]]:
     """The rows in the video and in its frames, and sentences about the others."""
-    said = []
+    sentences = []
     corners = np.array([row.box for row in boxes], dtype=np.float64).reshape(-1, 4)
     good = usable(corners).tolist()
     bad = [row.place for row, fits in zip(boxes, good, strict=True) if not fits]
     if bad:
-        said.append(describe_unusable(len(boxes), bad, "at"))
+        sentences.append(describe_unusable(len(boxes), bad, "at"))
     boxes = [row for row, fits in zip(boxes, good, strict=True) if fits]
     strange = [row for row in boxes if row.frame == NO_FRAME]
     if strange:
-        said.append(
+        sentences.append(
             f"{_of(len(strange), len(boxes))} in images that the video does not have, and left out: "
             f"at {few([row.place for row in strange])}"
         )
     late = [row.frame for row in boxes if row.frame != NO_FRAME and not 0 <= row.frame < video.frames]
     if late:
-        said.append(
+        sentences.append(
             f"{_of(len(late), len(boxes))} in frames {min(late)} to {max(late)} (counted from 0), and left "
             f"out; the video has frames 0 to {video.frames - 1}: is it the file of this video, "
             "and of its frame rate?"
         )
     boxes = [row for row in boxes if 0 <= row.frame < video.frames]
-    outside = [row for row in boxes if row.box is not None and _is_outside(row.box, video)]
-    if outside:
-        x, y, right, bottom = _extent(outside)
-        said.append(
-            f"{_of(len(outside), len(boxes))} outside of the frame of {video.width}x{video.height} px, and "
-            f"left out (x {x:g} to {right:g}, y {y:g} to {bottom:g}): at "
-            f"{few([row.place for row in outside])}"
+    out_of_frame = [row for row in boxes if row.box is not None and _is_outside(row.box, video)]
+    if out_of_frame:
+        x, y, right, bottom = _extent(out_of_frame)
+        sentences.append(
+            f"{_of(len(out_of_frame), len(boxes))} outside of the frame of {video.width}x{video.height} px, "
+            f"and left out (x {x:g} to {right:g}, y {y:g} to {bottom:g}): at "
+            f"{few([row.place for row in out_of_frame])}"
         )
-    left_out = {id(row) for row in outside}
-    return [row for row in boxes if id(row) not in left_out], said
+    left_out = {id(row) for row in out_of_frame}
+    return [row for row in boxes if id(row) not in left_out], sentences
 
 
 def _of(count: int, total: int) -> str:
@@ -136,18 +138,18 @@ def _once(rows: list[Row], path: Path, unnamed: str) -> tuple[list[Row], list[st
     """Each target once in a frame; raises MismatchError where its boxes differ."""
     first: dict[tuple[Hashable, int], Row] = {}
     for row in rows:
-        before = first.setdefault((row.key, row.frame), row)
-        if before.box != row.box:
+        earlier = first.setdefault((row.key, row.frame), row)
+        if earlier.box != row.box:
             why = (
-                f"a second box of {row.label!r}, at {before.place} and at {row.place}; {unnamed}"
+                f"a second box of {row.label!r}, at {earlier.place} and at {row.place}; {unnamed}"
                 if unnamed
-                else f"two boxes of identity {row.key} ({row.label}), at {before.place} and at {row.place}; "
+                else f"two boxes of identity {row.key} ({row.label}), at {earlier.place} and at {row.place}; "
                 "a target has one box in a frame"
             )
             raise MismatchError(f"{path}, frame {row.frame} (counted from 0): {why}")
-    again = len(rows) - len(first)
-    said = f"{_of(again, len(rows))} there twice, and taken once"
-    return list(first.values()), [said] if again else []
+    repeats = len(rows) - len(first)
+    sentence = f"{_of(repeats, len(rows))} there twice, and taken once"
+    return list(first.values()), [sentence] if repeats else []
 
 
 def _labels(rows: Iterable[Row]) -> tuple[dict[Hashable, str], list[str]]:
@@ -155,15 +157,16 @@ def _labels(rows: Iterable[Row]) -> tuple[dict[Hashable, str], list[str]]:
     counts: dict[Hashable, Counter[str]] = {}
     for row in rows:
         counts.setdefault(row.key, Counter())[row.label] += 1
-    said = [
-        f"identity {key} has the classes {', '.join(own)}; it is taken as {own.most_common(1)[0][0]}"
-        for key, own in counts.items()
-        if len(own) > 1
+    sentences = [
+        f"identity {key} has the classes {', '.join(of_identity)}; "
+        f"it is taken as {of_identity.most_common(1)[0][0]}"
+        for key, of_identity in counts.items()
+        if len(of_identity) > 1
     ]
-    labels = {key: own.most_common(1)[0][0] for key, own in counts.items()}
-    return labels, [*said[:3], f"{len(said) - 3} more identities have several classes"] if len(
-        said
-    ) > 3 else said
+    labels = {key: of_identity.most_common(1)[0][0] for key, of_identity in counts.items()}
+    return labels, [*sentences[:3], f"{len(sentences) - 3} more identities have several classes"] if len(
+        sentences
+    ) > 3 else sentences
 
 
 def number_names(labels: Mapping[Hashable, str], names: Mapping[Hashable, str]) -> dict[Hashable, str]:

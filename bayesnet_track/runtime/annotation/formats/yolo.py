@@ -95,16 +95,16 @@ def boxes_of(lines: Sequence[Line], keypoints: object, path: Path) -> list[Drawn
     readings: dict[int, Callable[[Line], Drawn]] = {}
     points = _points(keypoints, path)
     for count in sorted({len(line.values) for line in lines}, reverse=True):
-        alike = [line for line in lines if len(line.values) == count]
-        readings[count] = _reading(alike, count, points, any(n >= 8 for n in readings), path)
-    drawn = [readings[len(line.values)](line) for line in lines]
-    for one in drawn:
-        if any(math.isfinite(value) and abs(value) > BEYOND for value in one.values):
+        equally_long = [line for line in lines if len(line.values) == count]
+        readings[count] = _reading(equally_long, count, points, any(n >= 8 for n in readings), path)
+    boxes = [readings[len(line.values)](line) for line in lines]
+    for box in boxes:
+        if any(math.isfinite(value) and abs(value) > BEYOND for value in box.values):
             raise MismatchError(
-                f"{path}, {one.line.place}: {' '.join(one.line.words)[:80]!r}; parts of the frame "
+                f"{path}, {box.line.place}: {' '.join(box.line.words)[:80]!r}; parts of the frame "
                 "are needed, from 0 to 1"
             )
-    return drawn
+    return boxes
 
 
 def _points(keypoints: object, path: Path) -> int:
@@ -157,8 +157,12 @@ def _with_confidence(
     """Boxes before or behind their confidence, as tools have both: the boxes that are in the frame decide."""
     behind = " id" if identity else ""
     first = [line.values[0] for line in lines]
-    usual, other = (np.array([line.values[start : start + 4] for line in lines]) for start in (0, 1))
-    is_usual, is_other = (float(_in_frame(boxes).mean()) >= MOST_IN_FRAME for boxes in (usual, other))
+    confidence_last, confidence_first = (
+        np.array([line.values[start : start + 4] for line in lines]) for start in (0, 1)
+    )
+    is_usual, is_other = (
+        float(_in_frame(boxes).mean()) >= MOST_IN_FRAME for boxes in (confidence_last, confidence_first)
+    )
     if not identity and is_other and not is_usual and all(_WHOLE.match(line.words[0]) for line in lines):
         raise MismatchError(
             f"{path}, {lines[0].place}: the second column holds whole numbers ({min(first):g} to "
@@ -185,8 +189,8 @@ def _with_confidence(
 def _in_frame(boxes: Floats) -> NDArray[np.bool_]:
     """(N,) whether boxes cx, cy, w, h (N, 4) in parts of the frame have an area and lie in it."""
     half = boxes[:, 2:] / 2
-    inside = (boxes[:, :2] - half >= -SLACK) & (boxes[:, :2] + half <= 1 + SLACK) & (half > 0)
-    return np.asarray(inside.all(axis=1), dtype=np.bool_)
+    fits = (boxes[:, :2] - half >= -SLACK) & (boxes[:, :2] + half <= 1 + SLACK) & (half > 0)
+    return np.asarray(fits.all(axis=1), dtype=np.bool_)
 
 
 def _with_last(
@@ -210,8 +214,8 @@ def _with_last(
 
 def _identity(line: Line) -> int | None:
     """The last number; none if it is below 0, as of a box that no track has."""
-    found = int(line.words[-1])
-    return found if found >= 0 else None
+    identity = int(line.words[-1])
+    return identity if identity >= 0 else None
 
 
 def _are_shares(values: Iterable[float]) -> bool:
@@ -237,9 +241,9 @@ def as_yolo(document: Document) -> dict[str, bytes]:
     lines: list[list[str]] = [[] for _ in range(video.frames)]
     for _, target, mark, (x, y, w, h) in document.boxes():
         numbers = (x + w / 2) / video.width, (y + h / 2) / video.height, w / video.width, h / video.height
-        shown = " ".join(f"{value + 0.0:.8f}" for value in numbers)
-        lines[mark.frame].append(f"{labels[label_of(target)] - 1} {shown}\n")
-    files = {f"labels/{document.image_stem(n)}.txt": "".join(own).encode() for n, own in enumerate(lines)}
+        coordinates = " ".join(f"{value + 0.0:.8f}" for value in numbers)
+        lines[mark.frame].append(f"{labels[label_of(target)] - 1} {coordinates}\n")
+    files = {f"labels/{document.image_stem(n)}.txt": "".join(texts).encode() for n, texts in enumerate(lines)}
     return {"classes.txt": "".join(f"{name}\n" for name in labels).encode(), **files}
 
 
@@ -256,7 +260,7 @@ def read_yolo(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     files = {str(file.relative_to(path)): file for file in label_files(path)}
     if not files:
         raise MismatchError(f"{path}: no file of labels (*.txt) in it, in labels/ or in obj_train_data/")
-    about = _about(path)
+    settings = _about(path)
     frames = _frames(path, list(files), video, images)
     lines = []
     for name, file in files.items():
@@ -264,7 +268,7 @@ def read_yolo(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
             if line.strip():
                 lines.append((frames[name], parse_line(line, f"{name}:{n}", str(path))))
     _say_late(path, set(frames.values()) - {frame for frame, _ in lines}, video)
-    return answers_of(_rows(lines, about, video, path), video, path, unnamed=UNNAMED)
+    return answers_of(_rows(lines, settings, video, path), video, path, unnamed=UNNAMED)
 
 
 def _frames(path: Path, names: Sequence[str], video: Video, images: Sequence[str]) -> dict[str, int]:
@@ -293,10 +297,10 @@ def _about(path: Path) -> Mapping[str, Any]:
 
 def _about_of_yaml(file: Path) -> Mapping[str, Any]:
     try:
-        given = yaml.safe_load(text_of(file))
+        content = yaml.safe_load(text_of(file))
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise MismatchError(f"{file}: it is no YAML ({str(error).splitlines()[0]})") from error
-    names = given.get("names") if isinstance(given, Mapping) else None
+    names = content.get("names") if isinstance(content, Mapping) else None
     if isinstance(names, list):
         names = dict(enumerate(names))
     if not isinstance(names, Mapping) or any(not isinstance(one, str | int) for one in names.values()):
@@ -304,30 +308,30 @@ def _about_of_yaml(file: Path) -> Mapping[str, Any]:
             f"{file}: `names` of the classes are needed, a list of texts or numbers with texts"
         )
     named = {whole(key, "class", str(file)): str(name) for key, name in names.items()}
-    return {"names": named, "kpt_shape": given.get("kpt_shape")}
+    return {"names": named, "kpt_shape": content.get("kpt_shape")}
 
 
 def _rows(
-    lines: Sequence[tuple[int, Line]], about: Mapping[str, Any], video: Video, path: Path
+    lines: Sequence[tuple[int, Line]], settings: Mapping[str, Any], video: Video, path: Path
 ) -> Iterator[Row]:
-    names = about["names"]
-    read = boxes_of([line for _, line in lines], about.get("kpt_shape"), path)
-    tracked = any(one.identity is not None for one in read)
-    left = [one.line.place for one in read if tracked and one.identity is None]
+    names = settings["names"]
+    read = boxes_of([line for _, line in lines], settings.get("kpt_shape"), path)
+    tracked = any(drawn.identity is not None for drawn in read)
+    left = [drawn.line.place for drawn in read if tracked and drawn.identity is None]
     if left:
         notice(
             f"{path}: {len(left)} of {len(read)} boxes have no identity, and are left out: at {left[0]}"
             + (" and others" if len(left) > 1 else "")
         )
-    unnamed = sorted({one.line.kind for one in read} - names.keys())
+    unnamed = sorted({drawn.line.kind for drawn in read} - names.keys())
     if unnamed and names:
         notice(f"{path}: classes without a name: {', '.join(map(str, unnamed))}; {len(names)} have one")
-    for (frame, _), one in zip(lines, read, strict=True):
-        if tracked and one.identity is None:
+    for (frame, _), drawn in zip(lines, read, strict=True):
+        if tracked and drawn.identity is None:
             continue
-        label = names.get(one.line.kind, f"class {one.line.kind}")
-        key = one.identity if tracked else one.line.kind
-        yield Row(one.line.place, frame, key, label, one.box(video), one.shape)
+        label = names.get(drawn.line.kind, f"class {drawn.line.kind}")
+        key = drawn.identity if tracked else drawn.line.kind
+        yield Row(drawn.line.place, frame, key, label, drawn.box(video), drawn.shape)
 
 
 def _say_late(path: Path, empty: Collection[int], video: Video) -> None:
