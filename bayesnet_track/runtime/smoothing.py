@@ -54,44 +54,46 @@ def kept_lifetimes(run: Run) -> Iterator[list[KeptBelief]]:
         raise KeptBeliefsError(
             f"{run.name}: it kept no beliefs; run it again with `{setting('--keep-beliefs')}`"
         )
-    started = TargetStarted | Returned
-    births = {(event.target, event.frame) for event in run.events if isinstance(event, started)}
+    starts = TargetStarted | Returned
+    births = {(event.target, event.frame) for event in run.events if isinstance(event, starts)}
     open_lives: dict[str, list[KeptBelief]] = {}
-    last: dict[str, int] = {}
-    for kept in read_beliefs(run.directory.beliefs):
-        if kept.target not in run.kinds:
+    last_frames: dict[str, int] = {}
+    for belief in read_beliefs(run.directory.beliefs):
+        if belief.target not in run.kinds:
             raise KeptBeliefsError(
-                f"{run.directory.beliefs}: target {kept.target!r} never starts in the journal"
+                f"{run.directory.beliefs}: target {belief.target!r} never starts in the journal"
             )
-        last[kept.target] = kept.frame
-        life = open_lives.get(kept.target)
-        if life is None or (kept.target, kept.frame) in births:
+        last_frames[belief.target] = belief.frame
+        life = open_lives.get(belief.target)
+        if life is None or (belief.target, belief.frame) in births:
             if life is not None:
                 yield life
-            open_lives[kept.target] = [kept]
+            open_lives[belief.target] = [belief]
         else:
-            life.append(kept)
+            life.append(belief)
     if isinstance(run.events[-1], RunEnded):
-        _check_whole(run, last)
+        _check_whole(run, last_frames)
     yield from open_lives.values()
 
 
-def _check_whole(run: Run, last: Mapping[str, int]) -> None:
-    """Refuse a file that ends before its run does; `last` has the last frame of each target in the file."""
+def _check_whole(run: Run, last_frames: Mapping[str, int]) -> None:
+    """Refuse a file that ends before its run does; `last_frames` has those of targets."""
     frames = {line.target: line.frame for line in run.metrics}
     for target, frame in frames.items():
-        if last.get(target, -1) < frame and not _is_start(run, target, frame):
-            kept = f"frame {last[target]}" if target in last else "no frame"
+        if last_frames.get(target, -1) < frame and not _is_start(run, target, frame):
+            extent = f"frame {last_frames[target]}" if target in last_frames else "no frame"
             raise KeptBeliefsError(
-                f"{run.directory.beliefs}: of target {target!r} it has {kept} last, the run frame {frame}; "
+                f"{run.directory.beliefs}: of target {target!r} it has {extent} last, the run frame {frame}; "
                 f"it was cut short: `bayesnet-track verify {run.directory.path}` says what else has changed"
             )
 
 
 def _is_start(run: Run, target: str, frame: int) -> bool:
     """True for the frame in which the target started, of which no belief is kept."""
-    started = TargetStarted | Returned
-    return any(isinstance(one, started) and (one.target, one.frame) == (target, frame) for one in run.events)
+    starts = TargetStarted | Returned
+    return any(
+        isinstance(event, starts) and (event.target, event.frame) == (target, frame) for event in run.events
+    )
 
 
 Smoothed = ParticleSet | GaussianPosterior
@@ -140,8 +142,8 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
             f"{run.name}: its targets are on the ground, in metres, and only boxes in the image are smoothed"
         )
     streams = Streams(seed)
-    found: dict[tuple[str, int], Smoothed] = {}
-    best: dict[tuple[str, int], Floats] = {}
+    smoothed_beliefs: dict[tuple[str, int], Smoothed] = {}
+    most_probable_states: dict[tuple[str, int], Floats] = {}
     for lifetime in kept_lifetimes(run):
         first = lifetime[0]
         root = root_of(run.spec.targets[run.kinds[first.target]])
@@ -151,22 +153,29 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
         )
         if most_probable:
             states = _most_probable(run, root, lifetime, moves)
-            best |= {(first.target, kept.frame): s for kept, s in zip(lifetime, states, strict=True)}
-        found |= {(first.target, kept.frame): belief for kept, belief in zip(lifetime, smoothed, strict=True)}
+            most_probable_states |= {
+                (first.target, filtered.frame): s for filtered, s in zip(lifetime, states, strict=True)
+            }
+        smoothed_beliefs |= {
+            (first.target, filtered.frame): belief
+            for filtered, belief in zip(lifetime, smoothed, strict=True)
+        }
     metrics = tuple(
         _described(
             run,
             line,
-            found[line.target, line.frame],
+            smoothed_beliefs[line.target, line.frame],
             streams.of(line.target, "", line.frame, "cloud"),
-            best.get((line.target, line.frame)),
+            most_probable_states.get((line.target, line.frame)),
         )
-        if (line.target, line.frame) in found
+        if (line.target, line.frame) in smoothed_beliefs
         else line
         for line in run.metrics
     )
-    metrics = tuple(_with_answers(run, metrics, found))
-    events = tuple(replace(one, smoothed=True) if isinstance(one, RunStarted) else one for one in run.events)
+    metrics = tuple(_with_answers(run, metrics, smoothed_beliefs))
+    events = tuple(
+        replace(event, smoothed=True) if isinstance(event, RunStarted) else event for event in run.events
+    )
     return SmoothedRun(events, metrics)
 
 
@@ -210,12 +219,14 @@ def _most_probable(
     run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief], moves: Sequence[Move]
 ) -> Sequence[Floats]:
     """The states of the most probable trajectory; none for Gaussians, of which it is the means."""
-    particles = [kept.posterior for kept in lifetime if isinstance(kept.posterior, ParticleSet)]
+    particles = [filtered.posterior for filtered in lifetime if isinstance(filtered.posterior, ParticleSet)]
     if not particles:
         return [np.empty(0)] * len(lifetime)
     settings = spec.Particles() if root.belief is None else root.belief.settings
     on_grid = isinstance(settings, spec.Grid)
-    jumps = any(kept.influences is not None and kept.influences.jump_share > 0 for kept in lifetime)
+    jumps = any(
+        filtered.influences is not None and filtered.influences.jump_share > 0 for filtered in lifetime
+    )
     if jumps or not (on_grid or (isinstance(settings, spec.Particles) and _is_plain(settings))):
         raise SmoothingError(
             f"{run.name}: its particles were not all drawn from the motion in every frame, so that their "
@@ -240,12 +251,12 @@ def _smooth_lifetime(
     draws: int,
     rng: np.random.Generator,
 ) -> Sequence[Smoothed]:
-    beliefs = [kept.posterior for kept in lifetime]
-    gaussians = [one for one in beliefs if isinstance(one, GaussianPosterior)]
+    beliefs = [filtered.posterior for filtered in lifetime]
+    gaussians = [posterior for posterior in beliefs if isinstance(posterior, GaussianPosterior)]
     if len(gaussians) == len(beliefs):
         assert root.belief is not None and isinstance(root.belief.settings, spec.Gaussian)
         return smooth_gaussians(gaussians, moves, root.belief.settings)
-    particles = [one for one in beliefs if isinstance(one, ParticleSet)]
+    particles = [posterior for posterior in beliefs if isinstance(posterior, ParticleSet)]
     if len(particles) != len(beliefs):
         raise SmoothingError(
             f"{run.directory.beliefs}: target {lifetime[0].target!r} has beliefs of two kinds"
@@ -263,11 +274,13 @@ def _described(
     root = root_of(plate)
     mean = belief.mean
     variances = np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
-    best = belief.states[int(np.argmax(belief.weights.log))] if isinstance(belief, ParticleSet) else mean
-    shown = mean
+    most_probable = (
+        belief.states[int(np.argmax(belief.weights.log))] if isinstance(belief, ParticleSet) else mean
+    )
+    centre = mean
     if state is not None and len(state):
-        best = shown = state
-    ud = belief.uncertainty(best, [belief.fields.index(name) for name in root.ud_fields])
+        most_probable = centre = state
+    ud = belief.uncertainty(most_probable, [belief.fields.index(name) for name in root.ud_fields])
     region50, region90 = belief.regions((0.5, 0.9))
     if root.localization_error is not None:
         side = float(np.sqrt(max(mean[2] * mean[3], 1.0)))
@@ -276,11 +289,11 @@ def _described(
         variances[:2] += wide.variance
     name = next(name for name, node in plate.nodes.items() if node is root)
     resizing = Resizing.of(run.started)
-    found = replace(
+    described = replace(
         line,
         parts={},
-        centre_box=_floats(_inside(shown[:4], resizing.tracked)),
-        map=_floats(best[:4]),
+        centre_box=_floats(_inside(centre[:4], resizing.tracked)),
+        map=_floats(most_probable[:4]),
         sd=_floats(np.sqrt(variances)),
         state=state_numbers(belief),
         ud_px2=ud,
@@ -289,7 +302,7 @@ def _described(
         region90=_floats(region90),
         cloud=tuple(map(tuple, np.rint(belief.draw(CLOUD_SIZE, rng)).astype(np.int64).tolist())),
     )
-    return replace(resizing.metrics(found), parts=line.parts)
+    return replace(resizing.metrics(described), parts=line.parts)
 
 
 def _inside(box: Floats, size: tuple[int, int]) -> Floats:
@@ -316,24 +329,24 @@ def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
     size = Resizing.of(run.started).tracked
     inputs, second = read_inputs(run.spec), run.started.frame_interval_s
     moves = []
-    for before, now in pairwise(lifetime):
-        times = now.time * second, before.time * second
-        known = {"t": now.time, **values_at(inputs, (now.frame, before.frame), times)}
-        moves.append(Move(motion_into(now, plain, root.motion, size, known), now.time - before.time))
+    for earlier, later in pairwise(lifetime):
+        times = later.time * second, earlier.time * second
+        known = {"t": later.time, **values_at(inputs, (later.frame, earlier.frame), times)}
+        moves.append(Move(motion_into(later, plain, root.motion, size, known), later.time - earlier.time))
     return moves
 
 
 def motion_into(
-    kept: KeptBelief,
+    filtered: KeptBelief,
     plain: MotionModel,
-    chosen: spec.Motion,
+    motion_setting: spec.Motion,
     size: tuple[int, int],
     inputs: Mapping[str, float] = NOTHING,
 ) -> MotionModel:
     """The motion from the frame before into this one, on the image of `size` (width, height)."""
-    influences, motion = kept.influences, plain
+    influences, motion = filtered.influences, plain
     if influences is not None:
-        motion = compose_motion(plain, chosen.settings, influences)
+        motion = compose_motion(plain, motion_setting.settings, influences)
         if influences.jump_share > 0:
             motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
     return confined(motion, *size, inputs)

@@ -111,8 +111,8 @@ class Tracker(HasBox, Storable):
         self._graph = load_graph(graph, tuple(cues))
         say_unused_by_cues(self._graph)
         plate = next(iter(self._graph.targets))
-        own = None if motion is None else {plate: motion}
-        self._make = partial(make_engine, seed=seed, motion=own)
+        motions = None if motion is None else {plate: motion}
+        self._make = partial(make_engine, seed=seed, motion=motions)
         self._engine: Engine = self._make(self._graph)
         self._max_side = max_side
         self._levels = Levels("frame 0", self._made_with["value_range"])
@@ -125,8 +125,8 @@ class Tracker(HasBox, Storable):
         name = self._graph.spec.name
         if self._now is None:
             return f"<Tracker {name!r}: not started, call init(frame, box)>"
-        shown = ", ".join(map(repr, self.targets[:3]))
-        return f"<Tracker {name!r}, {plural(len(self.targets), 'target')}: {shown}>"
+        listed = ", ".join(map(repr, self.targets[:3]))
+        return f"<Tracker {name!r}, {plural(len(self.targets), 'target')}: {listed}>"
 
     def _options(self) -> Mapping[str, Any]:
         return self._made_with
@@ -175,22 +175,22 @@ class Tracker(HasBox, Storable):
                 raise ValueError(
                     "max_side: frames with depth cannot be resized; allowed: frames of one camera"
                 )
-            placed = [resizing.start(one) for one in starts]
+            placed = [resizing.start(start) for start in starts]
             engine = self._make(resizing.graph(self._graph)) if self._graph.masks else self._engine
             if depth is None and not self._has_own_motion:
                 rehearse_boxes(self._graph, engine, placed, resizing.frame(first))
             begun = start_targets(self._graph, engine, resizing.frame(first), placed)
             check_started(self._graph, begun)
-            shown = resizing.outcome(begun)
+            outcome = resizing.outcome(begun)
             self._engine, self._levels = engine, levels
             self._now = Standing(
                 begun.state,
                 clock,
-                shown.metrics,
-                shown.events,
+                outcome.metrics,
+                outcome.events,
                 FrameKind.of(first),
                 resizing,
-                answers=shown.answers,
+                answers=outcome.answers,
             )
 
     def update(
@@ -217,22 +217,22 @@ class Tracker(HasBox, Storable):
         """
         refuse_unknown("update", unknown)
         with self._turns.take("update"):
-            before = self._now
-            if before is None:
+            standing = self._now
+            if standing is None:
                 raise RuntimeError("call init(frame, box) before update(frame)")
-            clock = before.clock.tick(time_s, ANEW)
-            now = _frame(frame, clock, depth, self._copy_frames, self._levels)
-            before.kind.check(now, "call init again")
-            found = step(self._engine, before.state, before.resizing.frame(now))
-            shown = before.resizing.outcome(found)
+            clock = standing.clock.tick(time_s, ANEW)
+            current = _frame(frame, clock, depth, self._copy_frames, self._levels)
+            standing.kind.check(current, "call init again")
+            tracked = step(self._engine, standing.state, standing.resizing.frame(current))
+            outcome = standing.resizing.outcome(tracked)
             self._now = replace(
-                before,
-                state=found.state,
+                standing,
+                state=tracked.state,
                 clock=clock,
-                metrics=shown.metrics,
-                events=shown.events,
-                nets_before=before.state.net.targets,
-                answers=shown.answers,
+                metrics=outcome.metrics,
+                events=outcome.events,
+                nets_before=standing.state.net.targets,
+                answers=outcome.answers,
             )
         x, y, w, h = self.centre_box
         box = (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)  # as `xywh`, without an array
@@ -264,16 +264,20 @@ class Tracker(HasBox, Storable):
             for ahead in tracker.predict(5):
                 print(ahead.target, ahead.ahead, ahead.xywh, ahead.region90)
         """
-        now = self._started
+        standing = self._started
         if frames < 1:
             raise ValueError(f"predict({frames}): at least 1 frame ahead is needed")
         check_forecasts(self._graph.spec)
-        size, states, births = now.resizing.tracked, now.state.targets, now.state.history.births
+        size, states, births = (
+            standing.resizing.tracked,
+            standing.state.targets,
+            standing.state.history.births,
+        )
         return tuple(
-            now.resizing.estimate(one)
-            for line in now.metrics
+            standing.resizing.estimate(ahead)
+            for line in standing.metrics
             if line.target in states
-            for one in forecast(self._engine, states[line.target], births[line.target], line, frames, size)
+            for ahead in forecast(self._engine, states[line.target], births[line.target], line, frames, size)
         )
 
     def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -291,11 +295,11 @@ class Tracker(HasBox, Storable):
 
         Its `time_s` is that of the frame: as given to `update`, else frames / `fps`, else NaN.
         """
-        now = self._started
+        standing = self._started
         # Who ended in the last frame is measured in it, too.
-        nets = {**now.nets_before, **now.state.net.targets}
+        nets = {**standing.nets_before, **standing.state.net.targets}
         kinds = {target: net.template for target, net in nets.items()}
-        return Detections.of(tuple(now.metrics), kinds, tuple(self._graph.targets), lost)
+        return Detections.of(tuple(standing.metrics), kinds, tuple(self._graph.targets), lost)
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
@@ -332,14 +336,14 @@ class Tracker(HasBox, Storable):
     @property
     def status(self) -> str:
         """tracking, uncertain, lost or hidden after the last frame, of the first target; lost without any."""
-        now = self._started
-        first = next((target for target, _ in _live(now)), None)
+        standing = self._started
+        first = next((target for target, _ in _live(standing)), None)
         if first is None:
             return "lost"
-        net = now.state.net.targets[first]
+        net = standing.state.net.targets[first]
         plate = self._graph.targets[net.template]
         rule = plate.inference(plate.root).guarantee
-        state = now.state.targets[first]
+        state = standing.state.targets[first]
         status = net.status if rule is None else reported_status(net.status, state.scored, rule)
         modes = self._engine.plates[net.template].modes
         if modes is None or not modes.can_hide:
@@ -358,11 +362,11 @@ class Tracker(HasBox, Storable):
         return () if self._now is None else self._now.events
 
 
-def _live(now: Standing) -> Iterator[tuple[str, tuple[float, ...]]]:
+def _live(standing: Standing) -> Iterator[tuple[str, tuple[float, ...]]]:
     """Each target of the last frame that is live after it, and its centre box; makes no lines."""
-    (ids, boxes, _), live = Lines.of(now.metrics).places, now.state.net.targets
-    every = zip(ids, map(tuple, boxes.tolist()), strict=True)
-    return ((target, box) for target, box in every if target in live)
+    (ids, boxes, _), live = Lines.of(standing.metrics).places, standing.state.net.targets
+    targets = zip(ids, map(tuple, boxes.tolist()), strict=True)
+    return ((target, box) for target, box in targets if target in live)
 
 
 def _first_line(now: Standing) -> FrameMetrics | None:

@@ -38,42 +38,42 @@ def oriented_gradients(gray: Bytes, half: int, histograms: Singles) -> None:
     pooled = np.zeros((rows, count, width), np.float32)
     gx, gy, per = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
     for y in range(1, height - 1):
-        above, here, below = gray[y - 1], gray[y], gray[y + 1]
+        previous_row, row, next_row = gray[y - 1], gray[y], gray[y + 1]
         for x in range(1, width - 1):
-            a = np.float32(here[x + 1]) - np.float32(here[x - 1])
-            b = np.float32(below[x]) - np.float32(above[x])
+            a = np.float32(row[x + 1]) - np.float32(row[x - 1])
+            b = np.float32(next_row[x]) - np.float32(previous_row[x])
             energy = a * a + b * b + np.float32(1e-6)
             gx[x] = a
             gy[x] = b
             per[x] = np.float32(1.0) / (energy * np.sqrt(energy))
-        own = y // 4
-        other = own - 1 if y % 4 < 2 else own + 1
-        mine, theirs = share[y % 4], np.float32(1.0) - share[y % 4]
-        if other < 0 or other >= rows:
-            other, theirs = own, np.float32(0.0)
+        cell = y // 4
+        neighbour = cell - 1 if y % 4 < 2 else cell + 1
+        cell_share, neighbour_share = share[y % 4], np.float32(1.0) - share[y % 4]
+        if neighbour < 0 or neighbour >= rows:
+            neighbour, neighbour_share = cell, np.float32(0.0)
         for k in range(half):
-            across, down = directions[k, 0], directions[k, 1]
+            cosine, sine = directions[k, 0], directions[k, 1]
             if count == half:
-                alike, alike_beside = pooled[own, k], pooled[other, k]
+                votes, neighbour_votes = pooled[cell, k], pooled[neighbour, k]
                 for x in range(width):
-                    dot = across * gx[x] + down * gy[x]
+                    dot = cosine * gx[x] + sine * gy[x]
                     square = dot * dot
                     vote = square * square * per[x]
-                    alike[x] += mine * vote
-                    alike_beside[x] += theirs * vote
+                    votes[x] += cell_share * vote
+                    neighbour_votes[x] += neighbour_share * vote
                 continue
-            plus, minus = pooled[own, k], pooled[own, k + half]
-            plus_beside, minus_beside = pooled[other, k], pooled[other, k + half]
+            plus, minus = pooled[cell, k], pooled[cell, k + half]
+            plus_beside, minus_beside = pooled[neighbour, k], pooled[neighbour, k + half]
             for x in range(width):  # without branches, so that it becomes vector instructions
-                dot = across * gx[x] + down * gy[x]
+                dot = cosine * gx[x] + sine * gy[x]
                 square = dot * dot
                 vote = square * square * per[x]
                 with_it = vote if dot > 0 else np.float32(0.0)
                 against = vote - with_it
-                plus[x] += mine * with_it
-                minus[x] += mine * against
-                plus_beside[x] += theirs * with_it
-                minus_beside[x] += theirs * against
+                plus[x] += cell_share * with_it
+                minus[x] += cell_share * against
+                plus_beside[x] += neighbour_share * with_it
+                minus_beside[x] += neighbour_share * against
     for j in range(rows):
         for k in range(count):
             line = pooled[j, k]
@@ -104,34 +104,39 @@ def normalised_cells(histograms: Singles, half: int, noise: float, features: Sin
         for i in range(columns + 2):
             total = np.float32(0.0)
             for k in range(half):
-                both = histograms[j, i, k]
+                magnitude = histograms[j, i, k]
                 if count > half:
-                    both += histograms[j, i, k + half]
-                total += both * both
+                    magnitude += histograms[j, i, k + half]
+                total += magnitude * magnitude
             energy[j, i] = total
     scale = np.empty(columns, np.float32)
     quarter, middle = np.float32(0.25), np.float32(0.5)
     for j in range(rows):
-        above, own, below = energy[j], energy[j + 1], energy[j + 2]
+        previous, current, following = energy[j], energy[j + 1], energy[j + 2]
         for i in range(columns):
-            around = np.float32(noise) + quarter * above[i] + middle * above[i + 1] + quarter * above[i + 2]
-            around += middle * own[i]
-            around += own[i + 1]
-            around += middle * own[i + 2]
-            around += quarter * below[i]
-            around += middle * below[i + 1]
-            around += quarter * below[i + 2]
-            scale[i] = np.float32(1.0) / np.sqrt(around)
+            total_energy = (
+                np.float32(noise)
+                + quarter * previous[i]
+                + middle * previous[i + 1]
+                + quarter * previous[i + 2]
+            )
+            total_energy += middle * current[i]
+            total_energy += current[i + 1]
+            total_energy += middle * current[i + 2]
+            total_energy += quarter * following[i]
+            total_energy += middle * following[i + 1]
+            total_energy += quarter * following[i + 2]
+            scale[i] = np.float32(1.0) / np.sqrt(total_energy)
         for k in range(half):
             for i in range(columns):
-                one = histograms[j + 1, i + 1, k] * scale[i]
+                positive = histograms[j + 1, i + 1, k] * scale[i]
                 if count == half:
-                    features[k, j, i] = min(one, TRUNCATED)
+                    features[k, j, i] = min(positive, TRUNCATED)
                     continue
-                other = histograms[j + 1, i + 1, k + half] * scale[i]
-                features[k, j, i] = min(one, TRUNCATED)
-                features[k + half, j, i] = min(other, TRUNCATED)
-                features[k + count, j, i] = min(one + other, TRUNCATED)
+                negative = histograms[j + 1, i + 1, k + half] * scale[i]
+                features[k, j, i] = min(positive, TRUNCATED)
+                features[k + half, j, i] = min(negative, TRUNCATED)
+                features[k + count, j, i] = min(positive + negative, TRUNCATED)
 
 
 @compiled
@@ -163,35 +168,35 @@ def cubic_weights(t: float, weights: Floats) -> None:
 
 
 @compiled_summing
-def centre_spectra(every: Singles, turns: Singles, seen: Singles) -> None:
-    """Write the spectra of C channels, each frequency turned by its phase, into `seen` (H, C, 4, H).
+def centre_spectra(spectra: Singles, turns: Singles, centred: Singles) -> None:
+    """Write the spectra of C channels, each frequency turned by its phase, into `centred` (H, C, 4, H).
 
     Args:
-        every: (C, F, F) as OpenCV packs spectra of real images, F even, H = F / 2 + 1: pairs of real and
+        spectra: (C, F, F) as OpenCV packs spectra of real images, F even, H = F / 2 + 1: pairs of real and
             imaginary part lie along a row, in the first and in the last column along the column.
         turns: (H, 2, 2, H) cosine and sine of each phase, for vertical frequencies upward and downward.
-        seen: [row, channel]: real and imaginary parts at the vertical frequency `row`, then at -`row`.
+        centred: [row, channel]: real and imaginary parts at the vertical frequency `row`, then at -`row`.
     """
-    side = every.shape[1]
-    last = side // 2
-    for channel in range(len(every)):
-        packed = every[channel]
-        for j in range(last + 1):
+    side = spectra.shape[1]
+    highest = side // 2
+    for channel in range(len(spectra)):
+        packed = spectra[channel]
+        for j in range(highest + 1):
             for sign in range(2):
                 line = packed[j if sign == 0 or j == 0 else side - j]
                 cosine, sine = turns[j, sign, 0], turns[j, sign, 1]
-                real, imaginary = seen[j, channel, 2 * sign], seen[j, channel, 2 * sign + 1]
-                for k in range(1, last):
+                real, imaginary = centred[j, channel, 2 * sign], centred[j, channel, 2 * sign + 1]
+                for k in range(1, highest):
                     real[k] = line[2 * k - 1] * cosine[k] - line[2 * k] * sine[k]
-                for k in range(1, last):
+                for k in range(1, highest):
                     imaginary[k] = line[2 * k - 1] * sine[k] + line[2 * k] * cosine[k]
-                for k in (0, last):
-                    column, other = min(2 * k, side - 1), np.float32(0.0)
-                    one = packed[min(max(2 * j - 1, 0), side - 1), column]
-                    if 0 < j < last:
-                        other = packed[2 * j, column] if sign == 0 else -packed[2 * j, column]
-                    real[k] = one * cosine[k] - other * sine[k]
-                    imaginary[k] = one * sine[k] + other * cosine[k]
+                for k in (0, highest):
+                    column, imaginary_part = min(2 * k, side - 1), np.float32(0.0)
+                    real_part = packed[min(max(2 * j - 1, 0), side - 1), column]
+                    if 0 < j < highest:
+                        imaginary_part = packed[2 * j, column] if sign == 0 else -packed[2 * j, column]
+                    real[k] = real_part * cosine[k] - imaginary_part * sine[k]
+                    imaginary[k] = real_part * sine[k] + imaginary_part * cosine[k]
 
 
 @compiled
@@ -200,11 +205,11 @@ def fill_halves(kernel: Singles, parts: Singles) -> None:
     channels, side = kernel.shape[0], kernel.shape[1]
     for j in range(side // 2):
         for c in range(channels):
-            above, below = kernel[c, j], kernel[c, side - 1 - j]
+            upper, lower = kernel[c, j], kernel[c, side - 1 - j]
             for i in range(side // 2):
                 k = side - 1 - i
-                even_left, even_right = above[i] + below[i], above[k] + below[k]
-                odd_left, odd_right = above[i] - below[i], above[k] - below[k]
+                even_left, even_right = upper[i] + lower[i], upper[k] + lower[k]
+                odd_left, odd_right = upper[i] - lower[i], upper[k] - lower[k]
                 parts[0, 0, j, c, i], parts[1, 0, j, c, i] = even_left + even_right, even_left - even_right
                 parts[0, 1, j, c, i], parts[1, 1, j, c, i] = odd_left + odd_right, odd_left - odd_right
 
@@ -213,43 +218,43 @@ def fill_halves(kernel: Singles, parts: Singles) -> None:
 def pack_row(sums: Singles, j: int, total: Singles) -> None:
     """Put the sums (4, H) of the vertical frequencies `j` and -`j` where OpenCV packs them in `total`."""
     side = total.shape[0]
-    last = side // 2
-    for k in range(1, last):
+    highest = side // 2
+    for k in range(1, highest):
         total[j, 2 * k - 1] = sums[0, k]
         total[j, 2 * k] = sums[1, k]
-    if 0 < j < last:
-        for k in range(1, last):
+    if 0 < j < highest:
+        for k in range(1, highest):
             total[side - j, 2 * k - 1] = sums[2, k]
             total[side - j, 2 * k] = sums[3, k]
-    for k in (0, last):
+    for k in (0, highest):
         column = min(2 * k, side - 1)
         total[min(max(2 * j - 1, 0), side - 1), column] = sums[0, k]
-        if 0 < j < last:
+        if 0 < j < highest:
             total[2 * j, column] = sums[1, k]
 
 
 @compiled_summing
-def conjugate_product(seen: Singles, waves: Singles, total: Singles) -> None:
+def conjugate_product(patches: Singles, waves: Singles, total: Singles) -> None:
     """Fill `total` (F, F), packed, with the sum over channels of a patch times a conjugate filter.
 
     Args:
-        seen: (H, C, 4, H) spectra of the patch by `centre_spectra`.
+        patches: (H, C, 4, H) spectra of the patch by `centre_spectra`.
         waves: (2, 2, H, C, H) of the filter: cosines (0) and sines (1) by column, then by row.
         total: (F, F), F = 2 H - 2.
     """
-    rows, channels = seen.shape[0], seen.shape[1]
+    rows, channels = patches.shape[0], patches.shape[1]
     sums = np.empty((4, rows), np.float32)
     for j in range(rows):
         sums[:] = np.float32(0.0)
         for c in range(channels):
-            even, across = waves[0, 0, j, c], waves[1, 0, j, c]
-            down, both = waves[0, 1, j, c], waves[1, 1, j, c]
-            patch = seen[j, c]
+            even, odd_columns = waves[0, 0, j, c], waves[1, 0, j, c]
+            odd_rows, odd = waves[0, 1, j, c], waves[1, 1, j, c]
+            patch = patches[j, c]
             for k in range(rows):
-                real, imaginary = even[k] - both[k], -down[k] - across[k]
+                real, imaginary = even[k] - odd[k], -odd_rows[k] - odd_columns[k]
                 sums[0, k] += patch[0, k] * real + patch[1, k] * imaginary
                 sums[1, k] += patch[1, k] * real - patch[0, k] * imaginary
-                real, imaginary = even[k] + both[k], down[k] - across[k]
+                real, imaginary = even[k] + odd[k], odd_rows[k] - odd_columns[k]
                 sums[2, k] += patch[2, k] * real + patch[3, k] * imaginary
                 sums[3, k] += patch[3, k] * real - patch[2, k] * imaginary
         pack_row(sums, j, total)
@@ -261,73 +266,73 @@ def read_answers(
     lowest: int,
     boxes: Floats,
     tile: tuple[float, float, float],
-    which: Ints,
+    indices: Ints,
     levels: Floats,
     shares: Floats,
     answers: Floats,
 ) -> None:
-    """Add the answers at the M hypotheses `which` to `answers` (N,): bicubic, linear between levels.
+    """Add the answers at the M hypotheses `indices` to `answers` (N,): bicubic, linear between levels.
 
     Args:
         maps: (L, V, V) float32, V >= 4, a map per level of scale.
         lowest: level of the first map.
         boxes: (N, 4) centre boxes, px; where not all neighbours are known, the nearest place is read.
         tile: x and y of the place in the middle of the maps, and the side of a cell, px.
-        which: (M,) indices of hypotheses.
+        indices: (M,) indices of hypotheses.
         levels: (M,) from `lowest` to `lowest` + L - 1, where there is a share.
         shares: (M,) factors on the answers; those with 0 are not read.
         answers: (N,) added to.
     """
-    across, down = np.empty(4), np.empty(4)
+    column_weights, row_weights = np.empty(4), np.empty(4)
     bound, middle = maps.shape[1] - 3, 0.5 * (maps.shape[1] - 1)
-    for m in range(len(which)):
+    for m in range(len(indices)):
         if shares[m] == 0.0:
             continue
-        n = which[m]
+        n = indices[m]
         x, y = (boxes[n, 0] - tile[0]) / tile[2] + middle, (boxes[n, 1] - tile[1]) / tile[2] + middle
         i = min(max(int(np.floor(x)), 1), bound)
         j = min(max(int(np.floor(y)), 1), bound)
-        cubic_weights(min(max(x - i, 0.0), 1.0), across)
-        cubic_weights(min(max(y - j, 0.0), 1.0), down)
-        below = int(np.floor(levels[m]))
-        part = levels[m] - below
+        cubic_weights(min(max(x - i, 0.0), 1.0), column_weights)
+        cubic_weights(min(max(y - j, 0.0), 1.0), row_weights)
+        lower = int(np.floor(levels[m]))
+        part = levels[m] - lower
         total = 0.0
         for step in range(2):
             weight = part if step == 1 else 1.0 - part
             if weight == 0.0:
                 continue
-            one = maps[below + step - lowest]
+            answer_map = maps[lower + step - lowest]
             for b in range(4):
                 line = 0.0
                 for a in range(4):
-                    line += across[a] * one[j + b - 1, i + a - 1]
-                total += weight * down[b] * line
+                    line += column_weights[a] * answer_map[j + b - 1, i + a - 1]
+                total += weight * row_weights[b] * line
         answers[n] += shares[m] * total
 
 
 @compiled
 def read_boxes(
-    sides: Singles, corner: tuple[float, float], whole: int, shown: int, stride: int, boxes: Floats
+    sides: Singles, corner: tuple[float, float], crop_side: int, network_side: int, stride: int, boxes: Floats
 ) -> None:
     """Fill `boxes` (S * S, 4), row by row, with the centre boxes that a map says in pixels of the frame.
 
     Args:
         sides: (4, S, S) how far left, top, right and bottom are from the middle of each cell, px of the crop.
         corner: x and y where the crop begins.
-        whole: side of the crop in the frame; it is `shown` in so many px.
+        crop_side: side of the crop in the frame; it is `network_side` in so many px.
         stride: from cell to cell, px of the crop.
         boxes: filled; sides of no extent are left tiny.
     """
-    cells, scale, middle = sides.shape[1], whole / shown, 0.5 * shown
+    cells, scale, middle = sides.shape[1], crop_side / network_side, 0.5 * network_side
     for row in range(cells):
         for column in range(cells):
-            own = boxes[row * cells + column]
+            box = boxes[row * cells + column]
             for axis in range(2):
                 place = float(((row if axis else column) - cells // 2) * stride)
-                before = np.float64(sides[axis, row, column])
-                after = np.float64(sides[2 + axis, row, column])
-                own[axis] = corner[axis] + scale * (middle + place + 0.5 * (after - before))
-                own[2 + axis] = scale * max(before + after, 1e-3)
+                low_side = np.float64(sides[axis, row, column])
+                high_side = np.float64(sides[2 + axis, row, column])
+                box[axis] = corner[axis] + scale * (middle + place + 0.5 * (high_side - low_side))
+                box[2 + axis] = scale * max(low_side + high_side, 1e-3)
 
 
 @compiled
@@ -337,21 +342,21 @@ def explained(boxes: Floats, proposals: Floats, logs: Floats, sd_place: float, s
     d^2 adds the differences of the centres, in `sd_place` sides of the proposal, and of the logs of the
     sides, in `sd_size`; -inf without proposals.
     """
-    own = np.log(proposals[:, 2:])
-    found = np.full(len(boxes), -np.inf)
+    log_sizes = np.log(proposals[:, 2:])
+    largest = np.full(len(boxes), -np.inf)
     for n in range(len(boxes)):
         x, y = boxes[n, 0], boxes[n, 1]
         w, h = np.log(boxes[n, 2]), np.log(boxes[n, 3])
         for m in range(len(proposals)):
-            if logs[m] <= found[n]:
+            if logs[m] <= largest[n]:
                 continue
-            across = (x - proposals[m, 0]) / (sd_place * proposals[m, 2])
-            down = (y - proposals[m, 1]) / (sd_place * proposals[m, 3])
-            wider, higher = (w - own[m, 0]) / sd_size, (h - own[m, 1]) / sd_size
-            value = logs[m] - 0.5 * (across * across + down * down + wider * wider + higher * higher)
-            if value > found[n]:
-                found[n] = value
-    return found
+            dx = (x - proposals[m, 0]) / (sd_place * proposals[m, 2])
+            dy = (y - proposals[m, 1]) / (sd_place * proposals[m, 3])
+            wider, higher = (w - log_sizes[m, 0]) / sd_size, (h - log_sizes[m, 1]) / sd_size
+            value = logs[m] - 0.5 * (dx * dx + dy * dy + wider * wider + higher * higher)
+            if value > largest[n]:
+                largest[n] = value
+    return largest
 
 
 @compiled
@@ -371,23 +376,23 @@ def choose(
         reach: px.
         penalty: at least 0.
     """
-    usual, shape = _context(expected[2], expected[3]), expected[2] / expected[3]
-    chosen, most, worth = 0, -np.inf, 0.0
+    context, shape = _context(expected[2], expected[3]), expected[2] / expected[3]
+    index, largest, score = 0, -np.inf, 0.0
     for m in range(len(logs)):
         probability = np.exp(logs[m])
-        if (1.0 - window) * probability + window <= most:  # nor can any of those that follow
+        if (1.0 - window) * probability + window <= largest:  # nor can any of those that follow
             break
         x = min(abs(proposals[m, 0] - expected[0]) / reach, 1.0)
         y = min(abs(proposals[m, 1] - expected[1]) / reach, 1.0)
-        near = (0.5 + 0.5 * np.cos(np.pi * x)) * (0.5 + 0.5 * np.cos(np.pi * y))
-        larger = _context(proposals[m, 2], proposals[m, 3]) / usual
+        closeness = (0.5 + 0.5 * np.cos(np.pi * x)) * (0.5 + 0.5 * np.cos(np.pi * y))
+        larger = _context(proposals[m, 2], proposals[m, 3]) / context
         wider = proposals[m, 2] / proposals[m, 3] / shape
         change = max(larger, 1.0 / larger) * max(wider, 1.0 / wider)
-        own = probability * np.exp(-penalty * (change - 1.0))
-        value = (1.0 - window) * own + window * near
-        if value > most:
-            chosen, most, worth = m, value, own
-    return chosen, worth
+        penalised = probability * np.exp(-penalty * (change - 1.0))
+        value = (1.0 - window) * penalised + window * closeness
+        if value > largest:
+            index, largest, score = m, value, penalised
+    return index, score
 
 
 @compiled
