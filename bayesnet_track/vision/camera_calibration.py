@@ -307,8 +307,7 @@ def fit_poses(
     if (board[0] + board[1]) % 2 == 0:
         raise CalibrationError(
             f"a board of {board[0]}x{board[1]} inner corners looks the same when it is turned around, so "
-            "that the "
-            "cameras could not agree on its corners; allowed: an even and an odd number, such as 9x6"
+            "that the cameras could not agree on its corners; allowed: an even and an odd number, such as 9x6"
         )
     cameras, residuals = {}, {}
     world = board_points(board, square_m)
@@ -317,7 +316,7 @@ def fit_poses(
         if corners is None:
             raise CalibrationError(
                 f"camera {name}: the board of {board[0]}x{board[1]} inner corners is not whole in its image; "
-                "choose a frame in which all cameras see it (--frame)"
+                "choose a frame in which all cameras see it"
             )
         pixels = upright_order(image, np.asarray(corners, dtype=np.float64).reshape(-1, 2), board)
         fit = fit_ground(pixels, world[:, :2], image.shape[1::-1], lenses[name])

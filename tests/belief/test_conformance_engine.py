@@ -49,7 +49,7 @@ def test_it_runs_from_pictures_to_files(asked, scene, tmp_path):
     events = list(read_events(tmp_path / "run" / FILES["journal"]))
     lines = list(read_metrics(tmp_path / "run" / FILES["frames"]))
     assert {path.name for path in (tmp_path / "run").iterdir()} >= {
-        FILES[name] for name in ("journal", "frames", "mot", "csv", "timings", "graph")
+        FILES[name] for name in ("journal", "frames", "mot", "timings", "graph")
     }
     assert all(explain(event) for event in events)
     assert any(isinstance(event, Deactivated) and event.node == "motion" for event in events)

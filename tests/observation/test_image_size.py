@@ -90,7 +90,7 @@ def test_a_small_file_of_many_pixels_is_refused_wherever_images_are_read(tmp_pat
     assert main(["learn-shape", "--masks", str(folder), str(tmp_path / "m.npz")]) == 2
     assert said in capsys.readouterr().err
     pair = [str(folder), str(folder), "--board", "9x6", "--square", "0.1"]
-    assert main(["calibrate", *pair, "--out", str(tmp_path / "c.yml")]) == 4
+    assert main(["calibrate", "stereo", *pair, "--out", str(tmp_path / "c.yml")]) == 4
     assert said in capsys.readouterr().err
 
 

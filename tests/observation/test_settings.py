@@ -71,7 +71,16 @@ def option_strings(command=None) -> set[str]:
     """Options of a command, or of all."""
     (commands,) = (one for one in make_parser()._actions if isinstance(one, argparse._SubParsersAction))
     parsers = commands.choices.values() if command is None else [commands.choices[command]]
-    return {option for parser in parsers for option in parser._option_string_actions}
+    return {option for parser in parsers for option in _options_below(parser)}
+
+
+def _options_below(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Options of a command and of its own commands."""
+    yield from parser._option_string_actions
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for inner in action.choices.values():
+                yield from _options_below(inner)
 
 
 def without_commands(text: str) -> str:

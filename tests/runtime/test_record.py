@@ -34,7 +34,8 @@ def tracked(graph, directory, frames=6, video=False):
     """Track into `directory`; the results."""
     scene = make_scene("two_squares")
     source = SceneSource(scene, "scene", frames)
-    with Recorder(directory, graph, source.frame_interval_s, ("video",) if video else ()) as recorder:
+    optional = ("csv", "video") if video else ("csv",)
+    with Recorder(directory, graph, source.frame_interval_s, optional) as recorder:
         return list(run(graph, source, [Start(scene.start_box)], sinks=[recorder]))
 
 
@@ -90,7 +91,7 @@ def test_a_full_disk_is_told_at_once_and_leaves_whole_lines(graph, tmp_path, nam
 
 
 @linux_only
-@pytest.mark.parametrize("name", ["journal", "csv", "graph", "video"])
+@pytest.mark.parametrize("name", ["journal", "mot", "graph", "video"])
 def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
     from bayesnet_track.cli.main import main
 
@@ -151,7 +152,7 @@ def test_files_are_closed_when_one_cannot_be_made(graph, tmp_path, monkeypatch):
 
     monkeypatch.setattr(LineFile, "__init__", noted)
     with pytest.raises(OutputError, match=r"tracks\.csv"):
-        Recorder(directory, graph, 0.04)
+        Recorder(directory, graph, 0.04, ("csv",))
     assert len(opened) == 3 and all(file._file.closed for file in opened)
     # What is left may be overwritten like any run.
     directory.csv.rmdir()

@@ -91,7 +91,7 @@ def test_what_cannot_be_calibrated_is_refused(boards):
 
 def test_the_command_writes_what_a_run_reads(folders, tmp_path, capsys):
     out = tmp_path / "pair.yml"
-    line = ["calibrate", *folders, "--board", "8x5", "--square", "0.04", "--out", str(out)]
+    line = ["calibrate", "stereo", *folders, "--board", "8x5", "--square", "0.04", "--out", str(out)]
     assert main(line) == 0
     said = capsys.readouterr().out
     assert "board whole in 7 of 7 pairs" in said and "reprojection rms: left 0." in said
@@ -114,12 +114,12 @@ def test_the_command_writes_what_a_run_reads(folders, tmp_path, capsys):
 def test_mistakes_of_the_command(folders, tmp_path, capsys, change, code, said):
     given = {"--board": "8x5", "left": folders[0]} | change
     out = tmp_path / "pair.yml"
-    line = ["calibrate", given["left"], folders[1], "--board", given["--board"], "--square", "0.04"]
+    line = ["calibrate", "stereo", given["left"], folders[1], "--board", given["--board"], "--square", "0.04"]
     assert main([*line, "--out", str(out)]) == code
     assert said in capsys.readouterr().err and not out.exists()
 
 
 def test_a_square_has_a_size(folders, capsys):
     with pytest.raises(SystemExit):
-        main(["calibrate", *folders, "--board", "8x5", "--square", "-1", "--out", "x.yml"])
+        main(["calibrate", "stereo", *folders, "--board", "8x5", "--square", "-1", "--out", "x.yml"])
     assert "a length above 0 in metres" in capsys.readouterr().err
