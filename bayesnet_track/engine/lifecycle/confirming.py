@@ -41,8 +41,12 @@ MAX_RATIO = 1.25
 COVERED = 0.25
 """A target so much covered by another is missed because of it."""
 
-MAX_GAP = 1.5
-"""Frame intervals at most between the last detection of a target and the next one."""
+MAX_GAP = 2.5
+"""Frame intervals at most between the last detection of a target and the next one.
+
+Where detections are shared by probability, the first one of a turn may be nobody's: too little of it is the
+target's, and too little is left for a candidate.
+"""
 
 
 @dataclass(frozen=True, eq=False)
