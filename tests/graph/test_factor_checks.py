@@ -37,7 +37,7 @@ def plate_of(root, node=None, constants=None):
 )
 def test_the_names_are_those_of_the_state(motion, belief, names):
     plate = plate_of({"motion": motion, "belief": belief}, constants={"slope": 1.0})
-    assert names_at(plate, "s") == names_at(plate, "n") == (*names, *FRAME_NAMES, "slope")
+    assert names_at(plate, "s") == names_at(plate, "n") == (*names, *FRAME_NAMES, "t", "slope")
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_the_names_are_those_of_the_state(motion, belief, names):
 )
 def test_a_latent_node_has_a_box_of_its_own(belief, names):
     plate = plate_of({"motion": "constant_velocity"}, {**LATENT, "belief": belief})
-    assert names_at(plate, "n") == (*names, *FRAME_NAMES)
+    assert names_at(plate, "n") == (*names, *FRAME_NAMES, "t")
 
 
 @pytest.mark.parametrize("name", ["x", "vx", "normal", "pi", "parent", "and"])

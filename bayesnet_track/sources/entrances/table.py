@@ -1,14 +1,12 @@
 """Table of entrances: all that comes from outside, the functions that read it, and the texts about it.
 
-A test finds every function that reads a file: one that is in no row here, nor in `own_files`, fails it. The
-page `docs/entrances.md` is made from this table.
+A test finds every function that reads a file: one that is in no row here, nor reads what the program wrote
+itself, fails it. The page `docs/entrances.md` is made from this table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 PACKAGE = "bayesnet_track"
 
@@ -132,6 +130,7 @@ FRAMES = (
         "`cameras:` of a graph, `calibrate camera`, `ground` and `poses`, `cameras`, `--points`",
         (
             "observation.calibration_files: read_tree _storage",
+            "graph.checks.cameras: read_file",
             "cli.commands.calibrate_cameras: read_points",
             "cli.commands.cameras: read_cameras",
         ),
@@ -167,76 +166,6 @@ FRAMES = (
         "`--source`",
     ),
 )
-
-
-RUN = "a run directory, whose files the manifest verifies"
-SESSION = "a folder of `annotate`, verified by its own reader"
-WRITES = "nothing is read: it is written there, or synced"
-SYSTEM = "the operating system or the installation"
-
-_BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        RUN: (
-            "cli.batch.results.Ledger._read",
-            "cli.batch.results.read_table",
-            "evaluate.runs._has_end",
-            "journal.frame_file.FrameFile.__init__",
-            "journal.frame_file.FrameFile.columns",
-            "journal.frame_file.FrameFile.contents",
-            "journal.reader._read",
-            "journal.timings.read_seconds",
-            "journal.writer.read_position",
-            "runtime.checkpoints.checkpoint._of_another",
-            "runtime.checkpoints.checkpoint.read_checkpoint",
-            "runtime.checkpoints.recipe.Recipe.load_graph",
-            "runtime.checkpoints.recipe.Recipe.read",
-            "runtime.checkpoints.standing._ending",
-            "runtime.checkpoints.standing._ends_with_newline",
-            "runtime.arguments.held_files",
-            "runtime.recording.beliefs.read_beliefs",
-            "runtime.recording.manifest._restore",
-            "runtime.recording.manifest.read_manifest",
-            "runtime.recording.remux.remux",
-            "runtime.recording.replace._complete",
-            "runtime.recording.run_reader.open_run",
-            "runtime.recording.rundir.RunDirectory.check_version",
-            "runtime.recording.smoothed.write_smoothed",
-            "view.page_data.read_timings",
-            "view.run_page.is_page",
-        ),
-        SESSION: (
-            "runtime.annotation.answers.read_answers",
-            "runtime.annotation.frame_store.FrameStore.image",
-            "runtime.annotation.session.open_session",
-        ),
-        WRITES: (
-            "cli.arguments.mute",
-            "journal.disk.sync_folder",
-            "runtime.recording.lock.lock_run",
-            "vision.calibration.write_calibration",
-            "vision.camera_calibration.write_camera",
-        ),
-        "the cache of compiled kernels, sealed by a hash": (
-            "numerics.compiled.SealedFiles._load_data",
-            "numerics.compiled.SealedFiles._load_index",
-            "numerics.compiled.is_whole",
-        ),
-        SYSTEM: (
-            "cli.batch.places._memory",
-            "cli.commands.graphs.init",
-            "cli.doctor.check_package",
-            "cli.doctor.installed",
-            "runtime.executors.worker.own_bytes",
-            "view.run_page._built",
-        ),
-        "the fingerprint of a source, which changes nothing but a comparison": ("sources.origin._samples",),
-    }
-)
-
-OWN_FILES: Mapping[str, str] = MappingProxyType(
-    {f"{PACKAGE}.{name}": reason for reason, names in _BY_REASON.items() for name in names}
-)
-"""Dotted path -> why what it reads is no entrance."""
 
 
 BOXES = (
@@ -311,7 +240,10 @@ BOXES = (
     Entrance(
         "ground truth of many targets",
         "`score --truth`, `fit --motion`, `run --seeds --truth`",
-        ("evaluate.truth: read_mot_truth read_mot_tracks",),
+        (
+            "evaluate.truth: read_mot_truth read_mot_tracks",
+            "sources.mot_blocks: read_plain_boxes starts_plain _numbers",
+        ),
         "boxes without an area or with confidence 0; frames that the run does not have, and boxes of another "
         "size of frame",
         "an identity twice in a frame, no true box, frames from 0",
@@ -358,6 +290,16 @@ FILES = (
         "a missing column, more cells than columns, two values for one frame, a frame that is no whole "
         "number",
         "a decimal comma, or digits in groups: refused in a file with commas",
+    ),
+    Entrance(
+        "inputs",
+        "`inputs` of a graph",
+        ("observation.timed_columns: _rows",),
+        "columns that no input names; gaps that are several times the usual distance of two rows; frames "
+        "before the first row or after the last",
+        "no column `frame` or `time_s`, or both; rows that do not rise, a cell that is no finite number, a "
+        "decimal comma, a frame without a time where the file goes by time",
+        "none: `frame` or `time_s` says by what the rows go",
     ),
     Entrance(
         "polygons of queries",
