@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -79,6 +81,23 @@ def words(error: Exception) -> str:
 def say(text: str) -> None:
     """Print a result."""
     sys.stdout.write(text + "\n")
+
+
+STATUS_INKS = {"tracking": 32, "found again": 32, "uncertain": 33, "lost": 31, "hidden": 35}
+"""Status, as a sentence ends with it -> number of its colour in a terminal, as on the page of a run."""
+
+_STATUS = re.compile(rf"\b({'|'.join(STATUS_INKS)})(?=[;:]|$)")
+
+
+def by_status(line: str, stream: TextIO) -> str:
+    """The line with the status that it ends with in colour; unchanged where the stream takes none.
+
+    A stream takes colour if it is a terminal, its `TERM` is not `dumb`, and `NO_COLOR` is unset or empty
+    (https://no-color.org).
+    """
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not stream.isatty():
+        return line
+    return _STATUS.sub(lambda status: f"\x1b[{STATUS_INKS[status[1]]}m{status[1]}\x1b[0m", line)
 
 
 def complain(message: str) -> None:
@@ -274,6 +293,12 @@ def run_folder(text: str) -> Path:
             f"{folder}/video.{kind}"
         )
     return out
+
+
+def free_folder(first: str, overwrite: bool = False) -> Path:
+    """The first of NAME, NAME-2, NAME-3, ... that does not exist; NAME itself where it may be replaced."""
+    names = itertools.chain([first], (f"{first}-{number}" for number in itertools.count(2)))
+    return Path(next(name for name in names if overwrite or not os.path.lexists(name)))
 
 
 def read_start(path: Path, frame: int, form: TruthForm | None = None) -> Start:

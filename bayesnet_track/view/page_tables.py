@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import re
 import struct
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,7 +34,7 @@ from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
 from bayesnet_track.journal.net.net import Decision, Switch, turns_on
-from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets
+from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets, split_sentence
 from bayesnet_track.journal.text.story import CallsFolded, fold
 from bayesnet_track.view.graph_layout import MARGIN, lay_out
 
@@ -107,9 +106,6 @@ def short_floats(values: Any) -> NDArray[np.float32]:
 
 
 LIVES = (TargetStarted, Returned, Reacquired, Continued, TargetDied, DuplicateEnded, Joined, Parted)
-ARROW = " → "
-_PREVENTED = re.compile(r"; (?=would (?:not )?have |not at )")
-_FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
 
 
 def event_rows(events: Iterable[Event]) -> list[dict[str, Any]]:
@@ -145,16 +141,14 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
     whether a switch turned the agent on; `status`: the new one; `change` happened, `why`, and what would have
     prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
     """
-    sentence = name_targets(_FRAME.sub("", explain(event)), kinds)
-    described, *prevented = _PREVENTED.split(sentence, maxsplit=1)
-    why, arrow, change = described.partition(ARROW)
+    _, why, change, prevented = split_sentence(name_targets(explain(event), kinds))
     row: dict[str, Any] = {
         "frame": getattr(event, "frame", 0),
         "kind": event_name(type(event)),
         "sort": _sort(event),
-        "what": change if arrow else described,
-        "why": why if arrow else "",
-        "unless": prevented[0] if prevented else "",
+        "what": change,
+        "why": why,
+        "unless": prevented,
     }
     if isinstance(event, TargetStarted):
         # Nothing caused it: the piece before the arrow is what happened.

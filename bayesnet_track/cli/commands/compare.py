@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ from bayesnet_track.cli.arguments import (
     add_truth_format,
     check_free,
     complain,
+    free_folder,
     say,
     set_values,
     users_mistake,
@@ -333,9 +333,7 @@ def _folder(options: argparse.Namespace) -> Path:
     """Where to write: --out, else the first of RUN-what-if, RUN-what-if-2, ... that is free."""
     if options.out:
         return Path(options.out)
-    first = f"{str(options.run).rstrip('/')}-what-if"
-    names = itertools.chain([first], (f"{first}-{number}" for number in itertools.count(2)))
-    return Path(next(name for name in names if options.overwrite or not os.path.lexists(name)))
+    return free_folder(f"{str(options.run).rstrip('/')}-what-if", options.overwrite)
 
 
 def _track_again(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,6 +17,7 @@ from bayesnet_track.cli.arguments import (
     OK,
     UsageError,
     add_truth_format,
+    by_status,
     complain,
     pixels,
     say,
@@ -47,15 +49,16 @@ def log(options: argparse.Namespace) -> int:
 
     directory = RunDirectory.open(options.run)
     events = list(read_events(directory.journal, complain))
-    given = [
-        name for name in ("node", "kind", "frames", "json") if getattr(options, name) not in (None, False)
-    ]
-    if options.why is not None and given:
-        raise UsageError(f"--why explains one frame; leave out --{' and --'.join(given)}")
+    filters = ("node", "kind", "frames", "json", "short")
+    filtered_by = [name for name in filters if getattr(options, name) not in (None, False)]
+    if options.short and options.json:
+        raise UsageError("--short is of sentences; leave out --json")
+    if options.why is not None and filtered_by:
+        raise UsageError(f"--why explains one frame; leave out --{' and --'.join(filtered_by)}")
     if options.target is not None:
         with users_mistake():
             check_target(events, options.target)
-    if options.why is not None or (options.target is not None and not given):
+    if options.why is not None or (options.target is not None and not filtered_by):
         metrics = _lines(directory, options.why, options.target)
         with users_mistake():
             if options.why is None:
@@ -64,21 +67,36 @@ def log(options: argparse.Namespace) -> int:
                 account = why(events, metrics, options.why, options.target, _coefficients(directory))
         say(name_targets(account, kinds_of(events)))
         return OK
-    chosen = chosen_events(events, options)
-    if not chosen:
+    selected = chosen_events(events, options)
+    if not selected:
         _check_node(directory, options.node)
         complain("no event is left by these filters")
     name_target, kinds = has_several_targets(events), kinds_of(events)
     lines: Iterable[str]
     if options.json:
-        lines = map(to_json, chosen)
+        lines = map(to_json, selected)
     elif options.kind is not None:
-        lines = (narrate(event, kinds, name_target) for event in chosen)
+        lines = (narrate(event, kinds, name_target) for event in selected)
     else:
-        lines = narrate_all(chosen, kinds, name_target)
+        lines = narrate_all(selected, kinds, name_target)
     for line in lines:
-        say(line)
+        say(by_status(_shorten(line) if options.short else line, sys.stdout))
     return OK
+
+
+def _shorten(sentence: str) -> str:
+    """The sentence without its reasons: the frame, and what changed.
+
+    >>> _shorten("frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at 213")
+    'frame 29: motion on'
+    >>> _shorten("frame 0: ball 1 starts, centre 3, 4, 10 x 8 px → color on")
+    'frame 0: ball 1 starts → color on'
+    """
+    from bayesnet_track.journal.text.sentences import split_sentence
+
+    frame, why, change, _ = split_sentence(sentence)
+    start, starts, _ = why.partition(" starts, ")
+    return f"{frame}{start} starts → {change}" if starts else frame + change
 
 
 def _lines(directory: RunDirectory, frame: int | None, target: str | None) -> Iterator[FrameMetrics]:
@@ -260,7 +278,7 @@ def add_log(commands: argparse._SubParsersAction[Any]) -> None:
     log.add_argument(
         "--target",
         metavar="ID",
-        help="the history of one target; with --node, --kind, --frames or --json: its events",
+        help="the history of one target; with --node, --kind, --frames, --short or --json: its events",
     )
     log.add_argument("--node", help="only this node")
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
@@ -271,6 +289,7 @@ def add_log(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="N",
         help="what was active in frame N, and why; alone, or with --target",
     )
+    log.add_argument("--short", action="store_true", help="only what changed, without the reasons")
     log.add_argument("--json", action="store_true", help="print the events as they are in the journal")
 
 

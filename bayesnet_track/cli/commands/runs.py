@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from bayesnet_track.cli.arguments import (
     add_set_option,
     add_truth_format,
     add_view_options,
+    by_status,
     check_free,
     complain,
     parse_start,
@@ -109,7 +111,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if not options.verbose:
         say("\nwhat was decided, and why:")
         for line in narrate_all(events, kinds, name_target):
-            say(line)
+            say(by_status(line, sys.stdout))
     if has_truth:
         whose = f" of {kinds['1']} 1" if name_target else ""
         say(f"\nagainst the ground truth{whose}:")

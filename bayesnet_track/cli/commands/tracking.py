@@ -21,6 +21,7 @@ from bayesnet_track.cli.arguments import (
     add_truth_format,
     add_view_options,
     complain,
+    free_folder,
     parse_start,
     read_start,
     run_folder,
@@ -210,6 +211,8 @@ def say_summary(rows: Sequence[Row], options: argparse.Namespace, head: dict[str
 
 def run(options: argparse.Namespace) -> int:
     """Track in a video, with --seeds as often as there are seeds."""
+    if options.out is None:
+        options.out = str(free_folder(f"runs/{Path(options.graph).stem}", options.overwrite))
     if options.seeds is not None:
         return run_seeds(options, run)
     if options.truth is not None:
@@ -380,7 +383,12 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         help="video file, folder of images, glob, camera index, or URL; needed unless --detections is a CSV "
         "of what sensors measured",
     )
-    run.add_argument("-o", "--out", metavar="RUN", required=True, help="run directory to write")
+    run.add_argument(
+        "-o",
+        "--out",
+        metavar="RUN",
+        help="run directory to write (default runs/GRAPH, or where that exists runs/GRAPH-2, ...)",
+    )
     add_set_option(run)
     add_depth_options(run)
     add_size_option(run)

@@ -71,6 +71,26 @@ def narrate(event: Event, kinds: Mapping[str, str], name_target: bool = False) -
     return name_targets(explain(event, name_target), kinds)
 
 
+ARROW = " → "
+_PREVENTED = re.compile(r"; (?=would (?:not )?have |not at )")
+_FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
+
+
+def split_sentence(sentence: str) -> tuple[str, str, str, str]:
+    """The four pieces of a sentence: its frame, why, what changed, and what would have prevented it.
+
+    Only the third is never empty.
+
+    >>> split_sentence("frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at 213")
+    ('frame 29: ', 'UD 212 px² > 200 for 3 frames', 'motion on', 'would have stayed off at 213')
+    """
+    prefix = _FRAME.match(sentence)
+    frame = prefix[0] if prefix else ""
+    described, *prevented = _PREVENTED.split(sentence[len(frame) :], maxsplit=1)
+    why, arrow, change = described.partition(ARROW)
+    return (frame, why, change, "".join(prevented)) if arrow else (frame, "", described, "".join(prevented))
+
+
 __all__ = ["Filter", "explain", "has_several_targets", "why"]
 
 
