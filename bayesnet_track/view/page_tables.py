@@ -195,6 +195,7 @@ def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, An
         "root": target.root,
         "agents": agents,
         "rules": _rules(target),
+        "ud_unit": "m²" if target.spec.is_ground else "px²",
         "net": _net(target),
         "hidden_modes": [name for name, mode in (root.modes or {}).items() if mode.hidden is not None],
         "settings": {name: settings_text(target, name) for name in target.spec.nodes},

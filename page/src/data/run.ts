@@ -251,6 +251,11 @@ export class RunData {
     return shared / (w * h + tw * th - shared);
   }
 
+  /** Unit of a target's UD. */
+  udUnit(track: Track): string {
+    return this.plates[track.plate]?.ud_unit ?? "px²";
+  }
+
   /** Modes of a target in which it cannot be seen. */
   hidingModes(track: Track): string[] {
     return track.modes.filter((mode) => this.plates[track.plate]?.hidden_modes.includes(mode));

@@ -49,6 +49,8 @@ export interface Plate {
   settings?: Record<string, string>;
   /** Modes in which the target cannot be seen. */
   hidden_modes: string[];
+  /** Unit of UD, of baselines and of levels in `ud_px2`: px², or m² where the state is in metres. */
+  ud_unit?: string;
   agents: { name: string; cue: string; cost_ms: number | null }[];
   rules: Rule[];
   net: Net;

@@ -92,7 +92,7 @@ function Afterwards({ state, event }: { state: State; event: EventRow }) {
     <>
       <dt>Then</dt>
       <dd>
-        UD {short(before)} → {short(after)} px² in {plural(end - row, "frame")}
+        UD {short(before)} → {short(after)} {state.run.udUnit(track)} in {plural(end - row, "frame")}
         {Number.isFinite(was + is) && `; overlap with the truth ${was.toFixed(2)} → ${is.toFixed(2)}`}
       </dd>
     </>
@@ -139,8 +139,8 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
   const overlap = state.run.overlap(track, row);
   const ofFilter = state.run.about.smoothed === true ? ", filter" : "";
   const items: [string, string, string][] = [
-    ["UD", `${value("ud_px2")} px²`, "uncertainty deviation"],
-    ["baseline", `${value("quiet_px2")} px²`, "UD where nothing is wrong, as measured"],
+    ["UD", `${value("ud_px2")} ${state.run.udUnit(track)}`, "uncertainty deviation"],
+    ["baseline", `${value("quiet_px2")} ${state.run.udUnit(track)}`, "UD where nothing is wrong, as measured"],
     ["sd of centre", `${value("sd", 0)}, ${value("sd", 1)} px`, "posterior standard deviation of x and y"],
     ["box", `${value("box", 2)} × ${value("box", 3)} px`, "size of the estimate"],
     [`log evidence${ofFilter}`, value("log_evidence"), "how well the frame was foreseen"],

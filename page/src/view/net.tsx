@@ -243,7 +243,7 @@ export function Agents({ state }: { state: State }) {
           <th scope="col" title="KL(belief ‖ belief without it), nats: what the agent adds">
             adds
           </th>
-          <th scope="col" title="its own UD, px²">
+          <th scope="col" title="its own UD">
             own UD
           </th>
           <th scope="col" title="milliseconds in this frame">

@@ -56,7 +56,7 @@ export class Painter {
     this.box(track.values("box", row), ink, 2.5, DASH[status] ?? [], track.value("angle", row));
     const box = track.values("box", row);
     g.font = "600 13px system-ui, sans-serif";
-    const word = `${nameOf(track)} ${status} · UD ${short(track.value("ud_px2", row))} px²`;
+    const word = `${nameOf(track)} ${status} · UD ${short(track.value("ud_px2", row))} ${run.udUnit(track)}`;
     this.label(word, box, ink);
   }
 

@@ -39,7 +39,7 @@ function everyone(run: RunData, track: Track): Panel {
   return { key: "targets", name: "All targets", unit: `status, and switches of agents${some}`, about, height, lines: [], range: [0, 1], targets };
 }
 
-/** A level in px², frame by frame. */
+/** A level in the unit of UD, frame by frame. */
 export function levelAt(track: Track, rule: Rule, row: number): number {
   if (rule.unit === "ud_box") return rule.level * track.value("box", row, 2) * track.value("box", row, 3);
   return rule.unit === "ud_baseline" ? rule.level * track.value("quiet_px2", row) : rule.level;
@@ -66,7 +66,7 @@ function uncertainty(run: RunData, track: Track): Panel {
     if (look === undefined || rule.unit === "score") continue;
     const values = rows(track).map((row) => finite(levelAt(track, rule, row)));
     const name = `${rule.node === plate?.root ? "" : `${rule.node}: `}${RULES[rule.rule]}`;
-    const title = `${rule.rule} ${short(rule.level)}${UNITS[rule.unit]}, ${rule.frames} frame${rule.frames === 1 ? "" : "s"}`;
+    const title = `${rule.rule} ${short(rule.level)}${UNITS[rule.unit] ?? ` ${run.udUnit(track)}`}, ${rule.frames} frame${rule.frames === 1 ? "" : "s"}`;
     lines.push({ name, title, colour: colour(look.ink), width: 1.4, dash: look.dash, values });
   }
   const quiet = column(track, "quiet_px2");
@@ -85,7 +85,7 @@ function uncertainty(run: RunData, track: Track): Panel {
   // A logarithm takes no zero, which UD is in the first frame.
   for (const line of lines) line.values = line.values.map((v) => (v !== null && v > 0 ? v : null));
   const about = "UD, the mean squared distance from the estimate under the belief. High: it could be in many places.";
-  return { key: "ud", name: "Uncertainty", unit: "UD, px², log scale", about, height: 190, lines, log: true, range: [low, high] };
+  return { key: "ud", name: "Uncertainty", unit: `UD, ${run.udUnit(track)}, log scale`, about, height: 190, lines, log: true, range: [low, high] };
 }
 
 /** Those that hide the target are grey and at the bottom, so that their upper edge is P(hidden). */

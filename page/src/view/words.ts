@@ -39,4 +39,4 @@ export const RULES: Record<string, string> = {
   uncertain_below: "uncertain below",
 };
 
-export const UNITS: Record<string, string> = { ud_px2: " px²", ud_box: " × box area", ud_baseline: " × baseline" };
+export const UNITS: Record<string, string> = { ud_box: " × box area", ud_baseline: " × baseline" };
