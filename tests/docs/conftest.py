@@ -75,6 +75,7 @@ def stocked(tmp_path_factory):
         write_truth(folder / name / "groundtruth.txt", 15, elsewhere=8)
         for n, image in enumerate(images[:23]):
             cv2.imwrite(str(folder / name / "img" / f"{n:03}.png"), image)
+    shutil.copy(folder / "video.mp4", folder / "vtest.avi")
     shutil.copytree(folder / "data/one/img", folder / "img1")
     for n in (1, 2):
         shutil.copy(folder / "a.mp4", folder / "cars" / f"{n}.mp4")

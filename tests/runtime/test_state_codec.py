@@ -32,7 +32,7 @@ SCENES = {
     "people_detections": "crowd",
     "orange_and_gray_detected": "orange_and_gray",
 }
-FAST = ("two_squares", "general", "kalman_ball", "hidden_ball")
+FAST = ("two_squares", "general", "kalman_ball", "hidden_ball", "street")
 FRAMES = {"crowd": 75, "two_people_color_stereo_shape": 20}
 """Where others are needed than usual: the crowd's first join is in frame 72."""
 FEW, MANY = 8, 40

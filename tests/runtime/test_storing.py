@@ -25,7 +25,7 @@ from bayesnet_track.sources.scenes import make_scene, scene_names
 from bayesnet_track.sources.scenes.library import SceneSource
 
 OF_DETECTIONS = ("kalman_detections", "jpda", "sort", "bytetrack", "oc_sort", "people_detections")
-NOT_HERE = {"deep", "people", "radar_crowd"}  # these need files that are not shipped, or sensors
+NOT_HERE = {"deep", "people", "radar_crowd", "street"}  # these need files that are not shipped, or sensors
 OF_IMAGES = tuple(sorted({*graph_names()} - NOT_HERE - {*OF_DETECTIONS}))
 FAST = ("two_squares", "general", "kalman_ball", "orange_and_gray_detected", "road_mask")
 SCENES = {

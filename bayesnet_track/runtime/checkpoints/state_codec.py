@@ -146,7 +146,7 @@ def decode_state(data: bytes, engine: Engine, frame: Frame | None) -> State:
     Raises:
         StateError: they are no state of this version, or none of this engine's graph.
     """
-    state = decode(data, CLASSES, engine, frame)
+    state = decode(data, CLASSES, engine, None if frame is None else engine.on_clock(frame))
     if not isinstance(state, State):
         raise StateError(f"damaged: a {type(state).__name__} in place of the state")
     return state
