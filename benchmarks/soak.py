@@ -5,8 +5,9 @@
 
 Without `--targets`: tiny frames, a small net that reconfigures itself and learns, everything recorded. With
 it: a crowd by detections only, no pixels are read. People wander as in `crowd_speed.py`, for a while forward
-and then back, so that detections take no more room in a long run; one detection in ten is missed, so that
-targets end and others start throughout. `--record` writes every frame down.
+and then back, so that detections take no more room in a long run; one detection in ten is missed, and every
+so often the right half of them is not detected for a while, so that targets end and others start throughout.
+`--record` writes every frame down.
 
 Prints resident memory of the process' own (RssAnon, Linux; compiled kernels included), open files and the
 time of a frame as it goes, and the growth since the first line.
@@ -133,16 +134,28 @@ def soak(frames: int, every: int, out: Path) -> Iterator[Measured]:
 TURN = 120
 """Frames after which everybody turns round."""
 
+AWAY = 45
+"""Frames for which half of the crowd is not detected; `death.unseen_frames` is less."""
+
 
 @dataclass(frozen=True)
 class ToAndFro(Mapping[int, Detections]):
-    """Detections played forward and backward for as many frames as are asked for."""
+    """Detections played forward and backward for as many frames as are asked for, with half of them away.
+
+    Before each turn the right half of them is not detected, for longer than a target waits.
+    """
 
     found: dict[int, Detections]
 
     def __getitem__(self, index: int) -> Detections:
         place = index % (2 * (TURN - 1))
-        return self.found[min(place, 2 * (TURN - 1) - place)]
+        detections = self.found[min(place, 2 * (TURN - 1) - place)]
+        if index % (TURN - 1) < TURN - 1 - AWAY:
+            return detections
+        across = detections.boxes[:, 0]
+        left = np.flatnonzero(across < np.median(across))
+        labels = tuple(detections.labels[row] for row in left.tolist())
+        return Detections(detections.boxes[left], detections.scores[left], labels)
 
     def __iter__(self) -> Iterator[int]:
         return iter(self.found)
