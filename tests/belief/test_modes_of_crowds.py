@@ -216,6 +216,20 @@ def test_a_crowd_walks_stops_turns_and_hides(kind, associate, rng):
     assert all(one.hidden < 0.1 for one in tracker.targets)
 
 
+@pytest.mark.parametrize("step", [(-3.0, -12.0), (14.0, 9.0), (0.0, 0.4)])
+def test_a_target_with_modes_starts_with_the_velocity_of_its_detections(step):
+    written = crowd("gaussian", "plain").spec.model_dump(exclude_unset=True)
+    written["targets"]["p"]["birth"] |= {"confirm": {"hits": 3, "of": 4}}
+    tracker = DetectionsTracker(load_graph(written), size=(640, 480))
+    for frame in range(6):
+        x, y = np.array([300.0, 240.0]) + frame * np.array(step)
+        box = np.array([[x - 10, y - 22, x + 10, y + 22]])
+        ids = tracker.update(SimpleNamespace(xyxy=box, confidence=np.array([0.9]))).tracker_id
+    assert list(ids) == [1] and len(tracker.targets) == 1
+    (target,) = tracker.targets
+    assert np.hypot(target.state["vx"] - step[0], target.state["vy"] - step[1]) < 2.5
+
+
 def test_a_frame_in_which_nobody_detects_hides_nobody():
     graph = crowd("gaussian", "plain")
     spec_of = graph.spec.model_dump(exclude_unset=True)

@@ -36,19 +36,19 @@ def initiate(compiled: CompiledPlate, candidate: Candidate) -> Candidate:
     if candidate.mean is not None or len(candidate.track) < MIN_DETECTIONS or not has_way(compiled):
         return candidate
     rule = next(iter(compiled.association_rules.values()))
-    mean, covariance = compiled.motion.start_moments(candidate.track[0][1])
+    mean, covariance = compiled.moments.start_moments(candidate.track[0][1])
     limit = chi_square_quantile(ROUTE, 4)
-    if follow(compiled.motion, rule, candidate, (mean, covariance))[2] <= limit:
+    if follow(compiled.moments, rule, candidate, (mean, covariance))[2] <= limit:
         return candidate
-    fast = fast_covariance(compiled.motion, covariance, mean)
-    mean, covariance, d2 = follow(compiled.motion, rule, candidate, (mean, fast))
+    fast = fast_covariance(compiled.moments, covariance, mean)
+    mean, covariance, d2 = follow(compiled.moments, rule, candidate, (mean, fast))
     return candidate if d2 > limit else evolve(candidate, mean=mean, covariance=covariance)
 
 
 def has_way(compiled: CompiledPlate) -> bool:
     """True if the detections of a plate tell the velocity of a target: by their density, where it has one."""
     is_dense = any(rule.similarity == "density" for rule in compiled.association_rules.values())
-    return is_dense and is_moving(compiled.motion)
+    return is_dense and is_moving(compiled.moments)
 
 
 def is_moving(motion: MotionModel) -> bool:
