@@ -89,13 +89,6 @@ class ForegroundColorParameters(SizedCueParameters):
         le=1,
         description="Probability that a colour in neither of the two is the target's.",
     )
-    own_size: float = Field(
-        default=1.0,
-        ge=0,
-        le=1,
-        description="What a contrast sees of a hypothesis' change of size: 1 its own box, 0 a box of the "
-        "size that was last learnt at its place (exponent of the ratio).",
-    )
 
 
 @dataclass(frozen=True)
@@ -154,22 +147,15 @@ class ForegroundColor:
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """gain * min(contrast - the target's own contrast, 0), plus the size penalty, over the floor.
 
-        A contrast is the mean posterior inside the box less that in the ring, of a box whose size lies
-        between the last learnt one and the hypothesis' (`own_size`). A box counts with all of its area: what
-        lies outside the frame is not the target's. All 0 when the target has no contrast of its own: then its
-        colours say nothing.
+        A contrast is the mean posterior inside the box less that in the ring. A box counts with all of its
+        area: what lies outside the frame is not the target's. All 0 when the target has no contrast of its
+        target_contrast: then its colours say nothing.
         """
         p = self.parameters
         target_contrast = float(reference["contrast"])
         if target_contrast <= 0.0:
             return np.zeros(len(hypotheses))
-        boxes = hypotheses.boxes
-        if p.own_size < 1.0:  # colours say much of the place, and are off by as much about the size
-            ratio = boxes[:, 2] * boxes[:, 3] / np.prod(reference["size"])
-            boxes = np.column_stack(
-                [boxes[:, :2], boxes[:, 2:] * ratio[:, None] ** (0.5 * (p.own_size - 1.0))]
-            )
-        contrast = self.contrasts(planes.frame, boxes, reference["posterior"])
+        contrast = self.contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
         log = p.gain * factor_of(reference) * np.minimum(contrast - target_contrast, 0.0)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(log + size, p.floor)

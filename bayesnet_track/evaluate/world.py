@@ -165,7 +165,7 @@ def _read(path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: 
 
 
 def end_of_run(folder: Path, tracks: Path) -> float:
-    """Time of a run's last frame, s; infinity where no frame with a target tells how long frames last.
+    """Time of a run's last frame, s; infinity where no target says how long frames last.
 
     Raises:
         OSError: the tracks cannot be read.

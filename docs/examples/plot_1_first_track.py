@@ -26,9 +26,9 @@ for number in range(1, len(scene.frames)):
     active.append(len(tracker.metrics.active))
 
 # %%
-# The box is not everything: ``tracker.metrics`` tells how far the hypotheses lie apart (the root of
-# UD, a distance in px) and which agents worked. Where the squares meet, colour alone cannot tell
-# them apart: the uncertainty jumps, and motion is called.
+# The box is not everything: ``tracker.metrics`` says how far the hypotheses lie apart (the root of
+# UD, a distance in px) and which agents worked. Where the squares meet, colour alone cannot distinguish
+# them: the uncertainty jumps, and motion is called.
 
 figure, axes = plt.subplots(1, 4, figsize=(11, 2.6), width_ratios=[1, 1, 1, 1.8], layout="constrained")
 for axis, number in zip(axes, (20, 29, 60), strict=False):

@@ -149,16 +149,3 @@ def test_each_attempt_takes_from_boxes_that_are_off_and_ends(ask, scene):
         values.append(asked.score(pair, off, reference)[0])
     assert np.all(np.diff(values) < 0)
     assert asked.cue.adapt(reference, 1) is None  # the next episode cannot go further
-
-
-@pytest.mark.parametrize("own_size", [0.0, 0.5, 1.0])
-def test_a_contrast_sees_a_part_of_the_change_of_size(ask, scene, own_size):
-    """The box of a hypothesis that is four times as large counts as one 4^own_size times as large."""
-    pair = scene.pair()
-    whole, part = ask("foreground_color", **NO_SIZE), ask("foreground_color", own_size=own_size, **NO_SIZE)
-    reference = whole.learn(pair, scene.box())
-    x, y, w, h = scene.box()
-    for scale in (2.0, 0.5):
-        seen = whole.score(pair, np.array([[x + 3, y, w * scale**own_size, h * scale**own_size]]), reference)
-        given = part.score(pair, np.array([[x + 3, y, w * scale, h * scale]]), reference)
-        np.testing.assert_allclose(given, seen, atol=1e-9)
