@@ -94,8 +94,11 @@ class ReferenceRows(Sequence[Reference]):
 
     @staticmethod
     def of(references: Sequence[Reference]) -> Sequence[Reference]:
-        """The same as rows, if they hold arrays of the same names, shapes and types; else as they are."""
-        if isinstance(references, ReferenceRows) or not references:
+        """The same as rows, if they hold arrays of the same names, shapes and types; else as they are.
+
+        References that hold nothing stay as they are: rows without columns would not know how many they are.
+        """
+        if isinstance(references, ReferenceRows) or not references or not references[0]:
             return references
         first = references[0]
         kinds = {name: _kind(values) for name, values in first.items()}

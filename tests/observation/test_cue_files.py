@@ -317,3 +317,30 @@ def test_a_worker_process_loads_the_same_bytes(folder):
     cue_files._loaded.clear()
     assert pack() == b""
     unpack(b"")
+
+
+class LearnsNothing:
+    """A cue that prefers the left half and needs no reference."""
+
+    needs = ()
+
+    def learn(self, planes, box):
+        return {}
+
+    def log_likelihood(self, planes, hypotheses, reference):
+        assert reference == {}
+        return -0.001 * (hypotheses.boxes[:, 0] - 28.0) ** 2
+
+
+def test_a_cue_with_an_empty_reference_is_a_cue_like_any_other(tmp_path):
+    """Alone and beside another agent."""
+    cue = CueDeclaration("nothing", make=LearnsNothing)
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 255, (64, 96), dtype=np.uint8) for _ in range(4)]
+    whole = GRAPH.format(cue="nothing")
+    path = tmp_path / "graph.yaml"
+    for text in (whole, "\n".join(whole.splitlines()[:-1])):
+        path.write_text(text)
+        tracker = Tracker(str(path), cues=[cue])
+        tracker.init(frames[0], BOX)
+        assert all(tracker.update(frame)[1] is not None for frame in frames[1:])
