@@ -69,6 +69,7 @@ def score_run(
         region50=[_NOTHING if line is None else line.region50 for line in metrics],
         region90=[_NOTHING if line is None else line.region90 for line in metrics],
         confidence=[0.0 if line is None else line.score for line in metrics],
+        statuses=["ended" if line is None else line.status for line in metrics],
     )
     return (
         run_score

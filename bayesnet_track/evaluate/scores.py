@@ -16,6 +16,11 @@ from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 THRESHOLDS = np.linspace(0.0, 1.0, 21)
 PRECISION_PX = 20.0
 EPISODE_FRAMES = 5
+BANDS = ("above 0.5", "up to 0.5", "none", "absent")
+"""Overlap with the true box; `absent` where the target has none."""
+
+StatusTable = Mapping[str, Mapping[str, int]]
+"""Status -> band of `BANDS` -> number of frames."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ class Score:
         long_recall: recall there.
         long_f: the largest F over the score.
         long_f_at: that score.
+        statuses: status -> overlap -> frames; None without statuses.
     """
 
     frames: Annotated[int, ""]
@@ -74,9 +80,10 @@ class Score:
     ] = None
     long_f: Annotated[float | None, "their harmonic mean, at the score where it is largest"] = None
     long_f_at: Annotated[float | None, "that score"] = None
+    statuses: StatusTable | None = None
 
     def text(self, explained: bool = False) -> str:
-        """One figure a line: its name and value, and with `explained` what it says.
+        """One figure a line: its name and value, and with `explained` what it says and the statuses.
 
         The figures of long-term tracking are left out where the target is never absent.
         """
@@ -86,7 +93,16 @@ class Score:
                 continue
             line = f"{name:<14} {_show(getattr(self, name))}"
             lines.append(f"{line:<26} {meaning}".rstrip() if explained else line)
+        if explained and self.statuses is not None:
+            lines += ["", _status_text(self.statuses)]
         return "\n".join(lines)
+
+    @property
+    def misjudged(self) -> tuple[int, int]:
+        """Frames `tracking` at an overlap up to 0.5 or without a target; frames not so at one above 0.5."""
+        table = self.statuses or {}
+        wrong = sum(count for band, count in table.get("tracking", {}).items() if band != BANDS[0])
+        return wrong, sum(row[BANDS[0]] for status, row in table.items() if status != "tracking")
 
     def json(self) -> str:
         """One JSON object, keys in the order of the class."""
@@ -109,6 +125,7 @@ def score(
     region50: ArrayLike | None = None,
     region90: ArrayLike | None = None,
     confidence: ArrayLike | None = None,
+    statuses: Sequence[str] | None = None,
 ) -> Score:
     """Scores of one pass of n frames.
 
@@ -123,6 +140,7 @@ def score(
         region50: (n, 4) x_low, x_high, y_low, y_high of the centre's 50 % region in px.
         region90: the same of the 90 % region.
         confidence: (n,) score of each frame, for the figures of long-term tracking.
+        statuses: (n,) status of each frame.
 
     Raises:
         ValueError: lengths differ, a box or a confidence is not finite, or no frame has a true box.
@@ -160,7 +178,15 @@ def score(
         long_recall=None if long is None else long.recall,
         long_f=None if long is None else long.f,
         long_f_at=None if long is None else long.threshold,
+        statuses=None if statuses is None else _status_table(statuses, _spread(iou, present), present),
     )
+
+
+def _spread(iou: Floats, present: NDArray[np.bool_]) -> Floats:
+    """Overlaps of the frames with a true box as those of all frames, 0 elsewhere."""
+    all_frames = np.zeros(len(present))
+    all_frames[present] = iou
+    return all_frames
 
 
 def _checked(
@@ -212,9 +238,33 @@ def _long_term(iou: Floats, confidence: Floats, present: NDArray[np.bool_]) -> L
     """Figures of long-term tracking, where the target is absent in some; the first is given."""
     if present.all():
         return None
-    ones = np.zeros(len(present))
-    ones[present] = iou
-    return long_term([Confident(ones[1:], confidence[1:], present[1:])])
+    return long_term([Confident(_spread(iou, present)[1:], confidence[1:], present[1:])])
+
+
+def _status_table(statuses: Sequence[str], iou: Floats, present: NDArray[np.bool_]) -> StatusTable:
+    """Numbers of frames: the status in the order of its first frame, each band even where nothing is in it.
+
+    Args:
+        statuses: (n,) tracking, uncertain, lost, hidden or ended.
+        iou: (n,) overlap with the true box.
+        present: (n,) whether there is a true box.
+    """
+    bands = np.where(present, np.where(iou > 0.5, 0, np.where(iou > 0.0, 1, 2)), 3)
+    table = {status: dict.fromkeys(BANDS, 0) for status in statuses}
+    for status, band in zip(statuses, bands.tolist(), strict=True):
+        table[status][BANDS[band]] += 1
+    return table
+
+
+def _status_text(table: StatusTable) -> str:
+    """The table in lines, without a column of absent targets where there are none."""
+    columns = [band for band in BANDS if band != "absent" or any(row[band] for row in table.values())]
+    width = max(map(len, ("status", *table)))
+    head = f"{'status':<{width}}  " + "  ".join(f"{band:>9}" for band in columns)
+    rows = (
+        f"{name:<{width}}  " + "  ".join(f"{row[band]:>9}" for band in columns) for name, row in table.items()
+    )
+    return "\n".join(["frames by status and by overlap with the true box:", head, *rows])
 
 
 def success_auc(iou: Floats) -> float:

@@ -1014,8 +1014,11 @@ def test_score(cli, demo_run):
     code, out, _ = cli("score", demo_run)
     figures = json.loads(cli(f"score {demo_run} --json")[1])
     assert code == 0 and figures["frames"] == 60 and figures["auc"] > 0.6
-    shown = {name for name in figures if not name.startswith("long_")}  # this target is never absent
-    assert shown == {line.split()[0] for line in out.splitlines()}
+    # This target is never absent.
+    shown = {name for name in figures if not name.startswith(("long_", "statuses"))}
+    one_a_line, table = out.split("\n\n")
+    assert shown == {line.split()[0] for line in one_a_line.splitlines()}
+    assert sum(int(count) for line in table.splitlines()[2:] for count in line.split()[1:]) == 60
     assert f"auc            {figures['auc']:.4g} " in out
     assert "share of frames whose centre is within 20 px" in out
 

@@ -154,5 +154,29 @@ def test_text_and_json():
     back = json.loads(full.json())
     assert back["auc"] == full.auc and back["lost_when_off"] is None and back["coverage50"] == [1.0, 1.0]
     lines = dict(line.split(None, 1) for line in full.text().splitlines())
-    assert list(lines) == [name for name in back if not name.startswith("long_")]
+    assert list(lines) == [name for name in back if not name.startswith(("long_", "statuses"))]
     assert (lines["auc"], lines["lost_when_off"], lines["coverage90"]) == ("0.9524", "-", "1.00 1.00")
+
+
+def test_frames_by_status_and_overlap():
+    """A half that is shown is an overlap of a half, which is not above it."""
+    truth = np.tile(TRUE, (5, 1)).astype(float)
+    truth[4] = np.nan
+    boxes = np.tile(TRUE, (5, 1)).astype(float)
+    boxes[1, 2] *= 0.5
+    boxes[2, 0] += 1000.0
+    said = ["tracking", "tracking", "uncertain", "lost", "tracking"]
+    found = score(boxes, [one == "lost" for one in said], truth, statuses=said)
+    assert found.statuses == {
+        "tracking": {"above 0.5": 1, "up to 0.5": 1, "none": 0, "absent": 1},
+        "uncertain": {"above 0.5": 0, "up to 0.5": 0, "none": 1, "absent": 0},
+        "lost": {"above 0.5": 1, "up to 0.5": 0, "none": 0, "absent": 0},
+    }
+    assert found.misjudged == (2, 1)
+    shown = found.text(explained=True).splitlines()
+    assert [line.split() for line in shown[-3:]] == [
+        ["tracking", "1", "1", "0", "1"],
+        ["uncertain", "0", "0", "1", "0"],
+        ["lost", "1", "0", "0", "0"],
+    ]
+    assert "status" not in found.text()

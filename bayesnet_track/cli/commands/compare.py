@@ -200,12 +200,15 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
         pair = compared.pairs[0]
         one = [score_run(run.directory.path, truth, name, form) for run, name in zip(runs, pair, strict=True)]
     whose = f", target {pair[0]}" if len(first.targets) > 1 else ""
+    wrong, doubted = zip(*(run_score.misjudged for run_score in one), strict=True)
     return [
         Total(f"AUC{whose}", one[0].auc, one[1].auc, False),
         Total(f"AUC, lost counts as 0{whose}", one[0].auc_strict, one[1].auc_strict, False),
         Total(f"within 20 px{whose}", one[0].precision20, one[1].precision20, False),
         Total(f"mean IoU{whose}", one[0].mean_iou, one[1].mean_iou, False),
         Total(f"times off target{whose}", one[0].lost_episodes, one[1].lost_episodes, True),
+        Total(f"frames `tracking` at an IoU up to 0.5{whose}", wrong[0], wrong[1], True),
+        Total(f"frames not `tracking` at an IoU above 0.5{whose}", doubted[0], doubted[1], True),
     ]
 
 
