@@ -115,16 +115,19 @@ def frame(index):
     return Frame(index, float(index), np.roll(image, 2 * index, axis=1))
 
 
+FRAME = frame(0)
+
+
 def run(graph, names, frames=4, tell=None, cap=None):
     """Target -> what is known of it and was written of it, frame by frame, in bytes; and all events.
 
     `cap`: target -> frame from which it may have 30 hypotheses only.
     """
     engine, state = steps.make_engine(graph, 3), steps.State()
+    (plate,) = engine.plates
     for name in names:
-        state = steps.start_target(
-            engine, state, frame(0), name, "thing", np.array([*PLACES[name], 16.0, 16.0])
-        ).state
+        box = np.array([*PLACES[name], 16.0, 16.0])
+        state = steps.start_target(engine, state, frame(0), name, plate, box).state
     found, events = {name: [] for name in names}, []
     for index in range(1, frames):
         if tell is not None:
@@ -163,6 +166,28 @@ def test_the_bytes_of_a_target_do_not_depend_on_who_else_is_in_its_group(cue, pl
         assert run(graph, [name])[0] == {name: together[name]}
     some, _ = run(graph, ["e", "c", "a"])
     assert some == {name: together[name] for name in some}
+
+
+@pytest.mark.parametrize(
+    "name", ["general", "color_fusion", "two_colors", "two_squares_velocity", "adaptive"]
+)
+def test_targets_with_a_motion_of_their_own_and_nodes_below_the_root_go_together(monkeypatch, name):
+    """Jumps, reversion to a first size, borders that reflect; pools; scores with a search after a pan."""
+    graph, shifts = load_graph(name), [0, 2, 4, 6, 8, 10, 12, 40, 42]
+    monkeypatch.setattr(
+        f"{__name__}.frame",
+        lambda index: replace(
+            FRAME, index=index, time=float(index), image=np.roll(FRAME.image, shifts[index], axis=1)
+        ),
+    )
+    alone, apart = steps.filter_target, list[str]()
+    monkeypatch.setattr(
+        steps, "filter_target", lambda work, target, *of: apart.append(target) or alone(work, target, *of)
+    )
+    together, _ = run(graph, PLACES, len(shifts))
+    assert len(apart) < len(PLACES) * len(shifts) // 2  # those that are lost or searched for
+    for target in ("c", "d"):
+        assert run(graph, [target], len(shifts))[0] == {target: together[target]}
 
 
 def test_targets_with_fewer_hypotheses_for_want_of_time_are_groups_as_well(monkeypatch):

@@ -117,7 +117,7 @@ def test_only_targets_that_fit_go_together():
     assert list(group) == ["0", "1", "2", "3"]
     work.availability.known["0", "color", "observing"] = "late"
     assert filter_rows(work, state.targets) == []
-    for name, is_fit in (("two_squares", True), ("crowd", True), ("general", False), ("kalman_ball", False)):
+    for name, is_fit in (("two_squares", True), ("bouncing_square", False), ("kalman_ball", False)):
         plates = steps.make_engine(load_graph(name)).plates.values()
         assert {plate_fits(plate) for plate in plates} == {is_fit}
 

@@ -142,6 +142,13 @@ def predict_motion(
     return found
 
 
+def jump_share(settings: Relocalize, context: MotionContext, is_lost: bool) -> float:
+    """Probability, per frame interval, that a target is anywhere else than its motion says."""
+    reading = context.reading(settings.above)
+    unsure = is_lost or (settings.grow_box is None and reading is not None and reading.above)
+    return max(settings.share, settings.usual) if unsure else settings.usual
+
+
 def _follow_camera(cache: PlaneCache, dt: float) -> CameraShift | None:
     from bayesnet_track.vision.motion_planes import CameraPlane
 
@@ -161,9 +168,7 @@ def _relocalize(
     """The `usual` motion, or with some probability a jump to where the target may reappear."""
     known, frame = usual.motion_context, cache.frames.current
     assert known is not None
-    now = known.reading(settings.above)
-    unsure = is_lost or (settings.grow_box is None and now is not None and now.above)
-    per_frame = max(settings.share, settings.usual) if unsure else settings.usual
+    now, per_frame = known.reading(settings.above), jump_share(settings, known, is_lost)
     if per_frame == 0.0 or min(frame.width, frame.height) < 3:
         return usual
     state, fault, found, events = known.finder, known.fault, NOTHING, tuple[DetectorFailed, ...]()

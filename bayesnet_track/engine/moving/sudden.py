@@ -13,6 +13,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel, Posterior, Step
 from bayesnet_track.belief.motion.jumps import Jumping, Search, Within
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.scoring.score import usual_fit
@@ -46,14 +47,10 @@ def search_around(
     """
     plan, first, again = steps
     compiled, usual = work.plate_of(target), usual_fit(before.scored)
-    moving, score = compiled.moving, compiled.plate.inference(compiled.plate.root).score
-    rule = None if moving is None or moving.relocalize is None else moving.relocalize.sudden
-    if rule is None or usual is None or work.net.targets[target].status != "tracking":
+    rule, score = sudden_rule(compiled), compiled.plate.inference(compiled.plate.root).score
+    if rule is None or usual is None or not is_sudden(work, target, before, _fit(plan, first)):
         return moves, first
-    share = _fit(plan, first) / usual
-    box = before.belief.mean[:4]
-    if share >= rule.below_fit or min(work.frame.width, work.frame.height) < 3 or not _pans(rule, box, work):
-        return moves, first
+    share, box = _fit(plan, first) / usual, before.belief.mean[:4]
     found = again(_widened(rule, share, box, moves.motion, work))
     full_fit = 0.0 if score is None else score.settings.full_fit
     if not found.reports or _fit(plan, found) < max(rule.below_fit * usual, full_fit):
@@ -63,6 +60,21 @@ def search_around(
         jumped = replace(context.influences, jump_share=rule.share)
         moves = replace(moves, motion_context=replace(context, influences=jumped))
     return moves, found
+
+
+def sudden_rule(compiled: CompiledPlate) -> Sudden | None:
+    """The rule by which targets of a plate are searched for around where they were."""
+    moving = compiled.moving
+    return None if moving is None or moving.relocalize is None else moving.relocalize.sudden
+
+
+def is_sudden(work: FrameContext, target: str, before: TargetState, fit: float) -> bool:
+    """True where a tracked target, whose best hypothesis fits so well, is to be searched for."""
+    rule, usual = sudden_rule(work.plate_of(target)), usual_fit(before.scored)
+    if rule is None or usual is None or work.net.targets[target].status != "tracking":
+        return False
+    is_large = min(work.frame.width, work.frame.height) >= 3
+    return fit / usual < rule.below_fit and is_large and _pans(rule, before.belief.mean[:4], work)
 
 
 def _fit(plan: Plan, step: Step[Posterior]) -> float:

@@ -12,6 +12,8 @@ import numpy as np
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import GroupMeasures
 from bayesnet_track.belief.contract import Evidence, MotionModel, Step, estimate
+from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.particles.belief import Before, FindMap, find_places
 from bayesnet_track.belief.particles.particle_set import Clouds, Inputs, some
 from bayesnet_track.engine.attachment import particles
@@ -25,8 +27,8 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import is_elsewhere
-from bayesnet_track.inference.measure import columns_of
-from bayesnet_track.inference.measure_rows import StepArrays, measure_rows, uncertainties
+from bayesnet_track.inference.measure import columns_of, measure
+from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows, uncertainties
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -50,6 +52,7 @@ class FilteredRows(Mapping[str, Filtered]):
         motion: how all of them moved.
         joins: target -> what a joint belief says of it.
         parents: (T, N) hypotheses of the belief before that these come from.
+        moves: target -> its motion in this frame, where that depends on more than its states.
     """
 
     work: FrameContext
@@ -62,6 +65,7 @@ class FilteredRows(Mapping[str, Filtered]):
     motion: MotionModel
     joins: Mapping[str, JoinMetrics] = field(default_factory=dict)
     parents: Ints | None = None
+    moves: Mapping[str, PredictedMotion] = field(default_factory=dict)
     keeps_status = False
     holds_frame = True
     _made: dict[str, Filtered] = field(default_factory=dict)
@@ -137,6 +141,8 @@ class FilteredRows(Mapping[str, Filtered]):
     @cached_property
     def places(self) -> Ints:
         """(T,) the MAP hypotheses; -1 where a step looks further by itself."""
+        if not isinstance(self.motion, Confined) or not isinstance(self.motion.motion, KinematicMotion):
+            return np.full(len(self.ids), -1)
         known = Before(self.before.clouds.states, self.before.clouds.log)
         return find_places(self.motion, self.dt, known, self.said, self.clouds.states)
 
@@ -162,7 +168,11 @@ class FilteredRows(Mapping[str, Filtered]):
 
     def measures(self, areas_px2: Floats) -> GroupMeasures:
         """UD, KL, ... of the beliefs, whose estimates have these areas (T,)."""
-        return measure_rows(self.compiled.plate, self.plan, self.arrays, areas_px2)
+        plate = self.compiled.plate
+        if is_flat(plate):
+            return measure_rows(plate, self.plan, self.arrays, areas_px2)
+        pairs = zip(self.ids, areas_px2.tolist(), strict=True)
+        return GroupMeasures.of_each([measure(plate, self.plan, self[one].step, area) for one, area in pairs])
 
     @property
     def arrays(self) -> StepArrays:
@@ -294,7 +304,7 @@ class FilteredRows(Mapping[str, Filtered]):
         )
         if "places" in self.__dict__ and self.places[row] >= 0:
             step.__dict__["map_state"] = posterior.states[self.places[row]]
-        predicted = PredictedMotion(self.before.compiled.motion)
+        predicted = self.moves.get(target) or PredictedMotion(self.before.compiled.motion)
         return Filtered(target, state, step, (), predicted, self.plan, join=self.joins.get(target))
 
     def __contains__(self, target: object) -> bool:
