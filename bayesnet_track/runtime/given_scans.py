@@ -21,11 +21,12 @@ from bayesnet_track.observation.detector import GIVEN, Detections, Scan
 from bayesnet_track.runtime.arguments import frames_of
 from bayesnet_track.runtime.frame_clock import image_users
 from bayesnet_track.runtime.results import FrameSource
+from bayesnet_track.sources.box_times import names_boxes
 from bayesnet_track.sources.detection_files import FileDetector, file_detector
 from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.scan_files import ScanFile, SensorColumns, scan_file
-from bayesnet_track.sources.sources import SUFFIX
+from bayesnet_track.sources.sources import DETECTION_SUFFIXES, SUFFIX
 
 LENGTHS = frozenset({"hypot", "sqrt", "abs"})
 """Functions whose values are never negative."""
@@ -87,15 +88,23 @@ def source_or_times(
     """The source, or without one the file of detections, whose times stand for it; raises ValueError."""
     if source is not None:
         return source
-    if detections is None or not sensors_of(graph):
+    if detections is None:
         raise ValueError(
-            "no source: a video, a folder of images; without one, detections of quantities for a graph with "
-            "sensors, whose times then stand for frames"
+            "no source: a video, a folder of images; without one, a file of detections, whose times then "
+            "stand for frames"
         )
-    if not str(detections).lower().endswith(SUFFIX):
+    allowed = {SUFFIX} if sensors_of(graph) else DETECTION_SUFFIXES
+    if Path(detections).suffix.lower() not in allowed:
+        held = f"frame or time_s and {', '.join(_quantities(graph))}" if sensors_of(graph) else "boxes"
         raise ValueError(
-            f"{detections}: the file whose times stand for frames is a CSV, named *{SUFFIX}, with frame or "
-            f"time_s and {', '.join(_quantities(graph))}"
+            f"{detections}: the file whose times stand for frames is named "
+            f"*{' or *'.join(sorted(allowed))}, with {held}"
+        )
+    is_csv = Path(detections).suffix.lower() == SUFFIX
+    if is_csv and not sensors_of(graph) and Path(detections).is_file() and not names_boxes(Path(detections)):
+        raise ValueError(
+            f"{detections}: the file whose times stand for frames has columns of boxes, such as "
+            "frame,id,left,top,width,height in its header line, or is named *.txt"
         )
     return detections
 
@@ -120,7 +129,7 @@ def check_scans(
     """
     origin = getattr(source, "origin", None)
     times = origin.text if origin is not None and origin.kind == "plain" else ""
-    is_times = times.lower().endswith(SUFFIX)
+    is_times = Path(times).suffix.lower() in DETECTION_SUFFIXES
     if is_times:
         if users := image_users(engine):
             raise ValueError(

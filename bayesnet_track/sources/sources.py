@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
 SUFFIX = ".csv"
+DETECTION_SUFFIXES = frozenset({SUFFIX, ".txt", ".jsonl"})
 """A file of detections stands for a source of their times, without images."""
 
 LIVE_SCHEMES = frozenset({"rtsp", "rtsps"})
@@ -133,8 +134,8 @@ def make_reader(
                 raise SourceError(text, "permission denied", KINDS, "make the file readable")
             if path.suffix.lower() in IMAGE_SUFFIXES and not is_animated_png(path):
                 return _images(text, [path], value_range)
-            if path.suffix.lower() == SUFFIX:
-                return _scans(text)
+            if path.suffix.lower() in DETECTION_SUFFIXES:
+                return _without_images(text)
             return _video(text, False, value_range)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
@@ -147,12 +148,14 @@ def make_reader(
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
 
 
-def _scans(text: str) -> Reader:
-    """The times of a file of detections."""
+def _without_images(text: str) -> Reader:
+    """The frames of a file of boxes, or the times of a CSV of what sensors measured."""
+    from bayesnet_track.sources.box_times import BoxReader, names_boxes
     from bayesnet_track.sources.scan_files import ScanReader
 
     try:
-        return ScanReader(text)
+        is_of_sensors = text.lower().endswith(SUFFIX) and not names_boxes(text)
+        return ScanReader(text) if is_of_sensors else BoxReader(text)
     except (OSError, ValueError) as error:
         raise SourceError(text, str(error), KINDS, "mend the file") from error
 

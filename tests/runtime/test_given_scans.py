@@ -11,6 +11,8 @@ import pytest
 from bayesnet_track import DetectionsTracker, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.sources.entrances.notices import InputNotice
+from bayesnet_track.sources.sources import open_source
 
 GRAPH = """\
 bayesnet: 1
@@ -170,6 +172,8 @@ def test_rows_that_cannot_be_used_are_left_out_with_a_notice():
 def test_a_graph_of_boxes_needs_a_source_and_a_sensor_no_video(files):
     graph, rows, folder = files
     with pytest.raises(ValueError, match="no source: a video, a folder of images"):
+        list(track("kalman_detections", None))
+    with pytest.raises(ValueError, match="has columns of boxes, such as frame,id,left,top,width,height"):
         list(track("kalman_detections", None, detections=rows))
     with pytest.raises(ValueError, match="no images to draw on"):
         list(track(graph, None, detections=rows, out=folder / "run", video=True))
@@ -186,7 +190,7 @@ def test_a_file_of_boxes_is_no_file_of_quantities(files):
     graph, _, folder = files
     boxes = folder / "det.txt"
     boxes.write_text("1,-1,10,20,41,31,0.5,-1,-1,-1\n")
-    with pytest.raises(ValueError, match=r"whose times stand for frames is a CSV, named \*.csv, with frame"):
+    with pytest.raises(ValueError, match=r"whose times stand for frames is named \*.csv, with frame"):
         list(track(graph, None, detections=boxes))
     named = folder / "det.csv"
     named.write_text(boxes.read_text())
@@ -213,3 +217,68 @@ def test_frames_of_a_video_are_met_by_their_numbers(files):
     assert [one.centre_box for one in with_images] == [one.centre_box for one in alone]
     with pytest.raises(ValueError, match="rows by time_s are their own source"):
         list(track(graph, str(images), detections=rows))
+
+
+BOXES = [(10 + 3 * k, 20.0, 40, 30) for k in range(12)]
+
+
+def plain(k):
+    return f"{k + 1},-1,{BOXES[k][0]},{BOXES[k][1]},{BOXES[k][2]},{BOXES[k][3]},1,-1,-1,-1"
+
+
+def named(k):
+    left, top, width, height = BOXES[k]
+    return f"{k + 1},{left},{top},{left + width},{top + height},1"
+
+
+FORMS = {
+    "det.txt": lambda: "\n".join(map(plain, range(12))),
+    "det.csv": lambda: "\n".join(["frame,x1,y1,x2,y2,score", *map(named, range(12))]),
+    "plain.csv": lambda: "\n".join(map(plain, range(12))),
+    "det.jsonl": lambda: "\n".join(
+        f'{{"frame": {k}, "detections": [{{"box": {list(BOXES[k])}}}]}}' for k in range(12)
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_file_of_boxes_is_a_source_of_its_own(tmp_path, form):
+    """As beside images of that size."""
+    path = tmp_path / "boxes" / form
+    path.parent.mkdir()
+    path.write_text(FORMS[form]())
+    with pytest.warns(
+        InputNotice, match="frames are taken as 83 x 50 px, which holds all boxes, and 25 a second"
+    ):
+        alone = [
+            one.targets for one in track("kalman_detections", None, detections=path, out=tmp_path / "run")
+        ]
+    import cv2
+
+    images = tmp_path / "images"
+    images.mkdir()
+    for k in range(12):
+        cv2.imwrite(str(images / f"{k:03}.png"), np.zeros((50, 83, 3), np.uint8))
+    beside = [one.targets for one in track("kalman_detections", str(images), detections=path)]
+    assert len(alone) == 12 and len(alone[-1]) == 1
+    assert [[t.centre_box for t in one] for one in alone] == [[t.centre_box for t in one] for one in beside]
+
+
+def test_seqinfo_says_size_rate_and_length(tmp_path):
+    """MOTChallenge's layout; one that cannot be used is said, and the size assumed."""
+    path = tmp_path / "SEQ" / "det" / "det.txt"
+    path.parent.mkdir(parents=True)
+    path.write_text(FORMS["det.txt"]())
+    info = tmp_path / "SEQ" / "seqinfo.ini"
+    info.write_text("[Sequence]\nname=SEQ\nimWidth=640\nimHeight=480\nframeRate=30\nseqLength=15\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with open_source(str(path)) as source:
+            assert (source.width, source.height, source.declared_frames) == (640, 480, 15)
+            assert [one.time_s for one in source][-1] == pytest.approx(14 / 30)
+    info.write_text("[Sequence]\nimWidth=640\nimHeight=0\nframeRate=30\nseqLength=15\n")
+    with (
+        pytest.warns(InputNotice, match="seqinfo.ini: not used: imWidth 640, imHeight 0"),
+        open_source(str(path)) as source,
+    ):
+        assert (source.width, source.height) == (83, 50)
