@@ -93,12 +93,12 @@ def source_or_times(
             "no source: a video, a folder of images; without one, a file of detections, whose times then "
             "stand for frames"
         )
-    allowed = {SUFFIX} if sensors_of(graph) else DETECTION_SUFFIXES
-    if Path(detections).suffix.lower() not in allowed:
-        held = f"frame or time_s and {', '.join(_quantities(graph))}" if sensors_of(graph) else "boxes"
+    suffixes = {SUFFIX} if sensors_of(graph) else DETECTION_SUFFIXES
+    if Path(detections).suffix.lower() not in suffixes:
+        contents = f"frame or time_s and {', '.join(_quantities(graph))}" if sensors_of(graph) else "boxes"
         raise ValueError(
             f"{detections}: the file whose times stand for frames is named "
-            f"*{' or *'.join(sorted(allowed))}, with {held}"
+            f"*{' or *'.join(sorted(suffixes))}, with {contents}"
         )
     is_csv = Path(detections).suffix.lower() == SUFFIX
     if is_csv and not sensors_of(graph) and Path(detections).is_file() and not names_boxes(Path(detections)):

@@ -92,7 +92,7 @@ class BoxReader:
 
 
 def _described(boxes: Path) -> _Sequence | None:
-    """What a `seqinfo.ini` near a file of boxes says; None without one that can be used, which is said."""
+    """The sequence that a `seqinfo.ini` near a file of boxes describes; None without a usable one."""
     places = [folder / SEQINFO for folder in (boxes.parent, boxes.parent.parent)]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
