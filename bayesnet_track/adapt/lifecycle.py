@@ -10,6 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair_up
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
+from bayesnet_track.journal.events.refused import Refusal
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
@@ -77,6 +78,8 @@ class TrackHistory:
         last_id: largest number that was given to a target.
         births: live target -> what its draws are keyed by (`numerics.streams.birth_key`).
         detection_models: plate with `existence` -> what its detections have told about all of them.
+        refusals: live target without a detection -> one beside it that no target had; None when that
+            was reported.
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
@@ -90,6 +93,7 @@ class TrackHistory:
     last_id: int = 0
     births: Mapping[str, str] = field(default_factory=dict)
     detection_models: Mapping[str, DetectionModel] = field(default_factory=dict)
+    refusals: Mapping[str, Refusal | None] = field(default_factory=dict)
 
 
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:

@@ -58,6 +58,7 @@ from bayesnet_track.journal.events.load import (
     TakenBack,
     Toggled,
 )
+from bayesnet_track.journal.events.refused import DetectionRefused, Refusal
 from bayesnet_track.journal.events.runs import (
     FramesDropped,
     FrameSizeChanged,
@@ -109,6 +110,11 @@ LIKELY = Recognition("3", 0.9312, 0.5, 41.0, 35.2, -0.1367, 2.13, 7.4, ("color",
 UNLIKELY = Recognition(
     "1", 0.1234, 0.5, 41.0, 235.2, -0.1367, -1.2, -0.7, ("color", "intensity"), "new", 0.8766
 )
+
+GATED = Refusal(
+    26, "seen", (276.5, 129.5, 30.0, 60.0), (292.5, 129.5, 30.0, 60.0), 1, 32.7, 32.5, 18.4668, 0.999,
+    0.3, 0.0, 0.1886, 0.0,
+)  # fmt: skip
 
 GOLDEN = [
     (
@@ -526,6 +532,46 @@ GOLDEN = [
         BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
         "frame 9: 20 targets of square live, the maximum → 12 new targets refused, 31 so far; would "
         "have started at max_targets ≥ 32",
+    ),
+    (
+        DetectionRefused(28, "1", GATED),
+        "frame 28: in frame 26 a detection 16 px from target 1 went to no target: d² 32.7 > 18.5 (gate "
+        "0.999) → target 1 had none; would have been its own at gate ≥ 0.999999, or continue_box ≥ 0.19",
+    ),
+    (
+        DetectionRefused(28, "1", replace(GATED, box=(268.5, 129.5, 60.0, 90.0), place_d2=9.0, gap=4)),
+        "frame 28: in frame 26 a detection 24 px from target 1, 60 x 90 px where 30 x 60 px was expected, "
+        "went to no target: d² 32.7 > 18.5, mostly by its size (gate 0.999) → target 1 had none, 4 frames "
+        "after its last one; would have been its own at gate ≥ 0.999999, or continue_box ≥ 0.19",
+    ),
+    (
+        DetectionRefused(28, "1", replace(GATED, d2=400.0, place_d2=390.0, continue_box=0.5)),
+        "frame 28: in frame 26 a detection 16 px from target 1 went to no target: d² 400 > 18.5 (gate "
+        "0.999) → target 1 had none; its motion is 4.7 times as large as expected: no gate below 1 would "
+        "have kept it",
+    ),
+    (
+        DetectionRefused(28, "1", replace(GATED, overlap=0.1537, min_overlap=0.5, continue_box=0.5)),
+        "frame 28: in frame 26 a detection 16 px from target 1 went to no target: d² 32.7 > 18.5 (gate "
+        "0.999) and overlap 0.154 < 0.5 (min_overlap) → target 1 had none; would have been its own at gate ≥ "
+        "0.999999 and min_overlap ≤ 0.153",
+    ),
+    (
+        DetectionRefused(28, "1", replace(GATED, d2=None, overlap=0.1537, min_overlap=0.2)),
+        "frame 28: in frame 26 a detection 16 px from target 1 went to no target: overlap 0.154 < 0.2 "
+        "(min_overlap) → target 1 had none; would have been its own at min_overlap ≤ 0.153",
+    ),
+    (
+        DetectionRefused(28, "1", replace(GATED, d2=17.0, continue_box=0.5, is_shared=True)),
+        "frame 28: in frame 26 a detection 16 px from target 1 went to no target: it is more probably a "
+        "false alarm or another's, d² 17.0 → target 1 had none; its motion is 2.1 times as large as expected: no "
+        "gate below 1 would have kept it",
+    ),
+    (
+        DetectionRefused(28, "1", replace(GATED, d2=17.0)),
+        "frame 28: in frame 26 a detection 16 px from target 1 went to no target: the target looks different "
+        "(appearance) → target 1 had none; would have been its own at a smaller appearance, or "
+        "continue_box ≥ 0.19",
     ),
     (
         DetectionsCut(9, "blobs", 32, 28, 10),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -18,10 +18,8 @@ import numpy as np
 from bayesnet_track.adapt.association import UNASSIGNED, first_observed, remembered
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
-from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
@@ -43,11 +41,11 @@ from bayesnet_track.engine.lifecycle.existing import (
     expect_crowd,
     given_nothing,
 )
+from bayesnet_track.engine.lifecycle.refusing import record_refusals
 from bayesnet_track.engine.lifecycle.sensing import Found
-from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
+from bayesnet_track.engine.lifecycle.sharing import Tracks, follow, own_detections, predictor
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.rows.columns import Rows
-from bayesnet_track.engine.rows.fitting import RowRule, row_rule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
@@ -206,6 +204,9 @@ class Several:
             left = advance_tentative(compiled, waiting, after, own, found is not None)
             history = evolve(history, candidates={**history.candidates, compiled.plate.name: left})
         is_given, count, rows = owner != UNASSIGNED, self.count, None
+        history = self._record_refusals(
+            history, (expected.mean, expected.covariance), (is_given, owner), seen
+        )
         if self.rows is not None:
             live = slice(count)
             rows = Given(
@@ -257,9 +258,11 @@ class Several:
             if agent != last:
                 crowd = after_look(rule, crowd, looks[agent], done[agent])
         history = evolve(history, detection_models={**history.detection_models, plate: detection_model})
-        rows = None
+        rows, boxes, has_own = None, seen_first or Found.none(), np.diff(done[first].starts) > 0
+        if rules[first].sensor.has_extent:
+            history = self._record_refusals(history, (mean, covariance), (has_own, done[first].owner), boxes)
         if self.rows is not None:
-            rows = self._given(mean, covariance, seen_first or Found.none(), done[first])
+            rows = self._given(mean, covariance, boxes, done[first])
         owners = [
             name_owners(done[agent].owner, self.names, len(found.values)) for agent, found in looks.items()
         ]
@@ -269,6 +272,19 @@ class Several:
             for row, (target, state) in enumerate(self.others.items(), self.count)
         }
         return Shared(rows, others, tuple(chain.from_iterable(owners)), history)
+
+    def _record_refusals(
+        self,
+        history: TrackHistory,
+        expected: tuple[Floats, Floats],
+        assigned: tuple[Bools, Ints],
+        seen: Found,
+    ) -> TrackHistory:
+        """Record which bounds refused detections beside targets without one."""
+        tracks = self.names, self.rows
+        return record_refusals(
+            self.compiled, self.work.frame.index, history, tracks, expected, (*assigned, seen.boxes)
+        )
 
     def _existence(self) -> Floats:
         """(T,) probability that each exists, as of the last frame."""
@@ -389,54 +405,6 @@ class Several:
             several = [names[row] for row in chosen.tolist()]
             log[at] = score_looks(self.work, self.compiled, several, known, boxes[at], sizes)
         return log
-
-
-def predictor(work: FrameContext, compiled: CompiledPlate) -> Predict:
-    """The prediction of the targets of a plate from the last frame to this one.
-
-    Exact of Gaussian beliefs under linear motion, else by moments and the motion's derivative.
-    """
-    frame, previous = work.frame, work.cache.frames.previous
-    elapsed = 1.0 if previous is None else frame.time - previous.time
-    rule = row_rule(work.engine, compiled.plate.name)
-    if rule is None:
-        motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
-        return Predict(elapsed, partial(_predict_each, motion))
-    return Predict(elapsed, partial(_predict_rows, rule, image_of(rule, frame.width, frame.height)))
-
-
-def _predict_rows(
-    rule: RowRule, image: Floats, means: Floats, covariances: Floats, dt: float
-) -> tuple[Floats, Floats]:
-    # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.row_kernels import predict_rows
-
-    return predict_rows(means, covariances, *_moves(rule, dt), image)
-
-
-# Rules are told apart by identity: to hash a motion takes as long as to predict a crowd.
-@lru_cache(maxsize=64)
-def image_of(rule: RowRule, width: int, height: int) -> Floats:
-    """(2,) width and height that targets are confined to."""
-    return Confined(rule.motion, width, height).extent
-
-
-@lru_cache(maxsize=64)
-def _moves(rule: RowRule, dt: float) -> tuple[Floats, Floats]:
-    return rule.motion.linearise(np.ones(len(rule.motion.fields)), dt)
-
-
-def _predict_each(
-    motion: MotionModel, means: Floats, covariances: Floats, dt: float
-) -> tuple[Floats, Floats]:
-    moved = [
-        predict(mean, covariance, motion, dt, Gaussian())
-        for mean, covariance in zip(means, covariances, strict=True)
-    ]
-    return (
-        np.array([mean for mean, _ in moved]).reshape(means.shape),
-        np.array([covariance for _, covariance in moved]).reshape(covariances.shape),
-    )
 
 
 def _expected_boxes(work: FrameContext, targets: Targets, names: Sequence[str]) -> Floats:

@@ -58,7 +58,14 @@ def is_moving(motion: MotionModel) -> bool:
 
 def velocity(motion: MotionModel, mean: Floats) -> Floats:
     """(2,) velocity of a state (D,), px a frame interval; 0 of a motion without one."""
-    return mean[[motion.fields.index(name) for name in VELOCITY]] if is_moving(motion) else np.zeros(2)
+    return np.asarray(velocities(motion, mean[None])[0])
+
+
+def velocities(motion: MotionModel, means: Floats) -> Floats:
+    """(T, 2) velocities of states (T, D), as `velocity`."""
+    if not is_moving(motion):
+        return np.zeros((len(means), 2))
+    return means[:, [motion.fields.index(name) for name in VELOCITY]]
 
 
 def fast_covariance(motion: MotionModel, covariance: Floats, mean: Floats) -> Floats:

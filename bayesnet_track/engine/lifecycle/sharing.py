@@ -7,12 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 
 from bayesnet_track.adapt.association import GAP, LAST, UNASSIGNED, Layout, Owners, first_observed, observe
 from bayesnet_track.adapt.lifecycle import Candidate, look_again
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.rows.fitting import RowRule, row_rule
 from bayesnet_track.graph.settings.lifecycle import Confirm
+from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociationRule
 
@@ -35,6 +43,54 @@ class Predict:
     def __call__(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
         """Means (T, D) and covariances (T, D, D) of the last frame in this one."""
         return self.over(means, covariances, self.elapsed)
+
+
+def predictor(work: FrameContext, compiled: CompiledPlate) -> Predict:
+    """The prediction of the targets of a plate from the last frame to this one.
+
+    Exact of Gaussian beliefs under linear motion, else by moments and the motion's derivative.
+    """
+    frame, previous = work.frame, work.cache.frames.previous
+    elapsed = 1.0 if previous is None else frame.time - previous.time
+    rule = row_rule(work.engine, compiled.plate.name)
+    if rule is None:
+        motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
+        return Predict(elapsed, partial(_predict_each, motion))
+    return Predict(elapsed, partial(_predict_rows, rule, image_of(rule, frame.width, frame.height)))
+
+
+def _predict_rows(
+    rule: RowRule, image: Floats, means: Floats, covariances: Floats, dt: float
+) -> tuple[Floats, Floats]:
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.row_kernels import predict_rows
+
+    return predict_rows(means, covariances, *_moves(rule, dt), image)
+
+
+# Rules are told apart by identity: to hash a motion takes as long as to predict a crowd.
+@lru_cache(maxsize=64)
+def image_of(rule: RowRule, width: int, height: int) -> Floats:
+    """(2,) width and height that targets are confined to."""
+    return Confined(rule.motion, width, height).extent
+
+
+@lru_cache(maxsize=64)
+def _moves(rule: RowRule, dt: float) -> tuple[Floats, Floats]:
+    return rule.motion.linearise(np.ones(len(rule.motion.fields)), dt)
+
+
+def _predict_each(
+    motion: MotionModel, means: Floats, covariances: Floats, dt: float
+) -> tuple[Floats, Floats]:
+    moved = [
+        predict(mean, covariance, motion, dt, Gaussian())
+        for mean, covariance in zip(means, covariances, strict=True)
+    ]
+    return (
+        np.array([mean for mean, _ in moved]).reshape(means.shape),
+        np.array([covariance for _, covariance in moved]).reshape(covariances.shape),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_exi
 from bayesnet_track.engine.lifecycle.confirming import Births
 from bayesnet_track.engine.lifecycle.detecting import look
 from bayesnet_track.engine.lifecycle.ends import end_duplicates, end_lost
+from bayesnet_track.engine.lifecycle.refusing import report_refusals
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.outcome import Outcome
@@ -45,6 +46,7 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
             failed=looked.failed,
             detection_models=looked.detection_models,
             candidates=looked.candidates,
+            refusals=looked.refusals,
         )
     tracks.events += events
     for plate, rule in rules.items():
@@ -62,5 +64,8 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
     for plate, rule in rules.items():
         end_duplicates(tracks, plate, rule, frame)
         end_lost(tracks, plate, rule, frame)
+    happened = (*outcome.events, *tracks.events)
+    tracks.history, refused = report_refusals(tracks.history, frame.index, happened, tracks.net.targets)
+    tracks.events += refused
     work.charge("life", started)
     return evolve(tracks.outcome(outcome, frame), seconds=work.seconds)

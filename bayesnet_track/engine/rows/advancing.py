@@ -21,7 +21,8 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages
-from bayesnet_track.engine.lifecycle.association import Given, image_of
+from bayesnet_track.engine.lifecycle.association import Given
+from bayesnet_track.engine.lifecycle.sharing import image_of
 from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
 from bayesnet_track.engine.rows.fitting import net_fits

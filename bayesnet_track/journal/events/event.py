@@ -18,6 +18,7 @@ from bayesnet_track.journal.events import (
     joins,
     lives,
     load,
+    refused,
     runs,
     statuses,
     switches,
@@ -55,6 +56,7 @@ Event = (
     | statuses.Regained
     | lives.CandidateConfirmed
     | lives.BirthsRefused
+    | refused.DetectionRefused
     | lives.DetectorFailed
     | lives.DetectionsCut
     | faults.AgentMissed

@@ -20,6 +20,7 @@ from bayesnet_track.journal.events.lives import (
     TargetDied,
     TargetStarted,
 )
+from bayesnet_track.journal.events.refused import DetectionRefused
 from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
 from bayesnet_track.journal.events.switches import LocallyAdapted, Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -118,6 +119,7 @@ CHAPTERS = (
     TargetStarted,
     Returned,
     SceneCut,
+    DetectionRefused,
     StatusChanged,
     Reacquired,
     Continued,

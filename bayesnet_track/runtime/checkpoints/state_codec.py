@@ -38,6 +38,7 @@ from bayesnet_track.inference.crossings import Trail
 from bayesnet_track.inference.guard import SlowReferences
 from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.joins import Joined
+from bayesnet_track.journal.events.refused import Refusal
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import Fault, TargetNet, Turn
 from bayesnet_track.numerics.arrays import Array
@@ -75,6 +76,7 @@ CLASSES: tuple[type, ...] = (
     Place,
     Agreement,
     TrackHistory,
+    Refusal,
     Candidate,
     AppearanceMemory,
     TrackRecord,
