@@ -564,8 +564,8 @@ GOLDEN = [
     (
         DetectionRefused(28, "1", replace(GATED, d2=17.0, continue_box=0.5, is_shared=True)),
         "frame 28: in frame 26 a detection 16 px from target 1 went to no target: it is more probably a "
-        "false alarm or another's, d² 17.0 → target 1 had none; its motion is 2.1 times as large as expected: no "
-        "gate below 1 would have kept it",
+        "false alarm or another's, d² 17.0 → target 1 had none; its motion is 2.1 times as large as "
+        "expected: no gate below 1 would have kept it",
     ),
     (
         DetectionRefused(28, "1", replace(GATED, d2=17.0)),
