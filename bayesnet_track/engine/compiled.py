@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,6 +22,7 @@ from bayesnet_track.belief.motion.models import KinematicMotion, make_motion
 from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
 from bayesnet_track.belief.motion.start_prior import StartPrior, make_start_prior
 from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.engine.detectors import detectors_of, make_detectors
 from bayesnet_track.engine.lifecycle.measuring import make_sensor
 from bayesnet_track.engine.lifecycle.sensing import Sensor
 from bayesnet_track.engine.lifecycle.viewing import make_view_sensor
@@ -33,7 +34,6 @@ from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn, Query, WorldState
-from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.inference.queries import CompiledQuery, compile_query
 from bayesnet_track.inference.views import Views, views_of
@@ -48,16 +48,11 @@ from bayesnet_track.observation.cue import (
     rule_of,
 )
 from bayesnet_track.observation.detector import (
-    GIVEN,
     Detector,
-    DetectorError,
-    detectors_of_graphs,
     installed_detectors,
 )
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.observation.settings import setting
 from bayesnet_track.observation.timed_columns import TimedInput
-from bayesnet_track.vision.detectors.selection import Selected
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +70,8 @@ class CompiledPlate:
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
         lifecycle: how its targets are born, recognised and end; None when they live as long as the run.
-        detector: the detector of its births in `Engine.detectors`; empty without births.
+        detectors: camera -> the detector of its births in `Engine.detectors`; empty without births. The
+            camera is "" where there is one image.
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
         moving: what a frame's motion depends on besides its states; None when on nothing.
@@ -99,7 +95,7 @@ class CompiledPlate:
     adaptable: frozenset[str]
     color_agents: frozenset[str] = frozenset()
     lifecycle: LifeRules | None = None
-    detector: str = ""
+    detectors: Mapping[str, str] = field(default_factory=dict)
     looks: frozenset[str] = frozenset()
     guard: Guard | None = None
     part_of: Mapping[str, str] = field(default_factory=dict)
@@ -115,8 +111,22 @@ class CompiledPlate:
     views: Views | None = None
 
     def boxes(self, states: Floats, frame: Frame) -> Floats:
-        """(T, 4) boxes in the image of states (T, D), px."""
-        return states[:, :4] if self.views is None else self.views.boxes(states, (frame.width, frame.height))
+        """(T, 4) boxes in the image of states (T, D), px; of several cameras in that of the first."""
+        return states[:, :4] if self.views is None else self.views.boxes(states, frame)
+
+    @cached_property
+    def cameras(self) -> Mapping[str, str]:
+        """Agent that measures by a detection -> the camera in which this is; "" where there is one image."""
+        only = next(iter(self.detectors), "")
+        if len(self.detectors) == 1:
+            return dict.fromkeys(self.sensors, only)
+        seen_by = {agent: self.plate.seen_by(agent) for agent in self.sensors}
+        return {agent: one.name for agent, one in seen_by.items() if one is not None}
+
+    @property
+    def has_one_image(self) -> bool:
+        """True unless several cameras see its targets."""
+        return self.views is None or len(self.views.cameras) == 1
 
     @cached_property
     def moments(self) -> MotionModel:
@@ -217,12 +227,13 @@ def compile_graph(
     unknown = [name for name in own if name not in graph.targets]
     if unknown:
         raise ValueError(f"motion for {unknown[0]!r}; the graph has {', '.join(graph.targets)}")
+    several = len(graph.spec.cameras) > 1
     plates = {
-        name: _compile_plate(plate, declarations, own.get(name), graph.spec.constants)
+        name: _compile_plate(plate, declarations, own.get(name), graph.spec.constants, several)
         for name, plate in graph.targets.items()
     }
-    with_births = [one for one in plates.values() if one.detector]
-    made = {} if detectors is None else _make_detectors(with_births, detectors)
+    asking = [(one.plate, one.detectors) for one in plates.values() if one.detectors]
+    made = {} if detectors is None else make_detectors(asking, detectors)
     return Engine(
         plates,
         Streams(seed),
@@ -242,48 +253,12 @@ def _in_units(graph: CheckedGraph, query: Query) -> Query:
     return query.on_ground() if graph.spec.targets[query.kinds[0]].is_ground else query
 
 
-def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detector]) -> dict[str, Detector]:
-    made: dict[str, Detector] = {}
-    asked = set()
-    for compiled in plates:
-        assert compiled.lifecycle is not None and compiled.lifecycle.birth is not None
-        chosen = compiled.lifecycle.birth.detector
-        asked.add(chosen.detector)
-        if compiled.detector in made:
-            continue
-        if compiled.plate.inverses:
-            made[compiled.detector] = _scanner_of(compiled, given)
-            continue
-        declaration = detectors_of_graphs([chosen.detector])[chosen.detector]
-        parameters = plugin_parameters(chosen, declaration.parameters)
-        if chosen.detector in given:
-            made[compiled.detector] = Selected(given[chosen.detector], parameters)
-        else:
-            made[compiled.detector] = declaration.make(parameters)
-    idle = [name for name in given if name not in asked]
-    if idle:
-        raise DetectorError(f"{idle[0]} are given, and no plate of the graph has births by them")
-    return made
-
-
-def _scanner_of(compiled: CompiledPlate, given: Mapping[str, Any]) -> Any:
-    """What gives the sensors of a plate their detections."""
-    scanner = given.get(GIVEN)
-    if scanner is None or not hasattr(scanner, "scans"):
-        what = "none are given" if scanner is None else "boxes are given"
-        raise DetectorError(
-            f"the sensors of {compiled.plate.name} ({', '.join(compiled.plate.inverses)}) measure detections "
-            f"of quantities, and {what}; give a CSV file of them ({setting('--detections')}), or use "
-            "DetectionsTracker"
-        )
-    return scanner
-
-
 def _compile_plate(
     plate: CheckedTarget,
     declarations: Mapping[str, CueDeclaration],
     own: MotionModel | None,
     constants: Mapping[str, float],
+    several: bool,
 ) -> CompiledPlate:
     root = plate.inference(plate.root)
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
@@ -314,7 +289,7 @@ def _compile_plate(
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
         lifecycle=life,
-        detector="" if life is None or life.birth is None else flow_text(as_plain(life.birth.detector)),
+        detectors=detectors_of(life, views if several else None),
         looks=frozenset(
             agent for agent in plate.agents if of[agent].is_appearance and not of[agent].measures
         ),

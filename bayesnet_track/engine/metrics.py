@@ -279,7 +279,7 @@ def summarise_one(work: FrameContext, one: Filtered, covariance: Floats) -> Summ
 
 def _summarise_in_image(work: FrameContext, one: Filtered, views: Views, covariance: Floats) -> Summary:
     """The same of a belief on the ground, as the box in the image that it is seen as."""
-    frame, step = (work.frame.width, work.frame.height), one.step
+    frame, step = work.frame, one.step
     root_node = work.plate_of(one.target).plate.root
     box, spread = views.moments(step.posterior.mean, covariance, frame)
     rng = work.stream(one.target, root_node)("cloud")

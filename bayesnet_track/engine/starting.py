@@ -212,7 +212,11 @@ def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: 
         return belief
     placed = compiled.views.place(box)
     if placed is None:
-        raise ValueError(f"the box {box.tolist()} of a target on the ground stands nowhere")
+        if compiled.has_one_image:
+            raise ValueError(f"the box {box.tolist()} of a target on the ground stands nowhere")
+        # The first camera does not see it: it starts as what it was before it was confirmed.
+        anywhere: Posterior = compiled.belief.start(np.array([0.0, 0.0, 1.0, 1.0]), motion, stream)
+        return anywhere
     state, covariance = placed
     return with_spread(compiled.belief.start(state, motion, stream), covariance, stream("placed"))
 

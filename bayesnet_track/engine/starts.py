@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,13 +89,8 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
                 f"mask {name}: {columns}x{rows} px, and the frames have {width}x{height} px; "
                 "allowed: the frames' size; scale its file"
             )
-    for name, calibration in graph.calibrations.items():
-        of = calibration.camera.size
-        if of is not None and of != (width, height):
-            raise StartError(
-                f"calibration {name}: of {of[0]}x{of[1]} px, and the frames have {width}x{height} px; "
-                "allowed: the size that the camera was calibrated in"
-            )
+    if not graph.several_cameras:
+        check_sizes(graph, dict.fromkeys(graph.spec.cameras, (width, height)))
     for start in starts:
         if start.plate is not None and start.plate not in graph.targets:
             close = nearest(start.plate, graph.targets)
@@ -105,6 +100,22 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
             )
         check_box(start.box, width, height)
         _check_stands(graph, start)
+
+
+def check_sizes(graph: CheckedGraph, sizes: Mapping[str, tuple[int, int]]) -> None:
+    """Refuse frames that are not of the size that their camera was calibrated in; camera -> width and height.
+
+    Raises:
+        StartError: names the calibration, and both sizes.
+    """
+    for camera, (width, height) in sizes.items():
+        key = graph.spec.cameras[camera].key
+        of = graph.calibrations[key].camera.size
+        if of is not None and of != (width, height):
+            raise StartError(
+                f"calibration {key}: of {of[0]}x{of[1]} px, and the frames have {width}x{height} px; "
+                "allowed: the size that the camera was calibrated in"
+            )
 
 
 def _check_stands(graph: CheckedGraph, start: Start) -> None:

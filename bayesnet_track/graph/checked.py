@@ -112,6 +112,19 @@ class Calibration:
 
 
 @dataclass(frozen=True, eq=False)
+class NamedCamera:
+    """A camera of the graph.
+
+    Attributes:
+        name: as the graph names it.
+        camera: its calibration.
+    """
+
+    name: str
+    camera: GroundView
+
+
+@dataclass(frozen=True, eq=False)
 class CheckedTarget:
     """One plate, its tree resolved.
 
@@ -145,7 +158,7 @@ class CheckedTarget:
     givens: Mapping[str, Conditional] = field(default_factory=dict)
     measures: Mapping[str, MeasuredAs] = field(default_factory=dict)
     inverses: Mapping[str, Inverse] = field(default_factory=dict)
-    views: Mapping[str, GroundView] = field(default_factory=dict)
+    views: Mapping[str, NamedCamera] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""
@@ -174,6 +187,12 @@ class CheckedTarget:
         if written is not None or self.spec.state == "box" or existence is None:
             return written or Lost()
         return Lost(existence_below=max(0.5, (1.0 + existence.end) / 2), frames=1)
+
+    def seen_by(self, node: str | None) -> NamedCamera | None:
+        """The camera of the view at a node or above it; None of a node that is not below a view."""
+        while node is not None and node not in self.views:
+            node = self.parent[node]
+        return None if node is None else self.views[node]
 
     def correlation(self, node: str) -> float | None:
         """Of the children's errors, where the pool of an inference node is learned; None elsewhere."""
@@ -225,6 +244,14 @@ class CheckedGraph:
     def image_size(self) -> tuple[int, int] | None:
         """Width and height of the images of its first camera, px; None where no calibration says it."""
         return next((one.camera.size for one in self.calibrations.values()), None)
+
+    @property
+    def several_cameras(self) -> Mapping[str, tuple[int, int] | None]:
+        """Width and height of the images of each camera, px, where there are several; else nothing."""
+        cameras = self.spec.cameras
+        if len(cameras) < 2:
+            return {}
+        return {name: self.calibrations[source.key].camera.size for name, source in cameras.items()}
 
     def __repr__(self) -> str:
         """Name and size: the whole specification would fill pages."""

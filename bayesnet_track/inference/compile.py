@@ -186,7 +186,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         fusions=tuple(_fuse(target, name, messengers, measuring) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
-        views=tuple(View(name, target.root, camera) for name, camera in target.views.items()),
+        views=tuple(View(name, target.root, one.camera, one.name) for name, one in target.views.items()),
     )
 
 

@@ -21,7 +21,7 @@ from bayesnet_track.inference.latent_messages import grid_message, kernel_messag
 from bayesnet_track.inference.observe import Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import at_prediction, note_undefined, read_as
-from bayesnet_track.inference.views import project, through
+from bayesnet_track.inference.views import through
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociatingCue, Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
@@ -280,8 +280,7 @@ def _source(plan: Plan, node: str) -> str:
 def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict[str, Hypotheses]:
     """Hypotheses of views and of latent nodes."""
     frame = observer.cache.frames.current
-    size = frame.width, frame.height
-    views = {view.node: project(view.camera, hypotheses, size) for view in plan.views}
+    views = {view.node: view.project(hypotheses, frame) for view in plan.views}
     at = {plan.root: hypotheses, **views}
     number = next(observer.passes)
     again = "" if number == 0 else f" {number}"

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.checked import CheckedTarget, NamedCamera
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.protocols import BOX, Seen
 
 UNSEEN = (-1e4, -1e4, 1.0, 1.0)
@@ -22,23 +23,34 @@ REACH = 3.0
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A node whose hypotheses are those of `given_from` as its camera sees them."""
+    """A node whose hypotheses are those of `given_from` as its camera, called `seen_by`, sees them."""
 
     node: str
     given_from: str
     camera: GroundView
+    seen_by: str
+
+    def project(self, ground: Hypotheses, frame: Frame) -> Hypotheses:
+        """Hypotheses as boxes in its image; see `visible_boxes`.
+
+        Further fields of the state, such as velocities, are in metres, and have no place there.
+        """
+        return Hypotheses(visible_boxes(self.camera, ground.boxes, size_in(frame, self.seen_by, self.camera)))
 
 
-def project(camera: GroundView, ground: Hypotheses, frame: tuple[int, int]) -> Hypotheses:
-    """Hypotheses as boxes in an image of `frame` columns and rows; `UNSEEN` where the camera sees none.
-
-    Further fields of the state, such as velocities, are in metres, and have no place here.
-    """
-    return Hypotheses(visible_boxes(camera, ground.boxes, frame))
+def size_in(frame: Frame, name: str, camera: GroundView) -> tuple[int, int]:
+    """Columns and rows of the image of a camera, also where it has no frame at this time."""
+    own = frame.of(name)
+    if own is None:
+        return camera.size or (frame.width, frame.height)
+    return own.width, own.height
 
 
 def visible_boxes(camera: GroundView, ground: Floats, frame: tuple[int, int]) -> Floats:
-    """(N, 4) centre boxes of targets (N, 4) on the ground, of sides of at least 1 px."""
+    """(N, 4) centre boxes in an image of `frame` columns and rows of targets (N, 4) on the ground.
+
+    Sides are at least 1 px; a target that the camera cannot see is `UNSEEN`.
+    """
     boxes = camera.boxes(ground)
     size = np.array([*frame, *frame], dtype=np.float64)
     seen = np.isfinite(boxes).all(axis=1, keepdims=True)
@@ -167,17 +179,26 @@ class Views:
         sizes: of targets that start.
     """
 
-    cameras: Mapping[str, GroundView]
+    cameras: Mapping[str, NamedCamera]
     sizes: Sizes
 
     @property
     def main(self) -> GroundView:
         """The camera of the image in results."""
+        return self._first.camera
+
+    @property
+    def _first(self) -> NamedCamera:
         return next(iter(self.cameras.values()))
 
-    def boxes(self, states: Floats, frame: tuple[int, int]) -> Floats:
-        """(N, 4) boxes of states (N, D) in the image."""
-        return visible_boxes(self.main, states[:, :4], frame)
+    def boxes(self, states: Floats, frame: Frame, node: str | None = None) -> Floats:
+        """(N, 4) boxes of states (N, D) in the image of a view, by default the first one."""
+        seen_by = self._first if node is None else self.cameras[node]
+        return visible_boxes(seen_by.camera, states[:, :4], size_in(frame, seen_by.name, seen_by.camera))
+
+    def footprints(self, states: Floats) -> Floats:
+        """(N, 4) the squares that targets (N, D) cover of the ground, m, centre first."""
+        return states[:, [0, 1, 2, 2]]
 
     def place(self, box: Floats) -> tuple[Floats, Floats] | None:
         """(4,) state and (4, 4) covariance of a target in a given centre box (4,); None above the horizon."""
@@ -185,7 +206,7 @@ class Views:
         placed = place(self.main, box[None], sds[None] ** 2, self.sizes)
         return (placed.states[0], placed.covariances[0]) if len(placed.which) else None
 
-    def moments(self, mean: Floats, covariance: Floats, frame: tuple[int, int]) -> tuple[Floats, Floats]:
+    def moments(self, mean: Floats, covariance: Floats, frame: Frame) -> tuple[Floats, Floats]:
         """(4,) box and (4, 4) covariance in the image of a state N(mean, covariance), by the derivative."""
         box = self.boxes(mean[None], frame)[0]
         slopes = self.main.jacobian(mean[None, :4])[0]

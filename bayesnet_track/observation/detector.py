@@ -88,6 +88,16 @@ class Detections:
 GIVEN = "detections"
 """The name, in a graph, of a detector that is given from outside: detections that stand in a file."""
 
+
+def of_camera(detector: str, camera: str) -> str:
+    """The name of a detector in the images of one of several cameras; its own name with no camera.
+
+    >>> of_camera(GIVEN, "north"), of_camera(GIVEN, "")
+    ('detections of north', 'detections')
+    """
+    return f"{detector} of {camera}" if camera else detector
+
+
 NOTHING = Detections(np.empty((0, 4)), np.empty(0), ())
 """No detection."""
 

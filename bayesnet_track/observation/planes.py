@@ -178,6 +178,7 @@ class Frame:
             eye.
         stride: of the source's frames every so many-th is tracked.
         inputs: what is known of the frame beside its image: the graph's `inputs`, by name.
+        cameras: of a step of several cameras: the own frame of each that has one at this time, by name.
     """
 
     index: int
@@ -188,6 +189,7 @@ class Frame:
     depth: Depth | None = None
     stride: int = 1
     inputs: Mapping[str, float] = field(default_factory=dict)
+    cameras: Mapping[str, Frame] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only(self.image))
@@ -200,6 +202,10 @@ class Frame:
     def since(self, index: int) -> int:
         """Number of tracked frames since frame `index` of the source."""
         return (self.index - index) // self.stride
+
+    def of(self, camera: str) -> Frame | None:
+        """The frame of a camera: this one where there is only one; None where it has none at this time."""
+        return self.cameras.get(camera) if self.cameras else self
 
     @property
     def height(self) -> int:
@@ -301,6 +307,13 @@ class FramePair:
 
     current: Frame
     previous: Frame | None
+
+    def of(self, camera: str) -> FramePair | None:
+        """The pair of a camera; None where it has no frame at this time."""
+        if not self.current.cameras:
+            return self
+        current = self.current.of(camera)
+        return None if current is None else FramePair(current, self.previous and self.previous.of(camera))
 
     @property
     def names(self) -> dict[str, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from os import PathLike
 from typing import Any, ClassVar, Never
 
@@ -36,6 +35,7 @@ from bayesnet_track.runtime.frame_clock import (
 from bayesnet_track.runtime.given_scans import read_given, read_scans, sensors_of
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
+from bayesnet_track.runtime.several_cameras import USUAL_SIZE, CamerasFed, blank_image, mark
 from bayesnet_track.runtime.storing import Storable, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
@@ -45,8 +45,6 @@ NO_TARGET = -1
 
 LEAST_OVERLAP = 0.3
 
-USUAL_SIZE = (1920, 1080)
-
 ANEW = "call reset()"
 
 
@@ -55,7 +53,9 @@ class DetectionsTracker(Storable):
 
     Args:
         graph: name or path of the graph, or the graph itself.
-        size: width and height of the frames in px, where `update` is given none; None for 1920 x 1080.
+        size: width and height of the frames in px, where `update` is given none; None for 1920 x 1080. Of a
+            graph with several cameras for all of them, or camera -> its own; None for those of the
+            calibrations.
         seed: seed of all randomness.
         fps: nominal frames a second: numbers per frame in the graph, such as noise and speeds, count for
             1 / fps s, whenever frames really come (`time_s`). None for 25.
@@ -78,14 +78,14 @@ class DetectionsTracker(Storable):
     def __init__(
         self,
         graph: str | PathLike[str] | GraphSpec | CheckedGraph = "kalman_detections",
-        size: tuple[int, int] | None = None,
+        size: tuple[int, int] | Mapping[str, tuple[int, int]] | None = None,
         seed: int = 0,
         fps: float | None = None,
         value_range: ValueRange | None = None,
     ) -> None:
         self._graph, self._seed = load_graph(graph), whole("seed", seed, 0)
         say_unused_by_cues(self._graph)
-        self._size = None if size is None else _checked(size)
+        self._sizes = _checked_sizes(size)
         self._clock = FrameClock.of_rate(fps)
         self._turns = Turns(self._kind)
         self._levels = Levels("frame 0", value_range_of(value_range))
@@ -105,7 +105,7 @@ class DetectionsTracker(Storable):
             self._now, self._levels = None, Levels("frame 0", self._levels.value_range)
 
     def _options(self) -> Mapping[str, Any]:
-        made_with = {"size": self._size, "seed": self._seed, "fps": self._clock.fps}
+        made_with = {"size": self._sizes, "seed": self._seed, "fps": self._clock.fps}
         return {**made_with, "value_range": self._levels.value_range}
 
     def _make_again(self, graph: CheckedGraph, options: Mapping[str, Any]) -> None:
@@ -113,8 +113,15 @@ class DetectionsTracker(Storable):
 
     def _renew_engine(self) -> None:
         self._sensors = sensors_of(self._graph)
-        self._fed = Fed()
-        self._engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
+        self._fed, self._cameras = Fed(), CamerasFed.of(self._graph, self._sizes)
+        if isinstance(self._sizes, dict) and self._cameras is None:
+            raise ValueError(
+                f"size={self._sizes!r}: sizes of cameras, and the graph {self._graph.spec.name} has not "
+                "several; allowed: width and height of the frames"
+            )
+        self._size = None if isinstance(self._sizes, dict) else self._sizes
+        fed = {GIVEN: self._fed} if self._cameras is None else self._cameras.detectors
+        self._engine = make_engine(self._graph, self._seed, detectors=fed)
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
@@ -151,6 +158,10 @@ class DetectionsTracker(Storable):
         {"range": [..], "bearing": [..]}}``, empty columns where one saw nothing, and gives the ids of each:
         agent -> (n,) int64.
 
+        A graph with several cameras takes a mapping of those that have a frame at this time, such as
+        ``{"north": boxes, "south": boxes}``, and gives one of copies. A camera without a frame is left out;
+        one that saw nothing has no boxes.
+
         Args:
             detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1 and
                 `data["class_name"]` (n,), which a graph with `labels` needs.
@@ -173,7 +184,12 @@ class DetectionsTracker(Storable):
             before = self._now
             clock = (self._clock if before is None else before.clock).tick(time_s, ANEW)
             image, kind = self._image(frame, before, clock.index)
-            if self._sensors:
+            of_cameras = {}
+            now = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
+            if self._cameras is not None:
+                of_cameras = self._cameras.read(detections)
+                now = self._cameras.frame(now, of_cameras)
+            elif self._sensors:
                 self._fed.scanned, rows = read_scans(detections, self._sensors)
             else:
                 given = read_given(detections, self._graph).inside(kind.width, kind.height)
@@ -181,7 +197,6 @@ class DetectionsTracker(Storable):
                 ids = np.full(given.count, NO_TARGET, dtype=np.int64)
                 marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
                 self._fed.now = given.detections
-            now = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
             if before is None:
                 check_starts(self._graph, [], kind.width, kind.height)
                 outcome = start_targets(self._graph, self._engine, now, [])
@@ -197,6 +212,8 @@ class DetectionsTracker(Storable):
                 resizing,
                 answers=outcome.answers,
             )
+            if self._cameras is not None:
+                return mark(detections, of_cameras, self._engine, outcome.state, owners_by_share)
             if self._sensors:
                 return {
                     agent: owners_by_share(outcome.state, agent, scan, rows[agent], _count(detections[agent]))
@@ -210,6 +227,14 @@ class DetectionsTracker(Storable):
     ) -> tuple[NDArray[np.uint8], FrameKind]:
         """The frame as it is tracked in, black where none is given and none is looked at, and its kind."""
         users = self._users
+        if self._cameras is not None:
+            if frame is not None:
+                raise ValueError(
+                    f"frame: the graph {self._graph.spec.name} has several cameras, and looks at no image; "
+                    "call update({camera: detections}, time_s=...)"
+                )
+            size = self._cameras.first_size
+            return blank_image(*size), FrameKind(*size, True, 3, "uint8")
         if frame is None:
             if users:
                 raise ValueError(
@@ -233,14 +258,6 @@ class DetectionsTracker(Storable):
             width, height = self._size or USUAL_SIZE
             notice(f"size=({width}, {height}) is not used: the frame that is given has {kind}")
         return image, kind
-
-
-@lru_cache(maxsize=4)
-def blank_image(width: int, height: int) -> NDArray[np.uint8]:
-    """The black BGR image (height, width, 3) of frames that nobody looks at: one for all, read-only."""
-    image = np.zeros((height, width, 3), np.uint8)
-    image.flags.writeable = False
-    return image
 
 
 def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
@@ -280,6 +297,12 @@ def owners_by_share(
 def _count(given: Mapping[str, Any]) -> int:
     """Number of rows that were given of a sensor."""
     return len(np.atleast_1d(next(iter(given.values()))))
+
+
+def _checked_sizes(size: Any) -> tuple[int, int] | dict[str, tuple[int, int]] | None:
+    if isinstance(size, Mapping):
+        return {str(camera): _checked(one) for camera, one in size.items()}
+    return None if size is None else _checked(size)
 
 
 def _checked(size: tuple[int, int]) -> tuple[int, int]:

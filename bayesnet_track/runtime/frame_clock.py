@@ -258,8 +258,11 @@ def rehearse_detections(
 ) -> None:
     """Track made-up detections: targets appear, meet, are missed, end and return.
 
-    `use` is given the boxes of each frame and what was measured of the targets.
+    `use` is given the boxes of each frame and what was measured of the targets. Nothing is made up for
+    several cameras, in which not all boxes stand in the same places.
     """
+    if graph.several_cameras:
+        return
     fed = Fed()
 
     def feed(frame: int) -> None:

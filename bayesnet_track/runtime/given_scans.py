@@ -231,11 +231,13 @@ class GivenDetections:
         detections: centre boxes, scores and labels.
         rows: (N,) the row of each among all that were given.
         count: number of rows that were given.
+        name: what notices call them.
     """
 
     detections: Detections
     rows: NDArray[np.int64]
     count: int
+    name: str = "detections"
 
     def kept(self, fits: NDArray[np.bool_]) -> GivenDetections:
         """Detections for which `fits` (N,) is true."""
@@ -247,6 +249,7 @@ class GivenDetections:
             Detections(detections.boxes[fits], detections.scores[fits], fitting_labels),
             self.rows[fits],
             self.count,
+            self.name,
         )
 
     def without(self, fits: NDArray[np.bool_], describe: Callable[[Sequence[int]], str]) -> GivenDetections:
@@ -263,14 +266,14 @@ class GivenDetections:
         touching = self.without(
             np.asarray(~beside.any(axis=1)),
             lambda rows: _left_out(
-                f"outside of the frames of {width}x{height} px", rows, self.count,
+                self.name, f"outside of the frames of {width}x{height} px", rows, self.count,
                 "; DetectionsTracker(size=(width, height)) sets their size where no frame is given",
             ),
         )  # fmt: skip
         return touching.without(
             touching.detections.boxes[:, 2:].prod(axis=1) >= LEAST_AREA_PX,
             lambda rows: _left_out(
-                "smaller than 1 px²", rows, self.count, _advice(touching.detections.boxes)
+                self.name, "smaller than 1 px²", rows, self.count, _advice(touching.detections.boxes)
             ),
         )
 
@@ -286,8 +289,10 @@ def _advice(boxes: Floats) -> str:
     return "; xyxy counts pixels"
 
 
-def read_given(detections: Any, graph: CheckedGraph) -> GivenDetections:
+def read_given(detections: Any, graph: CheckedGraph, name: str = "detections") -> GivenDetections:
     """The usable rows of an object with `xyxy`, `confidence`, and `data`; a notice names the others.
+
+    Notices call the object by its `name`.
 
     Raises:
         TypeError: it has no `xyxy`.
@@ -301,21 +306,21 @@ def read_given(detections: Any, graph: CheckedGraph) -> GivenDetections:
         sizes = corners[:, 2:] - corners[:, :2]
     fits = usable(np.concatenate([corners[:, :2], sizes], axis=1))
     boxes = centre_from_xyxy(np.where(fits[:, None], corners, 0.0))
-    all_rows = GivenDetections(Detections(boxes, scores, labels), np.arange(count), count)
-    finite_boxes = all_rows.without(fits, lambda rows: f"detections: {describe_unusable(count, rows, 'row')}")
+    all_rows = GivenDetections(Detections(boxes, scores, labels), np.arange(count), count, name)
+    finite_boxes = all_rows.without(fits, lambda rows: f"{name}: {describe_unusable(count, rows, 'row')}")
     confidences = finite_boxes.detections.scores
     if not ((confidences > -1e-6) & (confidences < 1 + 1e-6) | ~np.isfinite(confidences)).all():
         raise ValueError(
             "detections: confidence goes beyond 0..1; scale it, or give None where it is unknown"
         )
     return finite_boxes.without(
-        np.isfinite(confidences), lambda rows: _left_out("without a number as confidence", rows, count)
+        np.isfinite(confidences), lambda rows: _left_out(name, "without a number as confidence", rows, count)
     )
 
 
-def _left_out(fault: str, rows: Sequence[int], count: int, advice: str = "") -> str:
+def _left_out(name: str, fault: str, rows: Sequence[int], count: int, advice: str = "") -> str:
     noun, verb = ("box" if count == 1 else "boxes"), ("is" if len(rows) == 1 else "are")
-    return f"detections: {len(rows)} of {count} {noun} {verb} {fault} and left out: row {few(rows)}{advice}"
+    return f"{name}: {len(rows)} of {count} {noun} {verb} {fault} and left out: row {few(rows)}{advice}"
 
 
 def _corners(detections: Any) -> Floats:

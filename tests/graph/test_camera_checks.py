@@ -11,7 +11,7 @@ from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph, read_graph
 from bayesnet_track.graph.text.messages import GraphError
 
-TABLE = Path(__file__).parent / "messages" / "cameras.txt"
+MESSAGES = Path(__file__).parent / "messages"
 
 GRAPH = """\
 bayesnet: 1
@@ -32,6 +32,10 @@ targets:
       view: {parent: person, camera: north}
       seen: {parent: view, agent: detection}
 """
+SEVERAL = GRAPH.replace(
+    "  north: {calibration: north.json}\n",
+    "  north: {calibration: north.json}\n  east: {calibration: east.json}\n",
+).replace("camera: north}", "camera: [east, north]}")
 
 # 6 m above the ground, looking down at 30 degrees
 CAMERA = {
@@ -42,25 +46,28 @@ CAMERA = {
 }
 
 
-def _cases():
+def _cases(table, graph):
     cases = []
-    for part in TABLE.read_text(encoding="utf-8").split("=== ")[1:]:
+    for part in (MESSAGES / table).read_text(encoding="utf-8").split("=== ")[1:]:
         name, *lines = part.rstrip("\n").split("\n")
         old = "\n".join(line[1:] for line in lines if line.startswith("-") and not line.startswith("-->"))
         new = "\n".join(line[1:] for line in lines if line.startswith("+"))
-        assert GRAPH.count(old) == 1, name
+        assert graph.count(old) == 1, name
         said = [line.removeprefix("--> ") for line in lines if line.startswith("--> ")]
-        cases.append(pytest.param(GRAPH.replace(old, new), said, id=name))
+        cases.append(pytest.param(graph.replace(old, new), said, id=name))
     return cases
 
 
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "north.json").write_text(json.dumps(CAMERA))
+    (tmp_path / "east.json").write_text(json.dumps({**CAMERA, "translation": [1.0, 5.196152422706632, 3.0]}))
     return tmp_path
 
 
-@pytest.mark.parametrize(("text", "said"), _cases())
+@pytest.mark.parametrize(
+    ("text", "said"), [*_cases("cameras.txt", GRAPH), *_cases("several_cameras.txt", SEVERAL)]
+)
 def test_wrong_uses(text, said, folder):
     path = folder / "g.yaml"
     path.write_text(text)
@@ -74,6 +81,34 @@ def test_the_graph_itself_is_right(folder):
     path = folder / "g.yaml"
     path.write_text(GRAPH)
     graph = load_graph(path)
-    camera = graph.targets["person"].views["view"]
+    camera = graph.targets["person"].views["view"].camera
     assert camera.size == (640, 480)
     assert graph.calibrations["north.json"].path == folder / "north.json"
+
+
+def test_a_list_of_cameras_is_a_view_of_each_in_the_order_of_the_graph(folder):
+    path = folder / "g.yaml"
+    path.write_text(SEVERAL)
+    plate = load_graph(path).targets["person"]
+    assert plate.order == ("person", "view.north", "seen.north", "view.east", "seen.east")
+    assert {view: one.name for view, one in plate.views.items()} == {
+        "view.north": "north",
+        "view.east": "east",
+    }
+    assert plate.seen_by("seen.east").camera.translation[0] == 1.0
+    assert plate.parent["seen.east"] == "view.east"
+
+
+def test_names_of_nodes_below_a_list_of_cameras_are_those_of_each_camera(folder):
+    path = folder / "g.yaml"
+    path.write_text(
+        SEVERAL.replace(
+            "fuse: product",
+            "fuse: {pool: {view: 2}}\n        adapt: {agents: [seen], activate: {above: {ud_box: 1}}, "
+            "deactivate: {below: {ud_box: 0.5}}}",
+        )
+    )
+    plate = load_graph(path).targets["person"]
+    assert plate.inference("person").adapt.agents == ("seen.north", "seen.east")
+    assert plate.inference("person").fuse.pool == {"view.north": 2.0, "view.east": 2.0}
+    assert plate.governor == {"seen.north": "person", "seen.east": "person"}

@@ -32,7 +32,7 @@ from bayesnet_track.engine.lifecycle.assigning import (
     score_looks,
     tentative_tracks,
 )
-from bayesnet_track.engine.lifecycle.detecting import look, scan
+from bayesnet_track.engine.lifecycle.detecting import Seen, look, scan
 from bayesnet_track.engine.lifecycle.existing import (
     Crowd,
     MarginalAssociation,
@@ -85,7 +85,7 @@ class Associated:
     """What a look before the targets were weighed gave.
 
     Attributes:
-        found: plate that looked -> its detections, the best first.
+        found: plate that looked -> its detections in the image of each camera, the best first.
         owners: plate whose agents measure by detections -> (N,) for each of its detections the target that it
             was given to, or `TENTATIVE`.
         targets: every live target, the references of such agents with what they were given.
@@ -94,7 +94,7 @@ class Associated:
         given: plate -> what the rows of its table are given.
     """
 
-    found: dict[str, Found]
+    found: dict[str, Seen]
     owners: Mapping[str, tuple[str | None, ...]]
     targets: Targets
     history: TrackHistory
@@ -122,7 +122,7 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
         own = {target: one for target, one in apart.items() if net.targets[target].template == plate}
         several = Several(work, compiled, tables.get(plate), own)
         if CrowdRule.of(compiled) is None:
-            done = several.assign(history, found.get(plate))
+            done = several.assign(history, found.get(plate, {}).get(""))
         else:
             looks = looks_of(work, plate, found)
             done = several.associate_marginal(history, looks)
@@ -130,28 +130,28 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
         apart |= done.others
         if done.rows is not None:
             given[plate] = done.rows
-        if plate in found or compiled.plate.inverses:
+        if plate in found or compiled.plate.inverses or not compiled.has_one_image:
             owners[plate] = done.owners
     work.charge("life", started)
     after = Targets(targets.gaussians, (), apart, [*apart]) if apart else targets
     return Associated(found, owners, after, history, events, given)
 
 
-def looks_of(work: FrameContext, plate: str, found: Mapping[str, Found]) -> dict[str, Found]:
+def looks_of(work: FrameContext, plate: str, found: Mapping[str, Seen]) -> dict[str, Found]:
     """Agent of a plate with existence -> what it is given, of those whose sensor or detector looked."""
     compiled = work.engine.plates[plate]
     if compiled.plate.inverses:
         return scan(work, plate)
-    return {next(iter(compiled.sensors)): found[plate]} if plate in found else {}
+    seen = found.get(plate, {})
+    return {agent: seen[camera] for agent, camera in compiled.cameras.items() if camera in seen}
 
 
-def scan_first(work: FrameContext, plate: str, history: TrackHistory) -> TrackHistory:
-    """The history after the sensors of a plate saw the first frame, in which it has no targets."""
-    return (
-        Several(work, work.engine.plates[plate], None, {})
-        .associate_marginal(history, scan(work, plate))
-        .history
-    )
+def associate_new(
+    work: FrameContext, plate: str, history: TrackHistory, found: Mapping[str, Seen]
+) -> TrackHistory:
+    """The history after the sensors or cameras of a plate saw the first frame, in which it has no targets."""
+    looks = looks_of(work, plate, found)
+    return Several(work, work.engine.plates[plate], None, {}).associate_marginal(history, looks).history
 
 
 @dataclass(frozen=True, eq=False)

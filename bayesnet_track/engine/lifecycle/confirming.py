@@ -14,6 +14,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.initiating import initiate, velocity
 from bayesnet_track.engine.lifecycle.recognise import Match, match
@@ -74,39 +75,53 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
     done: list[Candidate] = []
     refused: list[Floats] = []
     compiled = now.work.engine.plates[now.plate]
-    live, boxes, count = len(tracks.of_plate(now.plate)), *_with_room(now, len(ready))
+    live, places, count = len(tracks.of_plate(now.plate)), *_with_room(now, len(ready))
     for number, waiting in enumerate(ready):
         candidate = initiate(compiled, waiting)
         if candidate.is_far and candidate.mean is None:
             continue
-        if _is_one_of(now, candidate, boxes[:count]):
+        place = _place(compiled, candidate)
+        if _is_one_of(now, place, places[:count]):
             done.append(waiting)
         elif _continue(now, candidate):
             done.append(waiting)
-            boxes, count = _with_room(now, len(ready))
+            places, count = _with_room(now, len(ready))
         elif live >= most:
-            if not _is_one_of(now, candidate, np.array(refused).reshape(-1, 4)):
-                refused.append(candidate.box)
+            if not _is_one_of(now, place, np.array(refused).reshape(-1, 4)):
+                refused.append(place)
         else:
             metrics = _start(now, candidate, nearest.get(number))
             live += 1
             if metrics.status != "lost":
-                boxes[count], count = metrics.centre_box, count + 1
+                places[count] = metrics.centre_box if compiled.has_one_image else place
+                count += 1
             done.append(waiting)
     if refused:
         _refuse(now, len(refused))
     return done
 
 
-def _is_one_of(now: Births, candidate: Candidate, boxes: Floats) -> bool:
-    """True if a candidate is the object in one of the boxes (K, 4)."""
-    return bool(alike(candidate.box[None], boxes, now.birth.min_distance_box, now.birth.covered).any())
+def _place(compiled: CompiledPlate, candidate: Candidate) -> Floats:
+    """(4,) a candidate's place: its box in the image; where there are several, its square of the ground."""
+    if compiled.views is None or compiled.has_one_image or candidate.mean is None:
+        return candidate.box
+    return np.asarray(compiled.views.footprints(candidate.mean[None])[0])
+
+
+def _is_one_of(now: Births, place: Floats, others: Floats) -> bool:
+    """True if what is at a place is the object in one of the others (K, 4)."""
+    return bool(alike(place[None], others, now.birth.min_distance_box, now.birth.covered).any())
 
 
 def _with_room(now: Births, more: int) -> tuple[Floats, int]:
-    """(K + more, 4) boxes of the live targets that are not lost, with room for those that start, and K."""
-    boxes = now.tracks.boxes(now.tracks.held(now.plate))
-    return np.concatenate([boxes, np.empty((more, 4))]), len(boxes)
+    """(K + more, 4) places of the live targets that are not lost, with room for those that start, and K."""
+    held, compiled = now.tracks.held(now.plate), now.work.engine.plates[now.plate]
+    if compiled.views is None or compiled.has_one_image:
+        places = now.tracks.boxes(held)
+    else:
+        size = len(compiled.motion.fields)
+        places = compiled.views.footprints(np.array([now.tracks.mean(one) for one in held]).reshape(-1, size))
+    return np.concatenate([places, np.empty((more, 4))]), len(places)
 
 
 def _continue(now: Births, candidate: Candidate) -> bool:

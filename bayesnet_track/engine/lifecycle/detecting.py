@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -23,8 +23,12 @@ from bayesnet_track.observation.detector import (
     LearningDetector,
     Scanner,
     check_detections,
+    of_camera,
 )
 from bayesnet_track.observation.planes import FramePair
+
+Seen = Mapping[str, Found]
+"""Camera -> what a plate is given of its image; "" where there is one image."""
 
 
 def look(
@@ -32,31 +36,23 @@ def look(
     history: TrackHistory,
     boxes: Callable[[Sequence[str]], Floats],
     held: Callable[[str], Sequence[str]],
-) -> tuple[dict[str, Found], TrackHistory, tuple[DetectorFailed | DetectionsCut, ...]]:
+) -> tuple[dict[str, Seen], TrackHistory, tuple[DetectorFailed | DetectionsCut, ...]]:
     """What each plate that looks in this frame is given, the detectors' states, and what went wrong.
 
-    A detector that has to be shown its target learns the first one of the plate that is held. One that
-    raises, or returns anything but boxes of finite numbers with as many scores and labels, is out for a
-    while, as an agent is.
+    Of several cameras those look that have a frame at this time, each with its own detector. One that has to
+    be shown its target learns the first one of the plate that is held. One that raises, or returns anything
+    but boxes of finite numbers with as many scores and labels, is out for a while, as an agent is.
     """
-    engine, frame, pair = work.engine, work.frame, work.cache.frames
-    due: dict[str, str] = {}
-    for plate, compiled in engine.plates.items():
-        if compiled.plate.inverses:
-            continue  # its sensors are no detectors of boxes: `scan`
-        birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
-        if (
-            birth is not None
-            and frame.ordinal % birth.every == 0
-            and _is_in(history, compiled.detector, frame.index)
-        ):
-            due[plate] = compiled.detector
+    engine, frame = work.engine, work.frame
+    due = _due(work, history)
     found: dict[str, Detections] = {}
     events: list[DetectorFailed | DetectionsCut] = []
     states = dict(history.detectors)
     for name in dict.fromkeys(due.values()):
-        plates = [plate for plate in due if due[plate] == name]
-        detector, at = engine.detectors[name], None
+        asking = [one for one in due if due[one] == name]
+        plates, (first, camera) = [plate for plate, _ in asking], asking[0]
+        detector, at, pair = engine.detectors[name], None, work.cache.frames.of(camera)
+        assert pair is not None
         if hasattr(
             detector, "knows_target"
         ):  # else it has nothing to learn, and asking who is held takes long
@@ -66,22 +62,41 @@ def look(
             found[name], states[name] = _ask(detector, states.get(name), pair, at)
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, history.failed.get(name))
-            word = _word(engine, plates[0])
+            word = of_camera(_word(engine, first), camera)
             events.append(DetectorFailed(frame.index, word, said(error), until, times))
             fault = Fault(times, frame.index, until, True)
             history = evolve(history, failed={**history.failed, name: fault})
             continue
         if found[name].cut:
-            history, event = _count_cut(history, name, _word(engine, plates[0]), frame.index, found[name])
+            word = of_camera(_word(engine, first), camera)
+            history, event = _count_cut(history, name, word, frame.index, found[name])
             events += event
-    given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
-    return given, evolve(history, detectors=states), tuple(events)
+    given: dict[str, dict[str, Found]] = {}
+    for (plate, camera), name in due.items():
+        if name in found:
+            given.setdefault(plate, {})[camera] = _of_plate(engine, plate, found[name])
+    return dict(given), evolve(history, detectors=states), tuple(events)
+
+
+def _due(work: FrameContext, history: TrackHistory) -> dict[tuple[str, str], str]:
+    """Plate and camera of those that look in this frame -> the detector."""
+    due: dict[tuple[str, str], str] = {}
+    for plate, compiled in work.engine.plates.items():
+        birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
+        if birth is None or compiled.plate.inverses:
+            continue  # sensors are no detectors of boxes: `scan`
+        for camera, name in compiled.detectors.items():
+            own = work.frame.of(camera)
+            is_due = own is not None and own.ordinal % birth.every == 0
+            if is_due and _is_in(history, name, work.frame.index):
+                due[plate, camera] = name
+    return due
 
 
 def scan(work: FrameContext, plate: str) -> dict[str, Found]:
     """Agent of a plate -> what it saw in this frame, of those whose sensor looked, the best first."""
     compiled = work.engine.plates[plate]
-    scanner = work.engine.detectors[compiled.detector]
+    scanner = work.engine.detectors[compiled.detectors[""]]
     assert isinstance(scanner, Scanner)
     found = {}
     for agent, seen in scanner.scans(work.frame).items():

@@ -152,7 +152,8 @@ def associate_marginal(
         existence=np.concatenate([crowd.existence, unconfirmed.existence]),
     )
     presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
-    settings, area = rule.existence, float(frame.width * frame.height)
+    own = frame.of(rule.camera) or frame
+    settings, area = rule.existence, float(own.width * own.height)
     chain, cover = detection_model.chain(settings), rule.sensor.cover(all_of.mean, all_of.existence)
     presence = expect_cover(presence, cover, detection_model.share_hidden(settings))
     visible = np.ones(len(cover))

@@ -9,7 +9,7 @@ of it is a function of the engine, what is remembered and the frame.
 from __future__ import annotations
 
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.association import Associated, scan_first
+from bayesnet_track.engine.lifecycle.association import Associated, associate_new
 from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_existence
 from bayesnet_track.engine.lifecycle.confirming import Births
 from bayesnet_track.engine.lifecycle.detecting import look
@@ -54,13 +54,15 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
             continue
         now = Births(work, tracks, plate, rule, rule.birth)
         owners = None if associated is None else associated.owners.get(plate)
-        if plates[plate].plate.inverses:  # their detections are no boxes, which could be compared with others
+        if plates[plate].plate.inverses or not plates[plate].has_one_image:
+            # Detections are no boxes in one image, which could be compared with others.
             if associated is None:
-                tracks.history, owners = scan_first(work, plate, tracks.history), ()
+                tracks.history, owners = associate_new(work, plate, tracks.history, found), ()
             give_birth_by_existence(now, Found.none(), owners)
         elif plate in found:
             give = give_birth if rule.existence is None else give_birth_by_existence
-            give(now, found[plate], owners)
+            (seen,) = found[plate].values()
+            give(now, seen, owners)
     for plate, rule in rules.items():
         end_duplicates(tracks, plate, rule, frame)
         end_lost(tracks, plate, rule, frame)

@@ -51,6 +51,7 @@ class CrowdRule:
         motion: how targets move.
         most: unconfirmed tracks that are kept.
         is_first: whether the sensor is the plate's first.
+        camera: whose image detections are in; "" where there is one image.
     """
 
     sensor: Sensor
@@ -59,6 +60,7 @@ class CrowdRule:
     motion: MotionModel
     most: int
     is_first: bool = True
+    camera: str = ""
 
     @classmethod
     def of(cls, compiled: CompiledPlate, agent: str | None = None) -> CrowdRule | None:
@@ -66,11 +68,12 @@ class CrowdRule:
         life = compiled.lifecycle
         if life is None or life.existence is None or life.birth is None or not compiled.sensors:
             return None
-        sensor = next(iter(compiled.sensors.values())) if agent is None else compiled.sensors[agent]
+        first = next(iter(compiled.sensors))
+        agent = agent or first
         is_marginal = compiled.plate.spec.associate == "marginal"
         most = max(PROSPECTS * life.birth.max_targets, 32)
-        is_first = agent is None or agent == next(iter(compiled.sensors))
-        return cls(sensor, life.existence, is_marginal, compiled.moments, most, is_first)
+        sensor, camera = compiled.sensors[agent], compiled.cameras[agent]
+        return cls(sensor, life.existence, is_marginal, compiled.moments, most, agent == first, camera)
 
 
 def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionModel:

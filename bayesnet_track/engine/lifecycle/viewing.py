@@ -155,6 +155,6 @@ class ViewSensor:
 
 def make_view_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, views: Views) -> ViewSensor:
     """The sensor of an agent below a view that is given detections of boxes."""
-    view = plate.parent[agent]
-    assert view is not None
-    return ViewSensor(rule, views.cameras[view], views.sizes, is_unscented(plate))
+    seen_by = plate.seen_by(agent)
+    assert seen_by is not None
+    return ViewSensor(rule, seen_by.camera, views.sizes, is_unscented(plate))

@@ -10,17 +10,22 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checked import Calibration
+from bayesnet_track.graph.checked import Calibration, NamedCamera
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import Check, Plate, is_seen
-from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
+from bayesnet_track.graph.checks.plates import Check, Plate, is_seen, written_name
+from bayesnet_track.graph.checks.several_cameras import (
+    SEVERAL_CHECKS,
+    SEVERAL_GRAPH_CHECKS,
+    without_remembered,
+)
+from bayesnet_track.graph.settings.base import Model, PluginChoice
 from bayesnet_track.graph.settings.cameras import METRES, CameraSource
 from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.graphs import graph_folder
-from bayesnet_track.numerics.cameras import Camera, GroundView
+from bayesnet_track.numerics.cameras import Camera
 from bayesnet_track.observation.calibrations import read_calibration
 
 
@@ -80,7 +85,7 @@ def cameras_can_be_read(
     spec: GraphSpec, at: Positions, calibrations: Mapping[str, Calibration | str]
 ) -> Iterator[GraphMessage]:
     """Every camera has a calibration that can be read, and a view."""
-    seen = {node.camera for target in spec.targets.values() for _, node in _nodes(target)}
+    seen = {name for target in spec.targets.values() for _, node in _nodes(target) for name in node.seen_by}
     for name, source in spec.cameras.items():
         path: KeyPath = ("cameras", name)
         wrong = calibrations[source.key]
@@ -162,7 +167,7 @@ def views_are_of_cameras(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.camera is None:
             continue
-        key = ("camera",)
+        key, camera = ("camera",), node.seen_by[0]
         if not plate.spec.is_ground:
             found = f"camera at a node of {plate.name}, whose state is in pixels"
             yield plate.message(name, found, ON_GROUND, key=key, on_key=True)
@@ -170,18 +175,17 @@ def views_are_of_cameras(plate: Plate) -> Iterator[GraphMessage]:
         if node.parent is None:
             found = "camera at a node without a parent: a view is below the node that has the state"
             yield plate.message(name, found, "parent: the node that has the motion", key=key, on_key=True)
-        elif node.camera not in plate.cameras:
-            found = f"unknown camera {node.camera!r}"
-            allowed = [*plate.cameras] or f"cameras: {{{node.camera}: {{calibration: ..}}}}"
-            yield plate.message(name, found, allowed, key=key, word=node.camera)
-        elif node.camera in looked_through:
-            other = looked_through[node.camera]
-            found = (
-                f"a second view of camera {node.camera!r}, after {other!r}: its evidence would count twice"
-            )
+        elif camera not in plate.cameras:
+            if name == written_name(name):  # else it is said of the list
+                found = f"unknown camera {camera!r}"
+                allowed = [*plate.cameras] or f"cameras: {{{camera}: {{calibration: ..}}}}"
+                yield plate.message(name, found, allowed, key=key, word=camera)
+        elif camera in looked_through:
+            other = written_name(looked_through[camera])
+            found = f"a second view of camera {camera!r}, after {other!r}: its evidence would count twice"
             yield plate.message(name, found, f"agents below {other}", key=key)
         else:
-            looked_through[node.camera] = name
+            looked_through[camera] = name
         above = node.parent
         while above in plate.inference:
             if plate.inference[above].camera is not None:
@@ -203,7 +207,9 @@ def grounds_are_seen(plate: Plate) -> Iterator[GraphMessage]:
         allowed = "a node {parent: .., camera: ..}, and agents below it"
         yield plate.at.message(("targets", plate.name, "state"), found, allowed)
         return
-    views = ", ".join(name for name, node in plate.inference.items() if node.camera is not None)
+    views = ", ".join(
+        dict.fromkeys(written_name(name) for name, node in plate.inference.items() if node.seen_by)
+    )
     for name, node in plate.spec.nodes.items():
         if is_seen(plate.spec, name):
             continue
@@ -338,32 +344,31 @@ def in_units_of_the_state(target: Target) -> Target:
             if (value := getattr(settings, metres, None)) is not None
         }
         moved = node.motion.model_copy(update={node.motion.kind: settings.model_copy(update=written)})
-        nodes[name] = node.model_copy(update={"motion": _fresh(moved)})
+        nodes[name] = node.model_copy(update={"motion": without_remembered(moved)})
     return target.model_copy(update={"nodes": nodes})
 
 
-def read_views(plate: Plate) -> dict[str, GroundView]:
+def read_views(plate: Plate) -> dict[str, NamedCamera]:
     """View -> its camera, of a plate that passed the checks."""
     views = {}
     for name, node in plate.inference.items():
-        read = None if node.camera is None else plate.cameras[node.camera]
-        if isinstance(read, Calibration):
-            views[name] = read.camera
+        for camera in node.seen_by:
+            read = plate.cameras[camera]
+            if isinstance(read, Calibration):
+                views[name] = NamedCamera(camera, read.camera)
     return views
 
 
-def _fresh(motion: Motion) -> Choice:
-    """The motion without what was remembered of it as it was written."""
-    for key in ("kind", "settings"):
-        motion.__dict__.pop(key, None)
-    return motion
-
-
-CAMERA_GRAPH_CHECKS: tuple[GraphCheck, ...] = (units_are_of_the_state, grounds_stand_alone)
+CAMERA_GRAPH_CHECKS: tuple[GraphCheck, ...] = (
+    units_are_of_the_state,
+    grounds_stand_alone,
+    *SEVERAL_GRAPH_CHECKS,
+)
 
 CAMERA_CHECKS: tuple[Check, ...] = (
     views_are_of_cameras,
     grounds_are_seen,
     grounds_need_no_pixels,
     views_of_detections,
+    *SEVERAL_CHECKS,
 )

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate, camera_above
 from bayesnet_track.graph.settings.base import PluginChoice
 from bayesnet_track.graph.spec import AgentChoice, AgentNode
 from bayesnet_track.graph.text.explain import explain
@@ -110,8 +110,8 @@ def plugin_parameters(chosen: PluginChoice, model: type[Parameters]) -> Paramete
 CUE_CHECKS: tuple[Check, ...] = (cues_are_installed, parameters_fit_the_cue, cues_have_what_they_need)
 
 
-Evidence = tuple[str, str]
-"""A cue and its parameters: what an agent reads of the pixels."""
+Evidence = tuple[str, str, str | None]
+"""A cue and its parameters: what an agent reads of the pixels; and of which camera these are."""
 
 Box = tuple[float, float, float, float]
 ELSEWHERE = 1e6
@@ -183,6 +183,7 @@ def _evidence(plate: Plate, agent: str) -> Evidence | None:
     if choice.cue not in plate.cues:
         return None
     try:
-        return choice.cue, cue_parameters(choice, plate.cues[choice.cue]).model_dump_json()
+        parameters = cue_parameters(choice, plate.cues[choice.cue]).model_dump_json()
+        return choice.cue, parameters, camera_above(plate.spec, agent)
     except ValidationError:
         return None

@@ -129,7 +129,7 @@ class Plate:
         on_key: bool = False,
     ) -> GraphMessage:
         """An error at `key` inside `node`."""
-        path = ("targets", self.name, "nodes", node, *key)
+        path = ("targets", self.name, "nodes", written_name(node), *key)
         return self.at.message(path, found, allowed, word=word, on_key=on_key)
 
 
@@ -137,16 +137,31 @@ Check = Callable[[Plate], Iterator[GraphMessage]]
 """One pass: yields every violation it finds in a plate."""
 
 
+def written_name(node: str) -> str:
+    """The name that a node has in the graph's text: `view` of the node `view.north` of one camera."""
+    return node.partition(".")[0]
+
+
+def camera_above(target: Target, name: str | None) -> str | None:
+    """The camera whose image a node is about, of a target with one camera to a view; None of others."""
+    seen_by = _cameras_above(target, name)
+    return seen_by[0] if seen_by else None
+
+
 def is_seen(target: Target, name: str | None) -> bool:
     """True at a view and below it, where boxes are in pixels."""
+    return bool(_cameras_above(target, name))
+
+
+def _cameras_above(target: Target, name: str | None) -> tuple[str, ...]:
     passed: set[str] = set()
     while name is not None and name in target.nodes and name not in passed:
         passed.add(name)
         node = target.nodes[name]
-        if isinstance(node, InferenceNode) and node.camera is not None:
-            return True
+        if isinstance(node, InferenceNode) and node.seen_by:
+            return node.seen_by
         name = node.parent
-    return False
+    return ()
 
 
 FURTHER = {

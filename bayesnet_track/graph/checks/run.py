@@ -52,6 +52,7 @@ from bayesnet_track.graph.checks.noises import NOISE_CHECKS
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
 from bayesnet_track.graph.checks.sensors import SENSOR_CHECKS, read_inverses
+from bayesnet_track.graph.checks.several_cameras import per_camera
 from bayesnet_track.graph.checks.starts import START_CHECKS
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
@@ -269,7 +270,8 @@ def check(
     images, read = masks_of(spec, folder, masks), calibrations_of(spec, folder, calibrations)
     cameras = {name: read[source.key] for name, source in spec.cameras.items()}
     around = (at, known, spec.constants, images, tuple(spec.inputs), cameras)
-    plates = [Plate(name, in_units_of_the_state(target), *around) for name, target in spec.targets.items()]
+    resolved = {name: per_camera(target, [*cameras]) for name, target in spec.targets.items()}
+    plates = [Plate(name, in_units_of_the_state(target), *around) for name, target in resolved.items()]
     errors = [message for plate in plates for message in _violations(plate)]
     errors += cameras_can_be_read(spec, at, read)
     of_graphs = (*CONSTANT_CHECKS, *CAMERA_GRAPH_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS)
@@ -281,7 +283,7 @@ def check(
     if len(text.encode()) > MAX_BYTES:
         errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
     if errors:
-        raise GraphError(errors)
+        raise GraphError([*dict.fromkeys(errors)])  # a node of several cameras says the same for each
     kept = {name: own[name] for name in sorted(named) if name in own}
     asked = {name: one for name, one in images.items() if isinstance(one, Mask)}
     files = {name: one for name, one in read.items() if isinstance(one, Calibration)}

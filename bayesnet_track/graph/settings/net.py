@@ -277,11 +277,19 @@ class InferenceNode(Model):
     alarm: Alarm | None = Field(
         default=None, description="root only; an alarm that is seldom false in a whole video; needs `score`"
     )
-    camera: Name | None = Field(
+    camera: Name | Annotated[tuple[Name, ...], Field(min_length=1, max_length=16)] | None = Field(
         default=None,
         description="a view: the node's hypotheses are those of its parent, on the ground in metres, "
-        "projected into this [camera](metres.md); agents below see boxes in pixels",
+        "projected into this [camera](metres.md); agents below see boxes in pixels. A list of cameras stands "
+        "for one such node for each, `view.north`, with copies of all nodes below it",
     )
+
+    @property
+    def seen_by(self) -> tuple[str, ...]:
+        """The cameras that the node is a view of; none of another node."""
+        if self.camera is None:
+            return ()
+        return (self.camera,) if isinstance(self.camera, str) else self.camera
 
     @property
     def start_texts(self) -> dict[str, str]:

@@ -1,0 +1,145 @@
+"""Views of several cameras: a node for each, with copies of what stands below it; and their checks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeVar
+
+from bayesnet_track.graph.checks.lifecycle import GraphCheck
+from bayesnet_track.graph.checks.plates import Check, Plate, camera_above
+from bayesnet_track.graph.settings.base import Choice
+from bayesnet_track.graph.settings.net import InferenceNode, Node
+from bayesnet_track.graph.spec import GraphSpec, Target
+from bayesnet_track.graph.text.messages import GraphMessage, Positions
+from bayesnet_track.observation.detector import GIVEN
+
+
+def per_camera(target: Target, cameras: Sequence[str]) -> Target:
+    """The target with a view for each camera that a node names in a list, and what is below it for each.
+
+    `view` with ``camera: [north, south]`` becomes `view.north` and `view.south`, an agent `seen` below it
+    `seen.north` and `seen.south`. They stand in the order of `cameras`, those of the graph, however the list
+    has them: the order in which cameras are taken into account.
+    """
+    lists = {
+        name: [camera for camera in (*cameras, *node.seen_by) if camera in node.seen_by]
+        for name, node in target.nodes.items()
+        if isinstance(node, InferenceNode) and isinstance(node.camera, tuple)
+    }
+    if not lists:
+        return target
+    copies = {
+        name: list(dict.fromkeys(lists[view])) for name in target.nodes if (view := _list_above(target, name))
+    }
+    nodes: dict[str, Node] = {}
+    for name, node in target.nodes.items():
+        for camera in copies.get(name, ("",)):
+            nodes[_copy_name(name, camera)] = _renamed(node, camera, copies)
+    return target.model_copy(update={"nodes": nodes})
+
+
+def _list_above(target: Target, name: str) -> str | None:
+    """The node with a list of cameras at a node or above it."""
+    passed: set[str] = set()
+    while name in target.nodes and name not in passed:
+        passed.add(name)
+        node = target.nodes[name]
+        if isinstance(node, InferenceNode) and isinstance(node.camera, tuple):
+            return name
+        if node.parent is None:
+            return None
+        name = node.parent
+    return None
+
+
+def _copy_name(name: str, camera: str) -> str:
+    return f"{name}.{camera}" if camera else name
+
+
+def _renamed(node: Node, camera: str, copies: Mapping[str, Sequence[str]]) -> Node:
+    """A node of one camera, or of none; the nodes that it names are copies."""
+
+    def known_as(name: str) -> list[str]:
+        if name not in copies:
+            return [name]
+        return [_copy_name(name, one) for one in ((camera,) if camera else copies[name])]
+
+    changed: dict[str, object] = {}
+    if node.parent is not None and node.parent in copies:
+        changed["parent"] = _copy_name(node.parent, camera)
+    if isinstance(node, InferenceNode):
+        if isinstance(node.camera, tuple):
+            changed |= {"camera": camera, "parent": node.parent}
+        if node.adapt is not None and node.adapt.agents is not None:
+            agents = tuple(one for name in node.adapt.agents for one in known_as(name))
+            changed["adapt"] = node.adapt.model_copy(update={"agents": agents})
+        if node.fuse is not None and isinstance(node.fuse.pool, Mapping):
+            shares = {one: share for name, share in node.fuse.pool.items() for one in known_as(name)}
+            changed["fuse"] = without_remembered(node.fuse.model_copy(update={"pool": shares}))
+    return node.model_copy(update=changed)
+
+
+Chosen = TypeVar("Chosen", bound=Choice)
+
+
+def without_remembered(choice: Chosen) -> Chosen:
+    """A changed copy without what was remembered of the choice as it was written."""
+    for key in ("kind", "settings"):
+        choice.__dict__.pop(key, None)
+    return choice
+
+
+def lists_name_cameras(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """A list of cameras has each camera of the graph once at most, and no other."""
+    for plate, target in spec.targets.items():
+        for name, node in target.nodes.items():
+            if not isinstance(node, InferenceNode) or not isinstance(node.camera, tuple):
+                continue
+            path = ("targets", plate, "nodes", name, "camera")
+            for number, camera in enumerate(node.camera):
+                if camera not in spec.cameras:
+                    allowed = [*spec.cameras] or f"cameras: {{{camera}: {{calibration: ..}}}}"
+                    yield at.message((*path, number), f"unknown camera {camera!r}", allowed, word=camera)
+                elif camera in node.camera[:number]:
+                    found = f"camera {camera!r} twice: its evidence would count twice"
+                    yield at.message((*path, number), found, "each camera once")
+
+
+def cameras_are_different(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """No two cameras have the same calibration: one stream under two names would count twice."""
+    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
+    used = {name for node in nodes if isinstance(node, InferenceNode) for name in node.seen_by}
+    first: dict[str, str] = {}
+    for name, source in spec.cameras.items():
+        other = first.setdefault(source.key, name) if name in used else name
+        if other != name:
+            found = f"the calibration of {other!r} at camera {name!r}: its evidence would count twice"
+            yield at.message(("cameras", name, "calibration"), found, "the calibration of another camera")
+
+
+def several_cameras_have_detections(plate: Plate) -> Iterator[GraphMessage]:
+    """Where several cameras see a graph's targets, what they see is given: detections of each."""
+    if len(plate.cameras) < 2 or not plate.spec.is_ground:
+        return
+    several = ", ".join(plate.cameras)
+    birth = plate.spec.birth
+    if birth is None:
+        found = f"a target that several cameras see ({several}) without birth: a start box is of one image"
+        allowed = f"birth: {{detector: {GIVEN}}}"
+        yield plate.at.message(("targets", plate.name), found, allowed, on_key=True)
+    elif birth.detector.detector != GIVEN:
+        path = ("targets", plate.name, "birth", "detector")
+        found = f"births by {birth.detector.detector} beside several cameras ({several})"
+        yield plate.at.message(path, found, f"{GIVEN}: those of each camera are given")
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or declaration.reads_detection or camera_above(plate.spec, name) is None:
+            continue
+        found = f"{node.agent.cue}, which looks at the image, beside several cameras ({several})"
+        allowed = "agents that are given detections, such as agent: detection; or a graph of one camera"
+        yield plate.message(name, found, allowed, key=("agent",))
+
+
+SEVERAL_GRAPH_CHECKS: tuple[GraphCheck, ...] = (lists_name_cameras, cameras_are_different)
+
+SEVERAL_CHECKS: tuple[Check, ...] = (several_cameras_have_detections,)

@@ -1,0 +1,278 @@
+"""Targets on the ground seen by several cameras: by the front door, against filters written out in NumPy."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bayesnet_track import DetectionsTracker
+from bayesnet_track.numerics.cameras import Camera
+
+FPS, NOISE, SPEED_SD, START_SD, SIZE_SD = 10.0, 0.03, 0.5, 1.5, 0.02
+WIDTH, HEIGHT = (0.6, 0.1), (1.7, 0.1)
+
+
+def camera_at(x, y, azimuth, size=(640, 480)):
+    """A camera 6 m above (x, y) that looks down by 30 degrees: along y, turned to the left by `azimuth`."""
+    down, along = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
+    turn, over = np.radians(azimuth), np.array([x, y, 6.0])
+    ahead = np.array([-np.sin(turn) * along, np.cos(turn) * along, -down])
+    right = np.array([np.cos(turn), np.sin(turn), 0.0])
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    matrix = np.array([[800.0, 0.0, size[0] / 2], [0.0, 800.0, size[1] / 2], [0.0, 0.0, 1.0]])
+    return Camera(matrix, np.zeros(0), rotation, -rotation @ over, size)
+
+
+CAMERAS = {
+    "south": camera_at(0.0, 0.0, 0.0),
+    "east": camera_at(10.0, 10.0, 90.0, (800, 480)),
+    "west": camera_at(-10.0, 10.0, -90.0),
+}
+
+
+def write_graph(folder, cameras=("south", "east"), order=None, **existence):
+    for name in cameras:
+        camera = CAMERAS[name]
+        calibration = {
+            "camera_matrix": camera.matrix.tolist(),
+            "rotation": camera.rotation.tolist(),
+            "translation": camera.translation.tolist(),
+            "size": camera.size,
+        }
+        (folder / f"{name}.json").write_text(json.dumps(calibration))
+    graph = {
+        "bayesnet": 1,
+        "name": "room",
+        "cameras": {name: {"calibration": f"{name}.json"} for name in cameras},
+        "targets": {
+            "person": {
+                "state": {
+                    "ground": {
+                        "width": {"mean": WIDTH[0], "sd": WIDTH[1]},
+                        "height": {"mean": HEIGHT[0], "sd": HEIGHT[1]},
+                    }
+                },
+                "associate": "assignment",
+                "existence": {"detection": 0.95, "clutter": 0.01, "births": 0.05, **existence},
+                "birth": {"detector": "detections"},
+                "nodes": {
+                    "person": {
+                        "belief": {
+                            "gaussian": {"filter": "extended", "likelihood": "sigma_points", "gate": 1}
+                        },
+                        "motion": {
+                            "constant_velocity": {
+                                "sd_velocity": SPEED_SD,
+                                "start_velocity_sd": START_SD,
+                                "sd": {"w": SIZE_SD, "h": SIZE_SD},
+                            }
+                        },
+                        "fuse": "product",
+                        "estimate": "mean",
+                    },
+                    "view": {"parent": "person", "camera": list(order or cameras)},
+                    "seen": {
+                        "parent": "view",
+                        "agent": {"detection": {"sd_place": NOISE, "sd_size": NOISE}},
+                    },
+                },
+            }
+        },
+    }
+    path = folder / "room.yaml"
+    path.write_text(json.dumps(graph))
+    return path
+
+
+def walk(count=30, start=(-2.0, 9.0), velocity=(1.4, 0.4)):
+    return np.array(start) + np.arange(count)[:, None] / FPS * np.array(velocity)
+
+
+def boxes_of(camera, places):
+    places = np.atleast_2d(places)
+    return CAMERAS[camera].boxes(np.column_stack([places, np.tile([WIDTH[0], HEIGHT[0]], (len(places), 1))]))
+
+
+def noisy(boxes, rng):
+    return boxes + NOISE * boxes[:, [2, 3, 2, 3]] * rng.standard_normal(boxes.shape)
+
+
+def detections_of(boxes):
+    boxes = np.reshape(boxes, (-1, 4))
+    low = boxes[:, :2] - boxes[:, 2:] / 2 + 0.5  # centres of pixels are whole numbers, and corners are not
+    corners = np.column_stack([low, low + boxes[:, 2:]])
+    return SimpleNamespace(xyxy=corners, confidence=np.full(len(boxes), 0.9), data={})
+
+
+FIELDS = ("x_m", "y_m", "w_m", "h_m", "vx", "vy")
+
+
+# ---------------------------------------------------------------- the filter written out
+
+
+def moved(mean, covariance, dt):
+    ahead, noise = np.eye(6), np.zeros((6, 6))
+    for k in (0, 1):
+        ahead[k, k + 4] = dt
+        chain = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        noise[np.ix_([k, k + 4], [k, k + 4])] = SPEED_SD**2 * chain
+        noise[k + 2, k + 2] = SIZE_SD**2 * dt
+    return ahead @ mean, ahead @ covariance @ ahead.T + noise
+
+
+def corrected(camera, mean, covariance, box):
+    slopes = np.hstack([CAMERAS[camera].jacobian(mean[None, :4])[0], np.zeros((4, 2))])
+    spread = slopes @ covariance @ slopes.T + np.diag((NOISE * box[[2, 3, 2, 3]]) ** 2)
+    gain = covariance @ slopes.T @ np.linalg.inv(spread)
+    away = box - CAMERAS[camera].boxes(mean[None, :4])[0]
+    return mean + gain @ away, covariance - gain @ slopes @ covariance
+
+
+@pytest.mark.parametrize("order", [("south", "east"), ("east", "south")])
+def test_each_camera_is_an_update_in_the_order_of_the_graph(tmp_path, order):
+    tracker = DetectionsTracker(write_graph(tmp_path, order=order), fps=FPS)
+    rng, places = np.random.default_rng(3), walk()
+    mean = covariance = None
+    compared = 0
+    for frame, place in enumerate(places):
+        # each camera at its own rate: east has a frame at every second step, at some there is only south
+        cameras = ["south", "east"] if frame % 2 == 0 else ["south"]
+        boxes = {camera: noisy(boxes_of(camera, place), rng)[0] for camera in cameras}
+        given = {camera: detections_of(boxes[camera]) for camera in reversed(cameras)}
+        tracker.update(given, time_s=frame / FPS)
+        if mean is not None:
+            mean, covariance = moved(mean, covariance, 1 / FPS)
+            for camera in cameras:
+                mean, covariance = corrected(camera, mean, covariance, boxes[camera])
+        for target in tracker.targets:
+            numbers = [target.state[name] for name in FIELDS]
+            sds = [target.state[f"{name}_sd"] for name in FIELDS]
+            if mean is None:  # it starts here, with what its candidate knew
+                mean = np.array(numbers)
+                covariance = np.diag(sds) @ _correlations(tracker) @ np.diag(sds)
+                continue
+            np.testing.assert_allclose(numbers, mean, atol=1e-5)
+            np.testing.assert_allclose(sds, np.sqrt(np.diag(covariance)), rtol=1e-4)
+            compared += 1
+    assert compared > 25
+
+
+def _correlations(tracker):
+    (state,) = tracker._now.state.targets.values()
+    spread = state.belief.covariance
+    sds = np.sqrt(np.diag(spread))
+    return spread / np.outer(sds, sds)
+
+
+def test_a_start_from_one_camera_is_fed_by_the_others(tmp_path):
+    places, rng = walk(6), np.random.default_rng(4)
+    born = {}
+    for cameras in (["south"], ["south", "east"]):
+        tracker = DetectionsTracker(write_graph(tmp_path, births=1e-3, clutter=0.5), fps=FPS)
+        for frame, place in enumerate(places):
+            given = {camera: detections_of(noisy(boxes_of(camera, place), rng)) for camera in cameras}
+            tracker.update(given, time_s=frame / FPS)
+            if tracker.targets:
+                born[len(cameras)] = frame
+                break
+    assert born[2] < born.get(1, len(places))
+
+
+def test_the_place_is_surer_with_the_camera_that_looks_across(tmp_path):
+    sds = {}
+    for cameras in (["south"], ["south", "east"]):
+        tracker, rng = DetectionsTracker(write_graph(tmp_path), fps=FPS), np.random.default_rng(5)
+        for frame, place in enumerate(walk()):
+            given = {camera: detections_of(noisy(boxes_of(camera, place), rng)) for camera in cameras}
+            marked = tracker.update(given, time_s=frame / FPS)
+        (target,) = tracker.targets
+        assert np.hypot(target.state["x_m"] - place[0], target.state["y_m"] - place[1]) < 0.3
+        sds[len(cameras)] = target.state["y_m_sd"]
+        assert all(marked[camera].tracker_id.tolist() == [1] for camera in cameras)
+    assert sds[2] < 0.6 * sds[1]
+
+
+def test_targets_that_the_first_camera_does_not_see_start_and_keep_their_identities(tmp_path):
+    path, rng = write_graph(tmp_path, ("west", "east")), np.random.default_rng(6)
+    tracker = DetectionsTracker(path, fps=FPS)
+    ways = [walk(16, (x, y), (0.3, 0.0)) for x, y in [(-3.0, 9.0), (1.0, 12.0)]]
+    behind = [
+        walk(16, (-13.0, y), (0.0, 0.2)) for y in (9.0, 11.0)
+    ]  # of the first camera: it has no box there
+    assert not np.isfinite(boxes_of("west", behind[0])).any()
+    ids = []
+    for frame in range(16):
+        east = [boxes_of("east", way[frame])[0] for way in [*ways, *behind]]
+        west = [boxes_of("west", way[frame])[0] for way in ways]
+        given = {
+            camera: detections_of(noisy(np.array(seen), rng))
+            for camera, seen in zip(("east", "west"), (east, west), strict=True)
+        }
+        ids.append(tracker.update(given, time_s=frame / FPS)["east"].tracker_id.tolist())
+    assert sorted(ids[-1]) == [1, 2, 3, 4]
+    assert all(numbers == ids[-1] for numbers in ids[8:])
+
+
+def test_a_camera_without_a_frame_says_nothing_and_one_that_saw_nothing_does(tmp_path):
+    existence = {}
+    for case in ("without a frame", "saw nothing"):
+        tracker = DetectionsTracker(write_graph(tmp_path, detection=0.8), fps=FPS)
+        for frame, place in enumerate(walk(12)):
+            given = {camera: detections_of(boxes_of(camera, place)) for camera in ("south", "east")}
+            if frame >= 10:
+                given["south"] = detections_of(np.empty((0, 4)))
+                if case == "saw nothing":
+                    given["east"] = detections_of(np.empty((0, 4)))
+                else:
+                    del given["east"]
+            tracker.update(given, time_s=frame / FPS)
+        (target,) = tracker.targets
+        existence[case] = target.existence
+    assert existence["saw nothing"] < existence["without a frame"]
+
+
+WRONG = {
+    "no_mapping": (
+        lambda boxes: boxes,
+        TypeError,
+        "the graph room has the cameras south, east: detections are given",
+    ),
+    "no_camera": (lambda boxes: {}, ValueError, "detections of no camera"),
+    "unknown": (
+        lambda boxes: {"soth": boxes},
+        ValueError,
+        "'soth', which is no camera of the graph; there are",
+    ),
+    "no_boxes": (lambda boxes: {"south": [1]}, TypeError, "south: detections have xyxy"),
+}
+
+
+@pytest.mark.parametrize(("given", "kind", "said"), WRONG.values(), ids=[*WRONG])
+def test_wrong_detections_are_refused_and_nothing_is_lost(tmp_path, given, kind, said):
+    tracker, place = DetectionsTracker(write_graph(tmp_path), fps=FPS), np.array([0.0, 9.0])
+    for frame in range(5):
+        boxes = {camera: detections_of(boxes_of(camera, place)) for camera in ("south", "east")}
+        tracker.update(boxes, time_s=frame / FPS)
+    before = tracker.targets
+    assert before
+    with pytest.raises(kind, match=said):
+        tracker.update(given(detections_of(boxes_of("south", place))), time_s=1.0)
+    assert tracker.targets == before
+
+
+def test_a_late_frame_is_refused(tmp_path):
+    tracker = DetectionsTracker(write_graph(tmp_path), fps=FPS)
+    boxes = {"south": detections_of(boxes_of("south", np.array([0.0, 9.0])))}
+    tracker.update(boxes, time_s=1.0)
+    with pytest.raises(ValueError, match="is not later than the frame before it"):
+        tracker.update({"east": boxes["south"]}, time_s=0.9)
+
+
+def test_sizes_are_those_of_the_calibrations(tmp_path):
+    path = write_graph(tmp_path)
+    with pytest.raises(ValueError, match=r"east.json: of 800x480 px, and the frames have 640x480 px"):
+        DetectionsTracker(path, size=(640, 480))
+    assert DetectionsTracker(path, size={"south": (640, 480), "east": (800, 480)})
