@@ -46,6 +46,8 @@ class RuleColumns:
         score: (T,) probabilities of being on target, or None.
         existence: (T,) probabilities that they exist, or None.
         is_hidden: (T,) whether they probably cannot be seen, by their modes; None where these do not say.
+        is_unasked: (T,) whether all active agents wait for detections and nobody looked; None where somebody
+            did.
         pending: (T,) whether something else than a streak asks for a decision; None where nothing does.
     """
 
@@ -59,6 +61,7 @@ class RuleColumns:
     score: Floats | None = None
     existence: Floats | None = None
     is_hidden: Bools | None = None
+    is_unasked: Bools | None = None
     pending: Bools | None = None
 
     def __len__(self) -> int:
@@ -273,7 +276,8 @@ def _judge(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> bool:
 def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: Streaks) -> None:
     """Fill in who looks lost by UD and fit.
 
-    On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
+    On a frame on which nothing fits, no level of UD would have kept the target from looking lost. One in
+    which nobody looked says something by UD alone: that it is high.
     """
     reading = _read(inputs, memory, inputs.plate.root, rule.above, None)
     fits, is_wide = inputs.measures.fits >= rule.fit_below, reading.is_above
@@ -281,6 +285,8 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
         fits |= inputs.hidden >= 0.5
     if inputs.is_hidden is not None:
         fits[:] = True
+    if inputs.is_unasked is not None:
+        fits |= inputs.is_unasked
     looks_found, values = fits > is_wide, np.fmax(reading.values, 0.0)  # 0 where it cannot be told
     lost, unfit, found, seen = range(4)  # places in `STATUS_STREAKS`, which come first
     streaks.holds[:, :found] = ~looks_found[:, None]
@@ -289,6 +295,8 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
     streaks.values[:, unfit] = np.where(is_wide, -np.inf, inputs.measures.fits)
     streaks.values[:, found] = values
     streaks.keeps[:, seen : len(STATUS_STREAKS)] = True
+    if inputs.is_unasked is not None:
+        streaks.keeps[inputs.is_unasked & ~is_wide, :seen] = True
 
 
 def _due(inputs: RuleColumns, counts: Ints, frames: int, two_levels: bool) -> Bools:

@@ -30,7 +30,7 @@ from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_r
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.observation.cue import Measurement, Reference
+from bayesnet_track.observation.cue import OWN_DETECTION, Measurement, Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +113,10 @@ class FilteredGroup(Protocol[Table]):
     @property
     def is_hidden(self) -> Bools | None:
         """(T,) whether targets probably cannot be seen, by their modes; None where these do not say."""
+
+    @property
+    def is_unasked(self) -> Bools | None:
+        """(T,) whether all active agents wait for detections and nobody looked; None where somebody did."""
 
     def statuses(self, nets: Sequence[TargetNet]) -> Ints:
         """(T,) places in `adapt.rule_columns.STATUSES`."""
@@ -242,6 +246,16 @@ class FilteredEach:
         if causes[0] is None:
             return None
         return np.array([cause is not None and cause.hidden > cause.level for cause in causes])
+
+    @property
+    def is_unasked(self) -> Bools | None:
+        """(T,) whether all active agents wait for detections and nobody looked; None where somebody did."""
+        active, references = self.plan.active, self.references
+        if not active or not active <= self.compiled.association_rules.keys():
+            return None
+        own = zip(*(references[agent] for agent in active), strict=True)
+        unasked = np.array([all(OWN_DETECTION not in one for one in several) for several in own])
+        return unasked if unasked.any() else None
 
     def statuses(self, nets: Sequence[TargetNet]) -> Ints:
         """(T,) places in `adapt.rule_columns.STATUSES`."""

@@ -127,6 +127,7 @@ def rule_columns(
         score=np.array([one.score for one in scores]) if scores else None,
         existence=_existence(filtered),
         is_hidden=filtered.is_hidden,
+        is_unasked=filtered.is_unasked,
         pending=filtered.asks(nets),
     )
 

@@ -129,8 +129,10 @@ class Detector(Protocol):
     def start(self) -> DetectorState:
         """The state before the first frame."""
 
-    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections | None, DetectorState]:
         """Detections in the current frame, and the state for the next one.
+
+        None says that it did not look: nobody is missed in such a frame.
 
         Arrays of `state` are not written to. Frames come in order, and may be left out; a frame of another
         size than the last one starts the detector anew.

@@ -166,11 +166,13 @@ def explain_unused(
     read = {index: of_frame for index, of_frame in detections.items() if index in frames}
     first = min(read, default=0)
     step = gcd(*(index - first for index in read))
-    if step > frames.step:
+    every = step // frames.step
+    if every > 1 and not _waits_for(graph, first // frames.step, every):
         begin = f"{setting('--start', str(first))} " if first != frames.start else ""
         yield (
             f"only one frame in {step} has detections, and in the others nobody is detected: "
-            f"{begin}{setting('--stride', str(step))} reads only those that have some"
+            f"{begin}{setting('--stride', str(step))} reads only those that have some; with "
+            f"every: {every} in the graph's birth nobody looks at the others"
         )
     yield from _explain_places(read, size)
     total = sum(map(len, read.values()))
@@ -182,6 +184,13 @@ def explain_unused(
         if unused:
             reasons = "; ".join(f"{count} {reason}" for reason, count in unused.items())
             yield f"{sum(unused.values())} of {total} detections are not used: {reasons}"
+
+
+def _waits_for(graph: CheckedGraph, first: int, step: int) -> bool:
+    """Whether births by given detections leave out all but one in `step` frames, from the `first` on."""
+    births = (plate.spec.birth for plate in graph.targets.values())
+    every = [one.every for one in births if one is not None and one.detector.detector == GIVEN]
+    return first % step == 0 and all(one % step == 0 for one in every)
 
 
 def _explain_frames(detections: DetectionsByFrame, frames: range) -> Iterator[str]:

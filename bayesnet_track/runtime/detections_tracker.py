@@ -133,6 +133,15 @@ class DetectionsTracker(Storable):
         """Events and decisions of the last frame."""
         return () if self._now is None else self._now.events
 
+    @property
+    def looks_next(self) -> bool:
+        """Whether detections of the next frame are used: a detector need not run where `every` skips it."""
+        ordinal = 0 if self._now is None else self._now.clock.index + 1
+        return any(
+            compiled.plate.inverses or ((birth := compiled.plate.spec.birth) and ordinal % birth.every == 0)
+            for compiled in self._engine.plates.values()
+        )
+
     def __repr__(self) -> str:
         """The graph, the frames so far, and the targets."""
         metrics = self.targets
@@ -154,6 +163,9 @@ class DetectionsTracker(Storable):
         Boxes that are not finite, have no area or lie outside of the frame are left out, with a warning that
         names their rows; their `tracker_id` is -1.
 
+        None says that no detector looked at the frame: nobody is missed in it, all targets are predicted, and
+        the answer is None.
+
         A graph whose sensors measure quantities takes a mapping of those that looked, such as ``{"radar":
         {"range": [..], "bearing": [..]}}``, empty columns where one saw nothing, and gives the ids of each:
         agent -> (n,) int64.
@@ -163,7 +175,7 @@ class DetectionsTracker(Storable):
         one that saw nothing has no boxes.
 
         Args:
-            detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1 and
+            detections: None, or with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1 and
                 `data["class_name"]` (n,), which a graph with `labels` needs.
             frame: the BGR frame: needed by graphs that look at it, of no use to others, where its size
                 counts, which then stands for `size`.
@@ -187,8 +199,10 @@ class DetectionsTracker(Storable):
             of_cameras = {}
             now = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
             if self._cameras is not None:
-                of_cameras = self._cameras.read(detections)
+                of_cameras = {} if detections is None else self._cameras.read(detections)
                 now = self._cameras.frame(now, of_cameras)
+            elif detections is None:
+                self._fed.scanned, self._fed.now = {}, None
             elif self._sensors:
                 self._fed.scanned, rows = read_scans(detections, self._sensors)
             else:
@@ -212,6 +226,8 @@ class DetectionsTracker(Storable):
                 resizing,
                 answers=outcome.answers,
             )
+            if detections is None:
+                return None
             if self._cameras is not None:
                 return mark(detections, of_cameras, self._engine, outcome.state, owners_by_share)
             if self._sensors:

@@ -237,15 +237,15 @@ class _Look:
 class Fed:
     """A detector that finds what it is given."""
 
-    now: Detections = field(default=NOTHING)
+    now: Detections | None = field(default=NOTHING)
     scanned: Mapping[str, Scan] = field(default_factory=dict)
 
     def start(self) -> DetectorState:
         """It remembers nothing."""
         return {}
 
-    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
-        """What it was given for this frame."""
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections | None, DetectorState]:
+        """What it was given for this frame; None where nobody looked."""
         return self.now, state
 
     def scans(self, frame: Frame) -> Mapping[str, Scan]:
@@ -271,6 +271,7 @@ def rehearse_detections(
     engine = make_engine(graph, seed, detectors={GIVEN: fed})
     if _are_installed(engine):
         for outcome in _rehearse(graph, engine, (graph.text, GIVEN), [], feed, _Look(SIZE, True)):
+            assert fed.now is not None
             use(fed.now.boxes, outcome.metrics)
 
 

@@ -11,7 +11,8 @@ from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.events.lives import BirthsRefused, TargetStarted
+from bayesnet_track.journal.events.lives import BirthsRefused, TargetDied, TargetStarted
+from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.observation.detector import NOTHING, Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector, file_detector
@@ -158,6 +159,35 @@ def test_between_looks_every_target_predicts():
         line.frame for outcome in outcomes for line in outcome.metrics if line.frame > 6 and not line.silent
     ]
     assert heard == [9, 12]
+
+
+@pytest.mark.parametrize("every", [2, 4, 5])
+@pytest.mark.parametrize("name", ["kalman_detections", "jpda", "people_detections", "bytetrack"])
+def test_a_frame_in_which_nobody_looks_is_no_miss(name, every):
+    """A walker that every look finds is never lost between looks, is no other one, and keeps its place."""
+    written = load_graph(name).spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    plate["birth"]["every"] = every
+    plate["death"] = {"unseen_frames": 3} if name != "jpda" else {}
+    says = {n: found([60 + 2 * n, 100, 30, 60]) for n in range(61)}
+    outcomes = play(load_graph(written), FileDetector(says), 61)
+    lines = [line for outcome in outcomes for line in outcome.metrics]
+    assert {line.target for line in lines} == {"1"} and lines[-1].frame == 60
+    assert {line.status for line in lines} == {"tracking"}
+    assert all(abs(line.centre_box[0] - 60 - 2 * line.frame) < 5 for line in lines[-30:])
+
+
+def test_misses_of_looks_count_where_not_every_frame_is_looked_at():
+    """Gone after three looks without a detection, and ended after as many as `unseen_frames` says."""
+    written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    plate = written["targets"]["target"]
+    plate["birth"]["every"], plate["death"] = 4, {"unseen_frames": 5}
+    says = {n: found([60 + 2 * n, 100, 30, 60]) for n in range(30)}
+    outcomes = play(load_graph(written), FileDetector(says), 61)
+    changes = [event for out in outcomes for event in out.events if isinstance(event, StatusChanged)]
+    died = [event for out in outcomes for event in out.events if isinstance(event, TargetDied)]
+    assert [(one.frame, one.status) for one in changes] == [(40, "lost")]
+    assert [(one.frame, one.unseen_frames or one.frames) for one in died] == [(48, 5)]
 
 
 # ------------------------------------------------------------------------------------ detectors that go wrong

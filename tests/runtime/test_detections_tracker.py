@@ -109,6 +109,51 @@ def test_it_says_what_it_holds_and_what_it_takes():
     assert ", 4 frames, 1 target: <target 1 in frame 3" in repr(tracker)
 
 
+def walker(n):
+    return SimpleNamespace(xyxy=[[20 + 2 * n, 100, 60 + 2 * n, 200]], confidence=[0.9])
+
+
+@pytest.mark.parametrize("graph", ["kalman_detections", "jpda", "people_detections"])
+def test_none_is_a_frame_that_no_detector_looked_at(graph):
+    """The target is predicted and stays; with empty detections instead it is lost."""
+    gray = np.full((240, 320, 3), 128, np.uint8)
+    nothing = SimpleNamespace(xyxy=np.empty((0, 4)), confidence=[])
+    statuses = {}
+    for seen in (None, nothing):
+        tracker = DetectionsTracker(graph, size=(320, 240))
+        for n in range(8):
+            tracker.update(walker(n), gray)
+        for _ in range(6):
+            answer = tracker.update(seen, gray)
+        statuses[seen is None] = tracker.targets[0].status
+        if seen is None:
+            assert answer is None and tracker.update(walker(14), gray).tracker_id.tolist() == [1]
+    assert statuses == {True: "tracking", False: "lost"}
+
+
+def test_the_first_frame_may_be_one_that_nobody_looked_at():
+    tracker = DetectionsTracker(size=(320, 240))
+    assert tracker.update(None) is None and tracker.targets == ()
+    for n in range(4):
+        marked = tracker.update(walker(n))
+    assert marked.tracker_id.tolist() == [1]
+
+
+def test_it_says_whether_detections_of_the_next_frame_are_used():
+    graph = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    graph["targets"]["target"]["birth"]["every"] = 3
+    seldom, usual = DetectionsTracker(load_graph(graph), size=(320, 240)), DetectionsTracker(size=(320, 240))
+    asked = []
+    for n in range(31):
+        asked.append(seldom.looks_next)
+        assert usual.looks_next
+        seldom.update(walker(n) if seldom.looks_next else None)
+        usual.update(walker(n))
+    assert asked == [n % 3 == 0 for n in range(31)]
+    assert [one.target for one in seldom.targets] == ["1"] and seldom.targets[0].status == "tracking"
+    assert seldom.targets[0].centre_box[0] == pytest.approx(usual.targets[0].centre_box[0], abs=1.0)
+
+
 def standing(count):
     """People who stand apart from each other in rows of ten."""
     left, top = 60.0 * (np.arange(count) % 10), 120.0 * (np.arange(count) // 10)

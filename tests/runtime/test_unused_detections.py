@@ -13,7 +13,7 @@ SEEN = Detections(np.array([[20.0, 30.0, 20.0, 20.0]]), np.ones(1), ("",))
 POOR = Detections(np.array([[20.0, 30.0, 20.0, 20.0]]), np.array([0.1]), ("",))
 SPARSE = (
     "only one frame in 3 has detections, and in the others nobody is detected: start=1 stride=3 reads "
-    "only those that have some"
+    "only those that have some; with every: 3 in the graph's birth nobody looks at the others"
 )
 
 
@@ -59,3 +59,21 @@ SPARSE = (
 )
 def test_each_reason_is_given(found, frames, reasons):
     assert list(explain_unused(load_graph("kalman_detections"), found, (64, 48), frames)) == reasons
+
+
+@pytest.mark.parametrize(
+    ("every", "frames", "first", "said"),
+    [
+        (3, range(9), 0, False),
+        (3, range(9), 1, True),
+        (2, range(9), 0, True),
+        (3, range(0, 18, 2), 0, False),
+        (6, range(0, 18, 2), 0, False),
+    ],
+)
+def test_frames_that_the_graph_leaves_out_need_no_detections(every, frames, first, said):
+    written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    written["targets"]["target"]["birth"]["every"] = every
+    found = {first: SEEN, first + 3 * frames.step: SEEN}
+    reasons = list(explain_unused(load_graph(written), found, (64, 48), frames))
+    assert any("only one frame in" in reason for reason in reasons) == said

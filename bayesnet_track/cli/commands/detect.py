@@ -82,7 +82,7 @@ def _detect_all(
 ) -> int:
     from bayesnet_track.journal.text.wording import plural
     from bayesnet_track.journal.writer import LineFile
-    from bayesnet_track.observation.detector import LearningDetector
+    from bayesnet_track.observation.detector import NOTHING, LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
     from bayesnet_track.runtime.arguments import resizing_of
     from bayesnet_track.runtime.pace import Progress
@@ -112,8 +112,8 @@ def _detect_all(
             if options.save_video is not None:
                 size = (item.width, item.height, interval_of(source))
                 video = stack.enter_context(VideoWriter(Path(options.save_video), *size))
-        detections, state = detector.detect(pair, state)
-        detections = resizing.found(detections)
+        seen, state = detector.detect(pair, state)
+        detections = resizing.found(NOTHING if seen is None else seen)
         for line in format_frame(item, detections, _is_json(options)):
             (say if file is None else file.append)(line)
         if file is not None:

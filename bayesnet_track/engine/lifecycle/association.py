@@ -68,6 +68,7 @@ class Given:
         observed: (T, H) what is remembered of the detections of each.
         boxes: (N, 4) the detections.
         marginal: which of them may be whose, where targets share them by probability.
+        looked: False in a frame in which nobody looked for detections.
     """
 
     mean: Floats
@@ -78,6 +79,7 @@ class Given:
     observed: Floats
     boxes: Floats
     marginal: MarginalAssociation | None = None
+    looked: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +126,7 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
         if CrowdRule.of(compiled) is None:
             done = several.assign(history, found.get(plate, {}).get(""))
         else:
-            looks = looks_of(work, plate, found)
-            done = several.associate_marginal(history, looks)
+            done = several.associate_marginal(history, looks_of(work, plate, found))
         history = done.history
         apart |= done.others
         if done.rows is not None:
@@ -217,6 +218,7 @@ class Several:
                 self.rows.columns.existence,
                 after.observed[live],
                 seen.boxes,
+                looked=found is not None,
             )
         others = {}
         for row, (target, state) in enumerate(self.others.items(), count):
@@ -241,18 +243,16 @@ class Several:
         for row, mixture in mixtures.items():
             mean[row], covariance[row] = mixture.moments
         crowd = Crowd(mean, covariance, self._existence(), self.names, self._log_looks, mixtures)
-        detection_model = history.detection_models.get(plate) or DetectionModel(
-            UnconfirmedTracks.none(mean.shape[1])
-        )
+        nothing = UnconfirmedTracks.none(mean.shape[1])
+        detection_model = history.detection_models.get(plate) or DetectionModel(nothing)
         seen_first = looks.get(first)
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
         done = dict.fromkeys(rules, given_nothing(crowd, detection_model))
         for agent in [one for one in rules if one in looks]:
             rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames))
             further = None if agent == first else agent
-            done[agent] = associate_marginal(
-                rule, frames.current, crowd, detection_model.by(further), looks[agent]
-            )
+            known = detection_model.by(further)
+            done[agent] = associate_marginal(rule, frames.current, crowd, known, looks[agent])
             detection_model = detection_model.after(further, done[agent].detection_model)
             crowd = evolve(crowd, existence=done[agent].existence)
             if agent != last:
@@ -262,10 +262,9 @@ class Several:
         if rules[first].sensor.has_extent:
             history = self._record_refusals(history, (mean, covariance), (has_own, done[first].owner), boxes)
         if self.rows is not None:
-            rows = self._given(mean, covariance, boxes, done[first])
-        owners = [
-            name_owners(done[agent].owner, self.names, len(found.values)) for agent, found in looks.items()
-        ]
+            rows = self._given(mean, covariance, seen_first, done[first])
+        names = self.names
+        owners = [name_owners(done[agent].owner, names, len(found.values)) for agent, found in looks.items()]
         seen = {agent: looks.get(agent) for agent in rules}
         others = {
             target: self._told(state, row, seen, done, float(crowd.existence[row]))
@@ -294,10 +293,12 @@ class Several:
         known = self.rows.columns.existence
         return np.concatenate([known, others]) if others else known
 
-    def _given(self, mean: Floats, covariance: Floats, seen: Found, done: MarginalAssociation) -> Given:
-        """What the rows are given of what their only sensor saw."""
+    def _given(
+        self, mean: Floats, covariance: Floats, found: Found | None, done: MarginalAssociation
+    ) -> Given:
+        """What the rows are given of what their only sensor found; None where it did not look."""
         assert self.rows is not None
-        live = slice(self.count)
+        live, seen = slice(self.count), Found.none() if found is None else found
         return Given(
             mean[live],
             covariance[live],
@@ -307,6 +308,7 @@ class Several:
             self.rows.columns.observed,
             seen.boxes,
             done,
+            found is not None,
         )
 
     def _told(
@@ -363,11 +365,8 @@ class Several:
         )
         if now is None:
             return tracks
-        return Tracks(
-            np.concatenate([now.mean, tracks.mean]),
-            np.concatenate([now.covariance, tracks.covariance]),
-            np.concatenate([now.observed, tracks.observed]),
-        )
+        pairs = (now.mean, tracks.mean), (now.covariance, tracks.covariance), (now.observed, tracks.observed)
+        return Tracks(*(np.concatenate(pair) for pair in pairs))
 
     def _in_modes(self, elapsed: float) -> dict[int, ExpectedInModes]:
         """Row -> the target as it is expected, a Gaussian for each mode, of targets that have modes."""

@@ -59,7 +59,7 @@ def look(
             shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
             at = None if shown is None else boxes([shown])[0]
         try:
-            found[name], states[name] = _ask(detector, states.get(name), pair, at)
+            seen, states[name] = _ask(detector, states.get(name), pair, at)
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, history.failed.get(name))
             word = of_camera(_word(engine, first), camera)
@@ -67,9 +67,12 @@ def look(
             fault = Fault(times, frame.index, until, True)
             history = evolve(history, failed={**history.failed, name: fault})
             continue
-        if found[name].cut:
+        if seen is None:
+            continue
+        found[name] = seen
+        if seen.cut:
             word = of_camera(_word(engine, first), camera)
-            history, event = _count_cut(history, name, word, frame.index, found[name])
+            history, event = _count_cut(history, name, word, frame.index, seen)
             events += event
     given: dict[str, dict[str, Found]] = {}
     for (plate, camera), name in due.items():
@@ -125,11 +128,13 @@ def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
 
 def _ask(
     detector: Detector, state: DetectorState | None, pair: FramePair, shown: Floats | None
-) -> tuple[Detections, DetectorState]:
+) -> tuple[Detections | None, DetectorState]:
     now = detector.start() if state is None else state
     if shown is not None and isinstance(detector, LearningDetector) and not detector.knows_target(now):
         now = detector.learn(pair, shown, now)
     found, after = detector.detect(pair, now)
+    if found is None:
+        return None, after
     found = check_detections(found)
     if len(found) <= MOST_DETECTIONS and (found.scores[1:] <= found.scores[:-1]).all():
         return found, after

@@ -8,6 +8,7 @@ of it is a function of the engine, what is remembered and the frame.
 
 from __future__ import annotations
 
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.association import Associated, associate_new
 from bayesnet_track.engine.lifecycle.births import give_birth, give_birth_by_existence
@@ -18,6 +19,7 @@ from bayesnet_track.engine.lifecycle.refusing import report_refusals
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.outcome import Outcome
+from bayesnet_track.graph.settings.lifecycle import LifeRules
 from bayesnet_track.numerics.records import evolve
 
 
@@ -34,7 +36,6 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
     if not rules:
         return outcome
     tracks = LiveTable.of(work.engine, outcome)
-    tracks.count(rules.keys(), frame)
     if associated is None:
         found, tracks.history, events = look(work, tracks.history, tracks.boxes, tracks.held)
     else:
@@ -48,6 +49,8 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
             candidates=looked.candidates,
             refusals=looked.refusals,
         )
+    looks = {plate: _is_looked(rule, plates[plate], plate in found) for plate, rule in rules.items()}
+    tracks.count(looks, frame)
     tracks.events += events
     for plate, rule in rules.items():
         if rule.birth is None:
@@ -71,3 +74,8 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
     tracks.events += refused
     work.charge("life", started)
     return evolve(tracks.outcome(outcome, frame), seconds=work.seconds)
+
+
+def _is_looked(rule: LifeRules, compiled: CompiledPlate, found: bool) -> bool:
+    """Whether targets of a plate that claim no detection in the frame are unseen: somebody looked."""
+    return found or rule.birth is None or bool(compiled.plate.inverses)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 
@@ -80,13 +80,16 @@ class LiveTable:
         self.net = apply_decisions(self.net, decisions)
         self.events += decisions
 
-    def count(self, plates: Collection[str], frame: Frame) -> None:
-        """One more frame for every live target of these plates."""
+    def count(self, plates: Mapping[str, bool], frame: Frame) -> None:
+        """One more frame for every live target of these plates.
+
+        `plates` says whether anybody looked for detections: else the frame is none in which they are unseen.
+        """
         numbers: list[int] = []
         for plate, rows in self.tables.items():
             is_new = rows.columns.since < 0
             if plate in plates:
-                self.tables[plate] = rows.counted(frame.index, frame.time)
+                self.tables[plate] = rows.counted(frame.index, frame.time, plates[plate])
             if is_new.any():  # the numbers of those that a table did not count before
                 new = (rows.ids[row] for row in np.flatnonzero(is_new).tolist())
                 numbers += [int(target) for target in new if target.isdecimal()]
@@ -105,7 +108,7 @@ class LiveTable:
             records[target] = replace(
                 record,
                 lost_frames=record.lost_frames + 1 if lost else 0,
-                unseen_frames=record.unseen_frames + 1,
+                unseen_frames=record.unseen_frames + plates[self.net.targets[target].template],
             )
         self.records = records
         if numbers:

@@ -175,8 +175,8 @@ def _relocalize(
     is_in = fault is None or fault.until is None or fault.until <= frame.index
     if finder is not None and state is not None and is_in:
         try:
-            found, state = finder.detect(cache.frames, state)
-            found = check_detections(found)
+            seen, state = finder.detect(cache.frames, state)
+            found = NOTHING if seen is None else check_detections(seen)
         except FAULTS as error:  # a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, fault)
             fault = Fault(times, frame.index, until, True)

@@ -24,7 +24,7 @@ from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.lifecycle.association import Given
 from bayesnet_track.engine.lifecycle.sharing import image_of
 from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
-from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, Rows
+from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, NEVER_ASKED, Columns, Rows
 from bayesnet_track.engine.rows.fitting import net_fits
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
@@ -106,6 +106,12 @@ class FilteredGaussians:
     @property
     def is_hidden(self) -> None:
         """No modes say whether a target can be seen."""
+
+    @property
+    def is_unasked(self) -> Bools | None:
+        """(T,) whether nobody looked for detections; None where somebody did."""
+        unasked = self.columns.given == NEVER_ASKED
+        return unasked if unasked.any() else None
 
     def nets(self, live: Mapping[str, TargetNet]) -> list[TargetNet]:
         """The live nets of the targets."""
@@ -344,7 +350,7 @@ def filter_gaussians(work: FrameContext, rows: Rows, given: Given) -> FilteredGa
         covariance=given.covariance,
         size=numbers[:, HYPOTHESES].astype(np.int64),
         own=given.own,
-        given=np.where(given.is_given, GIVEN, GIVEN_NONE),
+        given=np.where(given.is_given, GIVEN, GIVEN_NONE if given.looked else NEVER_ASKED),
         existence=given.existence,
         observed=given.observed,
     )

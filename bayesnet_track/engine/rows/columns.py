@@ -133,8 +133,8 @@ class Rows:
         references = {agent: ReferenceRows.joined(of, more[agent]) for agent, of in self.references.items()}
         return Rows(self.rule, (*self.ids, *others.ids), columns, references, self.time)
 
-    def counted(self, frame: int, time: float) -> Rows:
-        """The rows with one more frame counted of each."""
+    def counted(self, frame: int, time: float, looked: bool) -> Rows:
+        """The rows with one more frame counted of each; in one that nobody `looked` at none is unseen."""
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.judging_kernels import count_frames
 
@@ -147,7 +147,7 @@ class Rows:
             known_covariance=np.where(known[:, None, None], now.covariance, now.known_covariance),
             known_time=np.where(known, time, now.known_time),
             lost_frames=lost,
-            unseen_frames=unseen,
+            unseen_frames=unseen if looked else np.where(now.since < 0, unseen - 1, now.unseen_frames),
         )
         return self.changed(columns=columns)
 

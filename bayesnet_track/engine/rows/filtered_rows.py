@@ -199,6 +199,10 @@ class FilteredRows(Mapping[str, Filtered]):
     def is_hidden(self) -> None:
         """No modes say whether a target can be seen."""
 
+    @property
+    def is_unasked(self) -> None:
+        """Its agents look at the image."""
+
     def statuses(self, nets: Sequence[TargetNet]) -> Ints:
         """(T,) places in `adapt.rule_columns.STATUSES`."""
         return statuses_of(nets)

@@ -125,9 +125,11 @@ class Selected:
         """Its state."""
         return self.detector.start()
 
-    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections | None, DetectorState]:
         """The best of its finds."""
         detections, next_state = self.detector.detect(frames, state)
+        if detections is None:
+            return None, next_state
         return select(
             detections.boxes, detections.scores, frames.current, self.parameters, detections.labels
         ), next_state
