@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.arguments import UsageError, milliseconds, seconds, whole_number
 
 if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.sources.frames import Source
+    from bayesnet_track.sources.several import SeveralSources
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
@@ -277,3 +280,49 @@ def open_depth(options: argparse.Namespace, end: int | None) -> Source:
         live=options.live,
         value_range=options.value_range,
     )
+
+
+def given_once_or_named(option: str, given: Sequence[str] | str | None, graph: CheckedGraph) -> Any:
+    """A text that is given once, or, of a graph with several cameras, camera -> text; None without any.
+
+    Raises:
+        UsageError: several texts for one image, a text without one of the cameras, or a camera twice.
+    """
+    texts = [given] if isinstance(given, str) else list(given or ())
+    if not texts:
+        return None
+    cameras = graph.several_cameras
+    if not cameras:
+        if len(texts) > 1:
+            raise UsageError(
+                f"{len(texts)} {option}: allowed: one; the graph {graph.spec.name} has not several cameras"
+            )
+        return texts[0]
+    from bayesnet_track.graph.text.messages import nearest
+
+    named: dict[str, str] = {}
+    for text in texts:
+        camera, equals, value = text.partition("=")
+        if not equals or camera not in cameras:
+            close = nearest(camera, cameras) if equals else ""
+            raise UsageError(
+                f"{option} {text}: CAMERA=... is needed with one of {', '.join(cameras)}, the cameras of the "
+                f"graph {graph.spec.name}" + (f"; nearest: {close}" if close else "")
+            )
+        if camera in named:
+            raise UsageError(f"{option} {text}: the second one of camera {camera}, after {named[camera]}")
+        named[camera] = value
+    return named
+
+
+def open_cameras_given(options: argparse.Namespace, graph: CheckedGraph) -> SeveralSources:
+    """The sources of several cameras, or their detections alone, merged by time; raises UsageError."""
+    from bayesnet_track.runtime.several_cameras import open_cameras
+
+    for option in ("right", "stereo", "depth", "calibration", "view", "max_side", "init", "init_from", "end"):
+        if getattr(options, option, None) is not None:
+            name = f"--{option.replace('_', '-')}"
+            raise UsageError(f"{name} is of one image, and the graph {graph.spec.name} has several cameras")
+    how = {name: getattr(options, name) for name in ("allow_network", "on_resize", "stride", "value_range")}
+    how["start"] = options.start or None
+    return open_cameras(graph, options.source, options.detections, **how)

@@ -31,11 +31,9 @@ from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.videowriter import LEAST_SIDE
 from bayesnet_track.runtime.resizing import LEAST_MAX_SIDE, Resizing
 from bayesnet_track.runtime.results import FrameSource
-from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.entrances.boxes import LONG, LONG_SHARE, QUESTION, explain_corners
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.frames import Source
-from bayesnet_track.sources.scan_files import ScanFile
 from bayesnet_track.vision.detectors.selection import left_out
 
 MOST_MS = 1e7
@@ -264,11 +262,10 @@ def prepare_engine(
     graph: CheckedGraph,
     seed: int,
     motion: MotionModel | None,
-    detector: FileDetector | ScanFile | None,
+    detectors: Mapping[str, Any],
 ) -> Engine:
-    """The engine of a run, with the detector of a file where there is one; raises as `track`."""
+    """The engine of a run, with the `detectors` of files by the names that it has for them; as `track`."""
     motions = None if motion is None else dict.fromkeys(graph.targets, motion)
-    detectors: dict[str, Any] = {} if detector is None else {GIVEN: detector}
     return make_engine(graph, seed, motion=motions, detectors=detectors)
 
 

@@ -56,8 +56,17 @@ from bayesnet_track.runtime.results import (
     interval_of,
 )
 from bayesnet_track.runtime.run import run
+from bayesnet_track.runtime.several_cameras import (
+    Named,
+    by_engine_names,
+    check_named,
+    named_files,
+    open_cameras,
+    source_of,
+)
 from bayesnet_track.runtime.stop import closed_at_exit
 from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.several import SeveralSources
 from bayesnet_track.sources.sources import open_source
 
 P = ParamSpec("P")
@@ -84,13 +93,13 @@ def prepare_at_call(
 @closed_at_exit
 def track(
     graph: str | PathLike[str] | GraphSpec | CheckedGraph,
-    source: str | PathLike[str] | FrameSource | None,
+    source: str | PathLike[str] | FrameSource | Named | None,
     box: CornerBox | Sequence[Start] | None = None,
     *,
     out: str | PathLike[str] | None = None,
     seed: int = 0,
     motion: MotionModel | None = None,
-    detections: str | PathLike[str] | None = None,
+    detections: str | PathLike[str] | Named | None = None,
     overwrite: bool = False,
     video: bool | Literal["mkv", "mp4"] = False,
     video_side: int | None = None,
@@ -118,14 +127,14 @@ def track(
     Args:
         graph: an installed graph's name, a YAML path, or a graph in Python.
         source: a video file, a folder of images, a glob, or an opened source; None for the times of
-            `detections`, where the graph has sensors of quantities and looks at no image.
+            `detections`, where the graph looks at no image. Of several cameras a mapping of one for each.
         box: start box x, y, w, h in the first frame, top-left corner, px; or one `Start` per target; none
             are needed where the graph has `birth`.
         out: run directory to write; nothing is written when None.
         seed: seed of all randomness.
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
         detections: a file of detections, MOT or JSON Lines, for births by `detections`. A warning says
-            which of them will not be used.
+            which of them will not be used. Of several cameras a mapping of one for each.
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         video_side: scale the annotated video down so that its longer side is at most so many px, 16 or more;
@@ -195,20 +204,23 @@ def track(
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
         again = None if callable(inputs) else inputs
-        check_steady = stack.enter_context(steady([*model_files(checked), detections, again]))
-        read = {} if detections is None else {str(detections): file_sha256(detections)}
+        check_named(checked, source, detections)
+        files_given = named_files(detections)
+        check_steady = stack.enter_context(steady([*model_files(checked), *files_given.values(), again]))
+        read = {str(one): file_sha256(one) for one in files_given.values()}
         external_inputs = as_inputs(inputs)
-        source = source_or_times(source, checked, detections)
-        if isinstance(source, str | PathLike):
-            opened: FrameSource = stack.enter_context(
-                open_source(
-                    str(source),
-                    allow_network=allow_network,
-                    stride=stride,
-                    live=live,
-                    value_range=value_range,
-                )
-            )
+        how: dict[str, Any] = {
+            "allow_network": allow_network,
+            "stride": stride,
+            "live": live,
+            "value_range": value_range,
+        }
+        named: Any = detections
+        own: Any = source if checked.several_cameras else source_or_times(cast(Any, source), checked, named)
+        if checked.several_cameras and not isinstance(own, SeveralSources):
+            opened: FrameSource = stack.enter_context(open_cameras(checked, own, named, **how))
+        elif isinstance(own, str | PathLike):
+            opened = stack.enter_context(open_source(str(own), **how))
         elif stride != 1 or live is not None or value_range is not None:
             usual = {
                 "stride": stride == 1,
@@ -217,26 +229,33 @@ def track(
             }
             option = next(name for name, is_usual in usual.items() if not is_usual)
             raise ValueError(f"{option} is for a source that is opened here; this one is open already")
-        elif not hasattr(source, "width"):
+        elif not hasattr(own, "width"):
             raise TypeError(
-                f"track: a source of type {type(source).__name__}; allowed: the path of a video, a folder or "
+                f"track: a source of type {type(own).__name__}; allowed: the path of a video, a folder or "
                 "a pattern of images, or what open_source gives; for frames in memory use Tracker.init and "
                 "update"
             )
         else:
-            opened = source
+            opened = own
         check_given(checked, starts, opened.width, opened.height)
         resizing = resizing_of(opened, max_side)
         for start in starts:
             resizing.start(start)  # raises before anything is written
         seen = resizing.graph(checked)
-        detector = None if detections is None else resizing.detector(given_detector(seen, Path(detections)))
-        engine = prepare_engine(seen, seed, motion, detector)
-        given: GivenFrames | None = None
-        check_scans(seen, engine, opened, detector, detections, bool(video))
-        if isinstance(detector, FileDetector) and detections is not None:
-            given = GivenFrames(Path(detections), detector.found, frames_of(opened))
-            given.say(seen, resizing.tracked)
+        detectors = {
+            camera: resizing.detector(given_detector(seen, Path(one))) for camera, one in files_given.items()
+        }
+        engine = prepare_engine(seen, seed, motion, by_engine_names(detectors))
+        given: list[GivenFrames] = []
+        check_scans(seen, engine, opened, detectors.get(""), files_given.get(""), bool(video))
+        for camera, detector in detectors.items():
+            if isinstance(detector, FileDetector):
+                camera_source = source_of(opened, camera)
+                read_frames = GivenFrames(Path(files_given[camera]), detector.found, frames_of(camera_source))
+                read_frames.say(
+                    seen, (camera_source.width, camera_source.height) if camera else resizing.tracked
+                )
+                given.append(read_frames)
         say_unused_by_cues(seen, opened)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
@@ -257,7 +276,7 @@ def track(
                 opened,
                 starts,
                 seed,
-                detections=detections,
+                detections=files_given.get(""),
                 has_video=bool(video),
                 own_motion=motion is not None,
                 inputs=again,
@@ -307,8 +326,9 @@ def track(
         ):
             last = result.frame.index
             yield result
-        if given is not None and last is not None:
-            given.say_at_end(last)
+        if last is not None and not checked.several_cameras:
+            for read_frames in given:
+                read_frames.say_at_end(last)
         if recorder is not None and totals.frames:
             finish(directory, recorder.finish(), files)
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +22,8 @@ from bayesnet_track.observation.detector import GIVEN, Scan, of_camera
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frame_clock import Fed
 from bayesnet_track.runtime.given_scans import GivenDetections, read_given
+from bayesnet_track.runtime.results import FrameSource
+from bayesnet_track.sources.several import CameraSource, SeveralSources
 
 Size = tuple[int, int]
 
@@ -151,3 +156,88 @@ def mark(
         marked[camera] = copy.copy(detections[camera])
         marked[camera].tracker_id = ids
     return marked
+
+
+Named = Mapping[str, str | PathLike[str]]
+
+
+def check_named(graph: CheckedGraph, source: object, detections: object) -> None:
+    """Refuse sources or detections that are named by cameras for one image, or not named for several.
+
+    Raises:
+        TypeError, ValueError: as of `check_cameras`; or the graph has not several cameras.
+    """
+    for what, given in (("sources", source), ("detections", detections)):
+        if given is None or isinstance(given, SeveralSources):
+            continue
+        if graph.several_cameras:
+            check_cameras(graph, given, what)
+        elif isinstance(given, Mapping):
+            raise ValueError(
+                f"{what} of {', '.join(map(str, given))}: the graph {graph.spec.name} has not several "
+                "cameras; allowed: one, without a name"
+            )
+
+
+def open_cameras(graph: CheckedGraph, sources: Any, detections: Any, **how: Any) -> SeveralSources:
+    """The sources of a graph's cameras, each by name, merged by time; `how` is as of `open_source`.
+
+    Of a camera without a source its detections stand for the frames.
+
+    Raises:
+        SourceError: one cannot be read, or two are the same.
+        StartError: one has another size than its camera was calibrated in.
+        TypeError, ValueError: as of `check_named`; or a camera has neither source nor detections.
+    """
+    from bayesnet_track.sources.box_times import BoxReader
+    from bayesnet_track.sources.frames import Source
+    from bayesnet_track.sources.origin import Origin
+    from bayesnet_track.sources.paths import SourceError
+    from bayesnet_track.sources.sources import open_source
+
+    check_named(graph, sources, detections)
+    opened: dict[str, CameraSource] = {}
+    texts: dict[str, str] = {}
+    with ExitStack() as stack:
+        for camera, size in graph.several_cameras.items():
+            text, own = (str(one[camera]) if one and camera in one else "" for one in (sources, detections))
+            if not text and not own:
+                raise ValueError(
+                    f"neither a source nor detections of the camera {camera}; the graph {graph.spec.name} "
+                    f"has {', '.join(graph.several_cameras)}"
+                )
+            other = texts.setdefault(str(Path(text or own).absolute()), camera)
+            if other != camera:
+                raise SourceError(
+                    text or own,
+                    f"the source of two cameras, {other} and {camera}: its evidence would count twice",
+                    "a source of its own for each camera",
+                    "give each camera once",
+                )
+            if text:
+                opened[camera] = open_source(text, **how)
+            else:
+                origin = Origin("plain", own, own)
+                opened[camera] = Source(own, BoxReader(own, size), None, None, "stop", origin)
+            stack.callback(opened[camera].close)
+        check_sizes(graph, {camera: (one.width, one.height) for camera, one in opened.items()})
+        merged = SeveralSources(opened)
+        stack.pop_all()
+    return merged
+
+
+def named_files(given: str | PathLike[str] | Named | None) -> dict[str, str | PathLike[str]]:
+    """Camera -> its file, in the order given; "" of a file that is of one image."""
+    if given is None:
+        return {}
+    return dict(given) if isinstance(given, Mapping) else {"": given}
+
+
+def by_engine_names(detectors: Mapping[str, Any]) -> dict[str, Any]:
+    """The detectors of cameras by the names that an engine has for them."""
+    return {of_camera(GIVEN, camera): detector for camera, detector in detectors.items()}
+
+
+def source_of(source: FrameSource, camera: str) -> Any:
+    """The source of one of several cameras; the source itself of one image."""
+    return source.sources[camera] if isinstance(source, SeveralSources) else source

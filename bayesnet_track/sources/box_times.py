@@ -51,6 +51,8 @@ def names_boxes(path: str | Path) -> bool:
 class BoxReader:
     """Black frames of a file of boxes, from frame 0 to the last one that has a box.
 
+    Where nothing else says their width and height, px, they are those `of_camera`.
+
     Raises:
         OSError: the file cannot be read.
         ValueError: a malformed line, or no box that can be used; says file and line.
@@ -59,7 +61,7 @@ class BoxReader:
     gap_from = math.inf
     is_live = False
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, of_camera: tuple[int, int] | None = None) -> None:
         found = parse_detections(read_text(text), text)
         if not found:
             raise ValueError(f"{text}: no box that can be used, so nothing says which frames there are")
@@ -71,10 +73,11 @@ class BoxReader:
             )
         size = _described(Path(text))
         if size is None:
-            width, height = (max(int(side), 1) for side in sides)
+            width, height = of_camera or (max(int(side), 1) for side in sides)
             size = _Sequence(width, height, ASSUMED_RATE, max(found) + 1)
+            why = "which holds all boxes" if of_camera is None else "as the camera is calibrated"
             notice(
-                f"{text}: no images; frames are taken as {width} x {height} px, which holds all boxes, and "
+                f"{text}: no images; frames are taken as {width} x {height} px, {why}, and "
                 f"{ASSUMED_RATE:g} a second; a {SEQINFO} beside it with imWidth, imHeight, frameRate and "
                 "seqLength says what they are"
             )

@@ -40,6 +40,8 @@ from bayesnet_track.cli.options import (
     add_size_option,
     add_video_option,
     add_window_options,
+    given_once_or_named,
+    open_cameras_given,
     open_given,
 )
 
@@ -238,6 +240,11 @@ def run(options: argparse.Namespace) -> int:
             "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
             "`birth`, whose detectors find the targets"
         )
+    options.source = given_once_or_named("--source", options.source, graph)
+    options.detections = given_once_or_named("--detections", options.detections, graph)
+    if graph.several_cameras:
+        with users_mistake(), open_cameras_given(options, graph) as cameras:
+            return track_source(options, graph, cameras, [], out, video=options.video)
     with users_mistake():
         options.source = str(source_or_times(options.source, graph, options.detections))
     with open_view(options) as view, open_given(options) as source:
@@ -259,13 +266,15 @@ def track_source(
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.results import Summary, replay_inputs
     from bayesnet_track.runtime.session import track
+    from bayesnet_track.runtime.several_cameras import named_files
     from bayesnet_track.sources.mot_lines import COLUMNS
 
     detections = getattr(options, "detections", None)
     if detections is not None:
         kinds = f"a text file with MOT lines ({COLUMNS}), JSON Lines, or a CSV of what sensors measured"
         with users_file("--detections", kinds):
-            given_detector(graph, detections)
+            for path in named_files(detections).values():
+                given_detector(graph, str(path))
     inputs = getattr(options, "inputs", None)
     if inputs is not None:
         with users_mistake():
@@ -380,8 +389,10 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     run.add_argument(
         "--source",
+        action="append",
+        metavar="SOURCE",
         help="video file, folder of images, glob, camera index, or URL; needed unless --detections is a CSV "
-        "of what sensors measured",
+        "of what sensors measured; CAMERA=SOURCE for each camera of a graph with several",
     )
     run.add_argument(
         "-o",
@@ -407,9 +418,10 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     add_truth_format(run)
     run.add_argument(
         "--detections",
+        action="append",
         metavar="FILE",
         help="file of detections (MOT, JSON Lines; CSV for sensors of quantities) for a graph whose births "
-        "use `detections`",
+        "use `detections`; CAMERA=FILE for each camera of a graph with several",
     )
     add_video_option(run)
     run.add_argument(

@@ -18,6 +18,7 @@ from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import PART, OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
+from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.arguments import (
     held_files,
@@ -142,6 +143,11 @@ def resume(
         check_steady = stack.enter_context(steady([file.place for file in read_whole if file is not None]))
         check_files(recipe)
         graph = recipe.load_graph(directory, cues)
+        if graph.several_cameras:
+            raise ResumeError(
+                f"{path}: a run of several cameras ({', '.join(graph.several_cameras)}) cannot go on where "
+                "it was broken off; run it again with --overwrite"
+            )
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, say)
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)
@@ -150,7 +156,7 @@ def resume(
         seen = resizing.graph(graph)
         given = recipe.detections
         detector = None if given is None else resizing.detector(given_detector(seen, given.place))
-        engine = prepare_engine(seen, recipe.seed, motion, detector)
+        engine = prepare_engine(seen, recipe.seed, motion, {} if detector is None else {GIVEN: detector})
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms

@@ -38,12 +38,14 @@ from bayesnet_track.runtime.recording.measured import measured
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import (
     NO_IDS,
+    CameraWriter,
     CsvWriter,
     MotWriter,
     QueryWriter,
     has_csv,
     has_only_points,
     number_columns,
+    views_of_cameras,
 )
 from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
 from bayesnet_track.runtime.results import Result
@@ -103,6 +105,7 @@ class Recorder:
         self._points = has_only_points(graph.spec)
         self._has_csv = "csv" in optional or has_csv(graph.spec)
         self._numbers = number_columns(graph.spec)
+        self._views = views_of_cameras(graph)
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self.longest_side = LONGEST_SIDE
@@ -127,6 +130,10 @@ class Recorder:
             if self._has_csv or "csv" in at:
                 csv = CsvWriter(directory.csv, at.get("csv"), self._numbers, self._points)
                 self._csv = files.enter_context(csv)
+            self._cameras: CameraWriter | None = None
+            if self._views:
+                writer = CameraWriter(directory.cameras, self._views, at.get("cameras"))
+                self._cameras = files.enter_context(writer)
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
             self._queries: QueryWriter | None = None
             if self._asked:
@@ -201,6 +208,7 @@ class Recorder:
         files["timings"] = self._timings
         more = {
             "csv": self._csv,
+            "cameras": self._cameras,
             "queries": self._queries,
             "inputs": self._inputs,
             "beliefs": self._beliefs,
@@ -231,6 +239,8 @@ class Recorder:
             self._mot.write(tracked)
             if self._csv is not None:
                 self._csv.write(tracked)
+            if self._cameras is not None:
+                self._cameras.write(result.frame, tracked, result.kinds)
             if self._beliefs is not None:
                 for target in tracked.targets:
                     if target in result.states:

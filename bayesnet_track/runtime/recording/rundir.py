@@ -59,6 +59,8 @@ class RunDirectory:
     """Tracks in MOT's format."""
     csv = RunFile("tracks.csv")
     """Tracks as CSV."""
+    cameras = RunFile("cameras.csv")
+    """Boxes in the image of each camera, where the graph has several."""
     queries = RunFile("queries.csv")
     """Answers to the queries of the graph, where it has any."""
     timings = RunFile("timings.jsonl")

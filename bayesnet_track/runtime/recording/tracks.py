@@ -13,13 +13,16 @@ from typing import Any, Self
 
 import numpy as np
 
+from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.plates import ground_fields
 from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.protocols import BOX
 
 
 def has_only_points(graph: GraphSpec) -> bool:
@@ -222,6 +225,66 @@ def _corner(metrics: FrameMetrics) -> list[str]:
 def _fix(value: float, digits: int) -> str:
     text = f"{value:.{digits}f}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text
+
+
+CAMERA_COLUMNS = ("frame", "time_s", "camera", "camera_frame", "target", "x", "y", "w", "h", "status")
+
+CameraViews = Mapping[str, Mapping[str, GroundView]]
+"""Camera -> plate that it sees -> its calibration."""
+
+
+def views_of_cameras(graph: CheckedGraph) -> CameraViews:
+    """The views of a graph with several cameras; nothing of another one."""
+    return {
+        camera: {
+            name: one.camera
+            for name, plate in graph.targets.items()
+            for one in plate.views.values()
+            if one.name == camera
+        }
+        for camera in graph.several_cameras
+    }
+
+
+class CameraWriter(LineFile):
+    """CSV with the header `CAMERA_COLUMNS`: boxes of targets on the ground in the image of each camera.
+
+    A line for each target that the camera has in its image, in the steps in which it has a frame. frame: the
+    number of the step, from 0; camera_frame: that of the frame in its own source; x, y, w, h: top-left
+    corner, width and height, px, not cut by the border.
+    """
+
+    def __init__(self, path: Path, views: CameraViews, size: int | None = None) -> None:
+        super().__init__(path, size)
+        self._views = views
+        if size is None:
+            self.append(",".join(CAMERA_COLUMNS))
+            self.flush()
+
+    def write(self, frame: Frame, tracked: Tracked, kinds: Mapping[str, str]) -> None:
+        """Add the lines of one step to the next flush; `kinds` maps targets to their plates."""
+        states = {
+            target: np.array([numbers[f"{name}_m"] for name in BOX])
+            for target, numbers in zip(tracked.targets, tracked.answers, strict=True)
+            if "x_m" in numbers
+        }
+        statuses = dict(zip(tracked.targets, tracked.statuses, strict=True))
+        for camera, own in frame.cameras.items():
+            first = f"{frame.index},{frame.time_s:.6f},{_cell(camera)},{own.index}"
+            for target, state in states.items():
+                view = self._views[camera].get(kinds[target])
+                box = None if view is None else view.boxes(state[None])[0]
+                if box is None or not _is_inside(box, own):
+                    continue
+                x, y, w, h = (_fix(value, 3) for value in (*(box[:2] - (box[2:] - 1.0) / 2.0), *box[2:]))
+                self.append(f"{first},{_cell(target)},{x},{y},{w},{h},{statuses[target]}")
+
+
+def _is_inside(box: Floats, frame: Frame) -> bool:
+    """True if a centre box (4,) touches the frame."""
+    middle = np.array([frame.width - 1, frame.height - 1])
+    sides = np.array([frame.width, frame.height])
+    return bool(np.isfinite(box).all() and (np.abs(2.0 * box[:2] - middle) < box[2:] + sides).all())
 
 
 QUERY_COLUMNS = ("frame", "time_s", "query", "of", "probability", "mean", "sd", "low", "high", "unit")

@@ -1,0 +1,182 @@
+"""Sources of several cameras, merged by nominal time: each time is a step of the cameras with a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from bayesnet_track.journal.events.runs import FramesMissing, SourceDamaged
+from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.sources.paths import SourceError
+
+TOGETHER = 0.1
+"""Frames of different cameras no farther apart than this share of the shortest interval are one step."""
+
+
+class CameraSource(Protocol):
+    """A source of one camera, such as `frames.Source`."""
+
+    description: str
+    width: int
+    height: int
+    has_color: bool
+    frame_interval_s: float
+    is_live: bool
+    end_reason: EndReason
+
+    @property
+    def expected_frames(self) -> int | None:
+        """Number of frames to come, where it is declared."""
+
+    def close(self) -> None:
+        """Let go of files and devices."""
+
+    def __iter__(self) -> Iterator[SourceItem]: ...
+
+
+@dataclass
+class SeveralSources:
+    """The frames of several cameras as steps, in the order of their times; a context manager.
+
+    The frames of a step are at most `TOGETHER` of the shortest frame interval apart, one of each camera. Its
+    time is that of the first of them, its image the last one that the first camera gave. It ends when all
+    sources have ended.
+
+    Attributes:
+        sources: camera -> its opened source.
+
+    Raises:
+        SourceError: a source has no times in seconds, or is live, so that nobody knows what is yet to come.
+    """
+
+    sources: Mapping[str, CameraSource]
+    frames: int = 0
+    end_reason: EndReason = "end_of_source"
+    origin: None = None
+    has_depth: bool = False
+    is_live: bool = False
+    _closing: ExitStack = field(default_factory=ExitStack)
+
+    def __post_init__(self) -> None:
+        for source in self.sources.values():
+            self._closing.callback(source.close)
+        for camera, source in self.sources.items():
+            if source.is_live:
+                raise SourceError(
+                    source.description,
+                    f"a live stream as the source of camera {camera}: frames of several cameras are merged "
+                    "by their times, and of a live one nobody knows which frame comes next",
+                    "recordings of all cameras",
+                    "record the streams first, or give detections as they come to DetectionsTracker",
+                )
+        self._first = next(iter(self.sources))
+
+    @property
+    def description(self) -> str:
+        """All sources, each with its camera."""
+        return ", ".join(f"{camera}={source.description}" for camera, source in self.sources.items())
+
+    @property
+    def width(self) -> int:
+        """Columns of the first camera's image."""
+        return self.sources[self._first].width
+
+    @property
+    def height(self) -> int:
+        """Rows of the first camera's image."""
+        return self.sources[self._first].height
+
+    @property
+    def expected_frames(self) -> int | None:
+        """Not known before all times are: cameras have their own rates."""
+        return None
+
+    @property
+    def frame_interval_s(self) -> float:
+        """The shortest nominal interval of a camera, s."""
+        return min(source.frame_interval_s for source in self.sources.values())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of files and devices; safe to call twice."""
+        self._closing.close()
+
+    def __iter__(self) -> Iterator[SourceItem]:
+        heads = {camera: _Head(camera, iter(source)) for camera, source in self.sources.items()}
+        tolerance, start = TOGETHER * self.frame_interval_s, math.nan
+        first = self.sources[self._first]
+        image: Array = np.zeros((first.height, first.width, 3), np.uint8)
+        image.flags.writeable = False
+        while True:
+            notices: list[SourceItem] = []
+            for head in heads.values():
+                notices += head.advance()
+            yield from (_at(item, self.frames) for item in notices)
+            waiting = {camera: head.frame for camera, head in heads.items() if head.frame is not None}
+            if not waiting:
+                break
+            time_s = min(frame.time_s for frame in waiting.values())
+            start = time_s if math.isnan(start) else start
+            together = {c: frame for c, frame in waiting.items() if frame.time_s <= time_s + tolerance}
+            for camera in together:
+                heads[camera].frame = None
+            if self._first in together:
+                image = together[self._first].image
+            intervals = (time_s - start) / self.frame_interval_s
+            yield Frame(self.frames, intervals, image, first.has_color, time_s, cameras=together)
+            self.frames += 1
+        reasons = [source.end_reason for source in self.sources.values()]
+        self.end_reason = next((one for one in reasons if one != "end_of_source"), "end_of_source")
+
+
+@dataclass
+class _Head:
+    """The next frame of a camera; None before it was asked for, and at the end."""
+
+    camera: str
+    items: Iterator[SourceItem]
+    frame: Frame | None = None
+
+    def advance(self) -> list[SourceItem]:
+        """What the source says before its next frame, which is then there."""
+        notices: list[SourceItem] = []
+        while self.frame is None:
+            item = next(self.items, None)
+            if item is None:
+                break
+            if not isinstance(item, Frame):
+                if isinstance(item, SourceDamaged):
+                    notices.append(replace(item, reason=f"{self.camera}: {item.reason}"))
+                elif isinstance(item, FramesMissing):  # the others go on: it says nothing for as long
+                    notice(f"{self.camera}: frame {item.frame}: {item.describe().partition(';')[0]}")
+                else:
+                    notices.append(item)
+                continue
+            if math.isnan(item.time_s):
+                raise SourceError(
+                    self.camera,
+                    "frames without times in seconds",
+                    "frames with times, by which those of several cameras are merged",
+                    "a video, or images with a known rate",
+                )
+            self.frame = item
+        return notices
+
+
+def _at(item: Any, step: int) -> SourceItem:
+    """An event of one source, at the number of a step."""
+    moved: SourceItem = replace(item, frame=step) if hasattr(item, "frame") else item
+    return moved

@@ -1,0 +1,174 @@
+"""Runs through the sources and detections of several cameras, merged by time."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from bayesnet_track import track
+from bayesnet_track.__main__ import main
+from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
+from bayesnet_track.sources.paths import SourceError
+from tests.engine.test_several_cameras import CAMERAS, boxes_of, write_graph
+
+COUNT, PLACE = 20, np.array([-2.0, 9.0])
+RATES = {"south": 20, "east": 10}
+
+
+def place_at(time_s):
+    return PLACE + time_s * np.array([1.4, 0.4])
+
+
+@pytest.fixture
+def room(tmp_path):
+    """Files of a graph and of two cameras, of which `east` has half the frames."""
+    for camera, rate in RATES.items():
+        (tmp_path / camera).mkdir()
+        width, height = CAMERAS[camera].size
+        (tmp_path / camera / "seqinfo.ini").write_text(
+            f"[Sequence]\nimWidth={width}\nimHeight={height}\nframeRate={rate}\nseqLength=1\n"
+        )
+        lines = []
+        for frame in range(COUNT * rate // 20):
+            x, y, w, h = boxes_of(camera, place_at(frame / rate))[0]
+            lines.append(f"{frame + 1},-1,{x - (w - 1) / 2},{y - (h - 1) / 2},{w},{h},0.9,-1,-1,-1")
+        (tmp_path / camera / "boxes.txt").write_text("\n".join(lines) + "\n")
+    return write_graph(tmp_path)
+
+
+def detections_in(room):
+    return {camera: room.parent / camera / "boxes.txt" for camera in RATES}
+
+
+def options_of(files, option="--detections"):
+    return [part for camera, path in files.items() for part in (option, f"{camera}={path}")]
+
+
+def test_each_camera_has_its_own_rate_and_one_belief_is_in_metres(room, tmp_path):
+    out = tmp_path / "run"
+    steps = list(track(room, None, detections=detections_in(room), out=out))
+    assert [result.frame.time_s for result in steps] == pytest.approx([k / 20 for k in range(COUNT)])
+    assert [tuple(result.frame.cameras) for result in steps[:3]] == [("south", "east"), ("south",)] * 1 + [
+        ("south", "east")
+    ]
+    (target,) = steps[-1].targets
+    place = place_at((COUNT - 1) / 20)
+    assert np.hypot(target.state["x_m"] - place[0], target.state["y_m"] - place[1]) < 0.05
+    assert target.state["vx"] == pytest.approx(1.4, abs=0.1)
+    rows = list(csv.DictReader((out / "cameras.csv").open()))
+    last = {camera: [row for row in rows if row["camera"] == camera][-1] for camera in RATES}
+    assert [last["south"]["camera_frame"], last["east"]["camera_frame"]] == ["19", "9"]
+    for camera, row in last.items():
+        x, y, w, h = (float(row[name]) for name in "xywh")
+        expected = boxes_of(camera, place_at(int(row["camera_frame"]) / RATES[camera]))[0]
+        np.testing.assert_allclose([x + (w - 1) / 2, y + (h - 1) / 2, w, h], expected, atol=4.0)
+
+
+def test_the_command_line_gives_equal_bytes_in_any_order_of_the_cameras(room, tmp_path, capsys):
+    files = detections_in(room)
+    for name, order in (("a", [*files]), ("b", [*files][::-1])):
+        named = options_of({camera: files[camera] for camera in order})
+        assert main(["run", str(room), *named, "--out", str(tmp_path / name), "--quiet"]) == 0
+    for file in ("tracks.csv", "cameras.csv", "frames.npy.gz", "tracks.txt"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    capsys.readouterr()
+    assert main(["log", str(tmp_path / "a")]) == 0
+    log = capsys.readouterr().out
+    assert "seen.south, seen.east on" in log
+    assert "south=" in log
+    assert main(["verify", str(tmp_path / "a")]) == 0
+
+
+def test_it_is_scored_in_metres(room, tmp_path, capsys):
+    out, truth = tmp_path / "run", tmp_path / "truth.csv"
+    for _ in track(room, None, detections=detections_in(room), out=out):
+        pass
+    lines = [f"{k / 20},1,{x},{y}" for k in range(COUNT) for x, y in [place_at(k / 20)]]
+    truth.write_text("t,id,x,y\n" + "\n".join(lines) + "\n")
+    capsys.readouterr()
+    assert main(["score", str(out), "--truth", str(truth)]) == 0
+    scores = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines())
+    assert float(scores["mota"]) > 0.85
+    assert float(scores["idf1"]) > 0.9
+
+
+def test_videos_of_the_cameras(room, tmp_path):
+    import cv2
+
+    videos = {}
+    for camera, rate in RATES.items():
+        videos[camera] = str(tmp_path / f"{camera}.avi")
+        writer = cv2.VideoWriter(videos[camera], cv2.VideoWriter.fourcc(*"MJPG"), rate, CAMERAS[camera].size)
+        for frame in range(COUNT * rate // 20):
+            writer.write(np.full((*CAMERAS[camera].size[::-1], 3), 10 * frame, np.uint8))
+        writer.release()
+    out = tmp_path / "run"
+    named = [*options_of(videos, "--source"), *options_of(detections_in(room))]
+    assert main(["run", str(room), *named, "--out", str(out), "--quiet"]) == 0
+    boxes_only = tmp_path / "boxes_only"
+    assert (
+        main(["run", str(room), *options_of(detections_in(room)), "--out", str(boxes_only), "--quiet"]) == 0
+    )
+    assert (out / "tracks.csv").read_bytes() == (boxes_only / "tracks.csv").read_bytes()
+
+
+WRONG = {
+    "no_name": (["--detections", "{south}"], "CAMERA=... is needed with one of south, east"),
+    "unknown": (["--detections", "soth={south}"], "nearest: south"),
+    "missing": (["--detections", "south={south}"], "neither a source nor detections of the camera east"),
+    "twice": (
+        ["--detections", "south={south}", "--detections", "south={east}"],
+        "the second one of camera south",
+    ),
+    "one_file": (
+        ["--detections", "south={south}", "--detections", "east={south}"],
+        "the source of two cameras, south and east",
+    ),
+    "swapped": (
+        ["--detections", "south={east}", "--detections", "east={south}"],
+        "of 640x480 px, and the frames have 800x480 px",
+    ),
+    "start_box": (
+        ["--detections", "south={south}", "--detections", "east={east}", "--init", "1,2,30,40"],
+        "--init is of one image",
+    ),
+}
+
+
+@pytest.mark.parametrize(("options", "said"), WRONG.values(), ids=[*WRONG])
+def test_wrong_sources_are_refused(room, tmp_path, capsys, options, said):
+    files = {camera: str(path) for camera, path in detections_in(room).items()}
+    out = tmp_path / "run"
+    assert main(["run", str(room), *(one.format(**files) for one in options), "--out", str(out)]) != 0
+    assert said in capsys.readouterr().err
+    assert not (out / "journal.jsonl").exists()
+
+
+def test_names_of_cameras_for_one_image_are_refused(tmp_path):
+    path = write_graph(tmp_path, ("south",))
+    with pytest.raises(ValueError, match="the graph room has not several cameras"):
+        track(path, {"south": "south.mp4"}, detections={"south": "boxes.txt"})
+
+
+def test_a_run_that_was_broken_off_says_that_it_cannot_go_on(room, tmp_path):
+    out = tmp_path / "run"
+    results = track(room, None, detections=detections_in(room), out=out)
+    next(results)
+    results.close()
+    with pytest.raises(ResumeError, match=r"a run of several cameras .south, east. cannot go on"):
+        list(resume(out))
+
+
+def test_a_live_stream_is_refused(room):
+    from bayesnet_track.sources.several import SeveralSources
+
+    class Live:
+        description, is_live = "rtsp://camera", True
+
+        def close(self):
+            pass
+
+    with pytest.raises(SourceError, match="a live stream as the source of camera south"):
+        SeveralSources({"south": Live()})
