@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from functools import partial, wraps
 from os import PathLike
 from pathlib import Path
-from typing import Literal, ParamSpec, cast
+from typing import Any, Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import check_forecasts
