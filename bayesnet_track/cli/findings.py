@@ -33,6 +33,7 @@ class Finding:
         agent: the agent that it is about, or None.
         frame: a frame in which to look, or None.
         measure: what was measured; findings of several targets with the same measure are alike.
+        settings: changes of the graph that are worth a try, each of them one or more `PATH=VALUE`.
     """
 
     target: str
@@ -41,6 +42,7 @@ class Finding:
     agent: str | None = None
     frame: int | None = None
     measure: str = ""
+    settings: tuple[tuple[str, ...], ...] = ()
 
 
 COLUMNS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from bayesnet_track.journal.compare_measures import Total
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.runtime.recording.run_reader import Run
+    from bayesnet_track.runtime.results import Result
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -275,22 +276,13 @@ def add_comparison_options(parser: argparse.ArgumentParser) -> None:
 
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
-    from bayesnet_track.runtime.checkpoints.standing import check_cues, check_files
     from bayesnet_track.runtime.recording.manifest import add_output
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     check_page(options)
-    first, recipe = _earlier_run(options)
-    with users_mistake():
-        changes = recipe.origin.changes()
-    if changes and not options.force:
-        raise UsageError(
-            f"{options.run}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"
-        )
-    if not options.force:
-        check_cues(recipe, ())
-        check_files(recipe)
+    first, recipe = earlier_run(options.run)
+    check_unchanged(options.run, recipe, options.force)
     if options.no_adaptation:
         _require_adaptation(first.spec)
     masks = recipe.read_masks()
@@ -313,23 +305,38 @@ def what_if(options: argparse.Namespace) -> int:
     return show_comparison(first, open_run(out, complain), options) or code
 
 
-def _earlier_run(options: argparse.Namespace) -> tuple[Run, Recipe]:
+def earlier_run(path: str) -> tuple[Run, Recipe]:
     """The run to repeat, and how it was made; raises UsageError if it cannot be repeated."""
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
 
     try:
-        run = open_run(options.run, complain)
+        run = open_run(path, complain)
         # Its repetition would not be smoothed: the two would differ even with nothing changed.
         if run.started.smoothed:
-            raise UsageError(f"{options.run}: it has been smoothed; use the run that it was made from")
+            raise UsageError(f"{path}: it has been smoothed; use the run that it was made from")
         recipe = Recipe.read(run.directory)
     except (RunDirectoryError, RecipeError) as error:
         raise UsageError(str(error)) from error
     if recipe.only_once is not None:
-        raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
+        raise UsageError(f"{path}: it cannot be run again: {recipe.only_once}")
     return run, recipe
+
+
+def check_unchanged(path: str, recipe: Recipe, is_forced: bool = False) -> None:
+    """Refuse a run whose source, cues or files have changed since; raises UsageError."""
+    from bayesnet_track.runtime.checkpoints.standing import check_cues, check_files
+
+    with users_mistake():
+        changes = recipe.origin.changes()
+    if changes and not is_forced:
+        raise UsageError(
+            f"{path}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"
+        )
+    if not is_forced:
+        check_cues(recipe, ())
+        check_files(recipe)
 
 
 def _folder(options: argparse.Namespace) -> Path:
@@ -345,27 +352,37 @@ def _track_again(
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
     from bayesnet_track.cli.following import Narrator, follow, users_start
     from bayesnet_track.runtime.results import Summary
-    from bayesnet_track.runtime.session import track
 
     summary = Summary()
+    seed = recipe.seed if options.seed is None else options.seed
+    sinks = [Narrator()] if options.verbose else []
     with recipe.opened() as source:
         with users_start():
-            results = track(
-                graph,
-                source,
-                list(recipe.starts) or None,
-                out=out,
-                seed=recipe.seed if options.seed is None else options.seed,
-                detections=None if recipe.detections is None else recipe.detections.place,
-                inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
-                max_side=recipe.max_side,
-                all_hypotheses="hypotheses" in recipe.optional,
-                tracks_csv="csv" in recipe.optional,
-                overwrite=options.overwrite,
-                sinks=[Narrator()] if options.verbose else [],
+            results = repeat(
+                first, recipe, source, graph, out, seed=seed, overwrite=options.overwrite, sinks=sinks,
                 summary=summary,
-            )
+            )  # fmt: skip
         return follow(options, results, summary, source.expected_frames, out)
+
+
+def repeat(
+    first: Run, recipe: Recipe, source: Any, graph: CheckedGraph, out: Path, **settings: Any
+) -> Generator[Result, None, None]:
+    """Track the source of an earlier run with another graph; `settings` are those of `track`."""
+    from bayesnet_track.runtime.session import track
+
+    return track(
+        graph,
+        source,
+        list(recipe.starts) or None,
+        out=out,
+        detections=None if recipe.detections is None else recipe.detections.place,
+        inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
+        max_side=recipe.max_side,
+        all_hypotheses="hypotheses" in recipe.optional,
+        tracks_csv="csv" in recipe.optional,
+        **settings,
+    )
 
 
 def _require_adaptation(spec: GraphSpec) -> None:

@@ -30,6 +30,7 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
         if isinstance(event, Quarantined):  # a switch, too
             failures.setdefault(event.target, []).append(event)
     targets = run.targets if target is None else (target,)
+    yield from _identities(run, target)
     measured = courses(run.metrics, COLUMNS, targets)
     for target_id in targets:
         yield from find_failures(target_id, failures.get(target_id, ()))
@@ -40,10 +41,31 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
                 yield finding
 
 
+def _identities(run: Run, target: str | None) -> Iterator[Finding]:
+    """What stands out in how identities follow each other, plate by plate."""
+    from bayesnet_track.cli.identities import find_identities, identities_of
+    from bayesnet_track.journal.courses import courses
+
+    types = _types(run.graph_text)
+    if not any("birth" in plate for plate in types.values()):
+        return
+    identities = identities_of(run.events, courses(run.metrics, ("status", "box")))
+    for plate in types:
+        of_plate = [identity for identity in identities if run.kinds[identity.target] == plate]
+        for finding in find_identities(of_plate, types, plate):
+            if target is None or finding.target == target:
+                yield finding
+
+
 def advise(run: Run, finding: Finding) -> dict[str, Any]:
     """A finding as plain data, with the key and value to try where the run's graph takes them."""
     kind = run.kinds[finding.target]
-    advice = {"target": finding.target, "type": kind, "found": finding.what, "frame": finding.frame}
+    advice: dict[str, Any] = {
+        "target": finding.target,
+        "type": kind,
+        "found": finding.what,
+        "frame": finding.frame,
+    }
     advice |= {
         "measure": finding.measure,
         "symptom": None,
@@ -51,7 +73,10 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
         "key": None,
         "why": None,
         "refused": None,
+        "settings": [list(changes) for changes in finding.settings if not _refuses(run.graph_text, changes)],
     }
+    if finding.settings:
+        return advice | {"seed": False}
     if finding.remedy is None:
         # Another seed is worth a try where chance may have lost a target, not where its detections ended.
         return advice | {"seed": finding.measure != "failed" and not is_born(run, finding.target)}
@@ -93,6 +118,11 @@ def _refused(text: str, setting: str) -> str | None:
         return next((mistake for mistake in mistakes([setting]) if mistake not in mistakes_now), None)
     except ChangeError as error:
         return str(error)
+
+
+def _refuses(text: str, changes: Sequence[str]) -> bool:
+    """True if a graph does not take one of some settings."""
+    return any(_refused(text, change) is not None for change in changes)
 
 
 @cache
@@ -145,10 +175,12 @@ def diagnose(options: argparse.Namespace) -> int:
     if options.json:
         say(json.dumps({"run": str(options.run), "findings": [advise(run, finding) for finding in findings]}))
         return OK
+    if options.try_settings:
+        return _try_all(options, run, findings)
     tried = False
     for group in _grouped(run, findings):
         advice = advise(run, group[0])
-        tried |= advice["try"] is not None
+        tried |= advice["try"] is not None or bool(advice["settings"])
         say("\n".join(_lines(options.run, advice)))
         if len(group) > 1:
             say("\n".join(_others(options.run, [finding.target for finding in group[1:]])))
@@ -160,6 +192,55 @@ def diagnose(options: argparse.Namespace) -> int:
             f"`bayesnet-track score {options.run} --truth FILE` does"
         )
     return OK
+
+
+def _try_all(options: argparse.Namespace, run: Run, findings: Sequence[Finding]) -> int:
+    """Track again with each proposed setting of identities, and print what becomes of them."""
+    import tempfile
+    from pathlib import Path
+
+    from bayesnet_track.cli.arguments import set_values
+    from bayesnet_track.cli.commands.compare import check_unchanged, earlier_run, repeat
+    from bayesnet_track.runtime.recording.run_reader import open_run
+
+    proposed = [(finding, changes) for finding in findings for changes in finding.settings]
+    proposed = [(finding, changes) for finding, changes in proposed if not _refuses(run.graph_text, changes)]
+    if not proposed:
+        say("no setting to try: no identity of this run goes on as another")
+        return OK
+    run, recipe = earlier_run(options.run)
+    check_unchanged(options.run, recipe)
+    masks, cameras = recipe.read_masks(), recipe.read_calibrations(run.spec)
+    for plate in dict.fromkeys(run.kinds[finding.target] for finding, _ in proposed):
+        say(f"{plate}: {_count_identities(run, plate)}")
+    for finding, changes in proposed:
+        plate = run.kinds[finding.target]
+        graph = set_values(run.graph_text, list(changes), True, masks, cameras)
+        with tempfile.TemporaryDirectory() as folder, recipe.opened() as source:
+            out = Path(folder) / "run"
+            for _ in repeat(run, recipe, source, graph, out, seed=recipe.seed):
+                pass
+            counted = _count_identities(open_run(out, complain), plate)
+        say(f"  {' '.join(changes)}: {counted}")
+    return OK
+
+
+def _count_identities(run: Run, plate: str) -> str:
+    """`9 identities, 6 of which go on as another, 12 frames long (median)`."""
+    from bayesnet_track.cli.identities import identities_of, successors_of
+    from bayesnet_track.journal.courses import courses
+    from bayesnet_track.journal.text.wording import plural
+
+    identities = identities_of(run.events, courses(run.metrics, ("status", "box")))
+    identities = [identity for identity in identities if run.kinds[identity.target] == plate]
+    if not identities:
+        return "no identity"
+    frames = sorted(identity.frames for identity in identities)
+    count = len(identities)
+    return (
+        f"{count} identit{'y' if count == 1 else 'ies'}, {len(successors_of(identities))} of which go on as "
+        f"another, {plural(frames[len(frames) // 2], 'frame')} long (median)"
+    )
 
 
 def _grouped(run: Run, findings: Sequence[Finding]) -> Iterator[Sequence[Finding]]:
@@ -185,6 +266,8 @@ def _others(run: str, targets: Sequence[str]) -> Iterator[str]:
 
 
 def _lines(run: str, advice: Mapping[str, Any]) -> Iterator[str]:
+    from shlex import quote
+
     yield f"{advice['type']} {advice['target']}: {advice['found']}"
     if advice["try"] is not None:
         yield f"  try   bayesnet-track what-if {run} --set '{advice['try']}'"
@@ -193,6 +276,9 @@ def _lines(run: str, advice: Mapping[str, Any]) -> Iterator[str]:
     elif advice["seed"]:
         yield f"  try   bayesnet-track what-if {run} --seed 1"
         yield "        if another seed holds the target, chance decided; if not, no agent sees it there"
+    for changes in advice["settings"]:
+        sets = " ".join(f"--set {quote(change)}" for change in changes)
+        yield f"  try   bayesnet-track what-if {run} {sets}"
     if advice["why"] is not None:
         yield f"        {advice['why']}"
     if advice["frame"] is not None:
@@ -205,8 +291,14 @@ def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
         "diagnose",
         help="find what went wrong in a run, and which key to turn",
         description="Read the files of a run, report what stands out, and name a key and a value to try. "
-        "Nothing is tracked again.",
+        "Nothing is tracked again, but with --try.",
     )
     parser.add_argument("run", metavar="RUN", help="run directory")
     parser.add_argument("--target", metavar="ID", help="only this target")
+    parser.add_argument(
+        "--try",
+        dest="try_settings",
+        action="store_true",
+        help="where identities go on as others: track again with each setting that may keep them, and count",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -95,6 +95,20 @@ class Refusal:
             return settings or None
         return settings or {"appearance": 0.0}
 
+    def bounds(self) -> list[str]:
+        """The bounds that refused it, each with its value and level."""
+        bounds = list[str]()
+        if self.d2 is not None and self.is_beyond_gate:
+            value, level = distinct_texts(self.d2, self.d2_limit)
+            mostly = ", mostly by its size" if self.d2 > 2.0 * self.place_d2 else ""
+            bounds.append(f"d² {value} > {level}{mostly} (gate {self.gate:.9g})")
+        if self.overlaps_too_little:
+            value, level = distinct_texts(self.overlap, self.min_overlap)
+            bounds.append(f"overlap {value} < {level} (min_overlap)")
+        if self.is_shared and not bounds:
+            return [f"it is more probably a false alarm or another's, d² {self.d2:.1f}"]
+        return bounds or ["the target looks different (appearance)"]
+
     def needed_continue_box(self) -> float | None:
         """The `continue_box` at which the target would have gone on with it; None where that is not why."""
         value = float(round_away(self.distance_box, 2, up=True))
@@ -137,22 +151,9 @@ class DetectionRefused:
             (w, h), (width, height) = refusal.box[2:], refusal.expected[2:]
             size = f", {w:.4g} x {h:.4g} px where {width:.4g} x {height:.4g} px was expected,"
         delay = f", {plural(refusal.gap, 'frame')} after its last one" if refusal.gap > 1 else ""
-        target, bounds = f"target {self.target}", " and ".join(self._bounds())
+        target, bounds = f"target {self.target}", " and ".join(refusal.bounds())
         what = f"in frame {refusal.missed_frame} a detection {refusal.distance_px:.0f} px from {target}{size}"
         return f"{what} went to no target: {bounds} → {target} had none{delay}; {self._otherwise()}"
-
-    def _bounds(self) -> list[str]:
-        refusal, bounds = self.refusal, list[str]()
-        if refusal.d2 is not None and refusal.is_beyond_gate:
-            value, level = distinct_texts(refusal.d2, refusal.d2_limit)
-            mostly = ", mostly by its size" if refusal.d2 > 2.0 * refusal.place_d2 else ""
-            bounds.append(f"d² {value} > {level}{mostly} (gate {refusal.gate:.9g})")
-        if refusal.overlaps_too_little:
-            value, level = distinct_texts(refusal.overlap, refusal.min_overlap)
-            bounds.append(f"overlap {value} < {level} (min_overlap)")
-        if refusal.is_shared and not bounds:
-            return [f"it is more probably a false alarm or another's, d² {refusal.d2:.1f}"]
-        return bounds or ["the target looks different (appearance)"]
 
     def _otherwise(self) -> str:
         refusal, ways = self.refusal, list[str]()
