@@ -331,9 +331,8 @@ def check_unchanged(path: str, recipe: Recipe, is_forced: bool = False) -> None:
     with users_mistake():
         changes = recipe.origin.changes()
     if changes and not is_forced:
-        raise UsageError(
-            f"{path}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"
-        )
+        changed = "; ".join(changes)
+        raise UsageError(f"{path}: the source has changed: {changed} (--force goes on all the same)")
     if not is_forced:
         check_cues(recipe, ())
         check_files(recipe)
@@ -353,8 +352,7 @@ def _track_again(
     from bayesnet_track.cli.following import Narrator, follow, users_start
     from bayesnet_track.runtime.results import Summary
 
-    summary = Summary()
-    seed = recipe.seed if options.seed is None else options.seed
+    summary, seed = Summary(), recipe.seed if options.seed is None else options.seed
     sinks = [Narrator()] if options.verbose else []
     with recipe.opened() as source:
         with users_start():
