@@ -192,7 +192,10 @@ def assign_pairs(
     Rows and columns that no pairs connect do not concern each other: each connected group is assigned alone,
     and those in which nobody wants what another wants are plain.
     """
-    # Imported here: a graph is validated without compiling anything.
+    # Imported here: a graph is validated without compiling anything. What solves the groups, which takes long
+    # to import, is not left to the first frame that has one.
+    import scipy.optimize  # noqa: F401
+
     from bayesnet_track.numerics.kernels.pair_kernels import open_groups, settle_pairs
 
     rows, columns = np.ascontiguousarray(rows), np.ascontiguousarray(columns)  # one compiled version only

@@ -97,6 +97,9 @@ STOP = b"."
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
+_rare: list[Callable[[], None]] = []
+"""What `rehearsed` marks and no tracker of this process has called."""
+
 
 def compiled(function: Kernel) -> Kernel:
     """`function` compiled in no-Python mode, serial, releasing the interpreter lock.
@@ -166,6 +169,18 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
         cache._index_key = lambda *arguments: (*key_of(*arguments), fingerprint(kernel))
     compiled_kernel: Kernel = kernel
     return compiled_kernel
+
+
+def rehearsed(call: Callable[[], None]) -> Callable[[], None]:
+    """Mark a function that calls those kernels of its module which only some frames need."""
+    _rare.append(call)
+    return call
+
+
+def rehearse_rare_calls() -> None:
+    """Call what is marked in the modules that are imported so far, once a process."""
+    while _rare:
+        _rare.pop()()
 
 
 def _at_best(use: Callable[..., Any]) -> Callable[..., Any]:

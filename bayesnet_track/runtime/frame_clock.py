@@ -25,8 +25,9 @@ from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.metrics import Answers, FrameMetrics
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.cue import Cue, Hypotheses, Reference
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState, Scan
-from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
 from bayesnet_track.sources.entrances.notices import notice
@@ -268,11 +269,12 @@ def rehearse_detections(
     def feed(frame: int) -> None:
         fed.now = _detections(frame, _labels(graph))
 
-    engine = make_engine(graph, seed, detectors={GIVEN: fed})
-    if _are_installed(engine):
+    engine = _without_own_cues(make_engine(graph, seed, detectors={GIVEN: fed}))
+    if engine is not None:
         for outcome in _rehearse(graph, engine, (graph.text, GIVEN), [], feed, _Look(SIZE, True)):
             assert fed.now is not None
             use(fed.now.boxes, outcome.metrics)
+            tuple(outcome.metrics)  # lines are made when they are asked for
 
 
 def rehearse_boxes(graph: CheckedGraph, engine: Engine, starts: Sequence[Start], first: Frame) -> None:
@@ -281,11 +283,12 @@ def rehearse_boxes(graph: CheckedGraph, engine: Engine, starts: Sequence[Start],
     Frames have the colour of the `first` one; where masks lie over them, its size, too. Cues of the user's
     own are not asked about what is made up. Nothing is made up on the ground, where not every box stands.
     """
-    if _are_installed(engine) and not graph.calibrations:
+    able = _without_own_cues(engine)
+    if able is not None and not graph.calibrations:
         made_up = [Start(_corner(0, number), start.plate) for number, start in enumerate(starts)]
         look = _Look((first.width, first.height) if graph.masks else SIZE, first.has_color)
         key = graph.text, len(starts), look
-        for outcome in _rehearse(graph, engine, key, made_up, lambda frame: None, look):
+        for outcome in _rehearse(graph, able, key, made_up, lambda frame: None, look):
             tuple(outcome.metrics)  # lines are made when they are asked for
 
 
@@ -307,6 +310,10 @@ def _rehearse(
         outcome = step(engine, state, _frame(frame, look), _switches(frame, state, engine))
         state = outcome.state
         yield outcome
+    # Imported here: a tracker is imported without Numba.
+    from bayesnet_track.numerics.compiled import rehearse_rare_calls
+
+    rehearse_rare_calls()
 
 
 def _switches(frame: int, state: State, engine: Engine) -> list[Input]:
@@ -323,10 +330,42 @@ def _switches(frame: int, state: State, engine: Engine) -> list[Input]:
     return [Released(frame, target, agent) for target, agent in nodes]
 
 
-def _are_installed(engine: Engine) -> bool:
-    """Whether all that is asked about pixels comes with the package."""
-    asked = [cue for compiled in engine.plates.values() for cue in compiled.cues.values()]
-    return all(type(one).__module__.partition(".")[0] == __package__.partition(".")[0] for one in asked)
+class _Silent:
+    """A cue that says nothing, in place of one of the user's own."""
+
+    needs: tuple[Plane, ...] = ()
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """An empty reference."""
+        return {}
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """The same as before."""
+        return old
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """(N,) zeros: all are alike."""
+        return np.zeros(len(hypotheses.boxes))
+
+
+def _without_own_cues(engine: Engine) -> Engine | None:
+    """The engine with a silent cue in place of each that does not come with the package.
+
+    None where one of these cannot be replaced, since it does more than to score hypotheses.
+    """
+    plates = {}
+    for name, plate in engine.plates.items():
+        replaced = {agent for agent, cue in plate.cues.items() if not _is_installed(cue)}
+        if any(not isinstance(plate.cues[agent], Cue) or agent in plate.adaptable for agent in replaced):
+            return None
+        silent = {agent: _Silent() for agent in replaced}
+        plates[name] = replace(plate, cues={**plate.cues, **silent}) if replaced else plate
+    return replace(engine, plates=plates)
+
+
+def _is_installed(cue: object) -> bool:
+    """True if a cue comes with the package."""
+    return type(cue).__module__.partition(".")[0] == __package__.partition(".")[0]
 
 
 def _labels(graph: CheckedGraph) -> tuple[str, ...]:

@@ -140,7 +140,8 @@ class Rows:
 
         now = self.columns
         counted = (now.since, now.lost_frames, now.unseen_frames)
-        since, lost, unseen, known = count_frames(counted, now.is_lost, now.memory.counts[:, 0], frame)
+        lost_count = np.ascontiguousarray(now.memory.counts[:, 0])  # one compiled version only
+        since, lost, unseen, known = count_frames(counted, now.is_lost, lost_count, frame)
         columns = now.changed(
             since=since,
             known_mean=np.where(known[:, None], now.mean, now.known_mean),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.compiled import compiled, rehearsed
 
 Ancestors = NDArray[np.intp]
 Rows = tuple[tuple[float, ...], ...]
@@ -349,3 +349,11 @@ def pairs_alike(
                 first[pairs], second[pairs] = one, other
                 pairs += 1
     return first[:pairs].copy(), second[:pairs].copy()
+
+
+@rehearsed
+def _cut_crops() -> None:
+    """Cut crops for targets that learn their looks or return."""
+    boxes = np.ones((1, 4))
+    crops_of_each(boxes, np.array([0, 1]), 0.0, 4, 4)
+    extent_of_boxes(boxes, 0.5)

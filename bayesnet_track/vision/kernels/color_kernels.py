@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.observation.planes import for_reading
 
 ACHROMATIC = -1
 
@@ -32,7 +33,7 @@ def hue_of_bgr(image: NDArray[np.uint8], min_chroma: int) -> NDArray[np.int16]:
         (H, W) int16, 0..255 or `ACHROMATIC`.
     """
     hue: NDArray[np.int16] = np.empty(image.shape[:2], np.int16)
-    _hue(np.ascontiguousarray(image), min_chroma, _SIXTHS, hue)
+    _hue(for_reading(image), min_chroma, _SIXTHS, hue)
     return hue
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.compiled import compiled, compiled_summing
+from bayesnet_track.numerics.compiled import compiled, compiled_summing, rehearsed
 from bayesnet_track.numerics.kernels.box_kernels import find_distinct, pixels_of_boxes
 from bayesnet_track.numerics.resampling import copy_row, copy_rows
+from bayesnet_track.observation.planes import for_reading
 
 Counts = NDArray[np.int32]
 Bins = NDArray[np.uint8]
@@ -31,7 +32,7 @@ def count_in_boxes(binned: Bins, corners: Corners, bins: int) -> Counts:
     Returns:
         (N, bins) pixels of each box in each bin.
     """
-    binned = np.ascontiguousarray(binned)  # one compiled version only
+    binned = for_reading(binned)
     pixels = (corners[:, 2] - corners[:, 0]) * (corners[:, 3] - corners[:, 1])
     if pays(binned, bins, int(pixels.sum())):
         return count_by_integral(binned, corners, bins)
@@ -53,6 +54,14 @@ def count_by_integral(binned: Bins, corners: Corners, bins: int) -> Counts:
     present = occurring(binned, bins)
     gather(present, integrate(binned, present, bits), corners, bits, counts)
     return counts
+
+
+@rehearsed
+def _count_a_large_box() -> None:
+    """Count the pixels of a box that fills its crop."""
+    binned, corners = for_reading(np.zeros((4, 4), np.uint8)), np.array([[0, 0, 4, 4]])
+    pays(binned, 1, 16)
+    count_directly(binned, corners, 1)
 
 
 @compiled
