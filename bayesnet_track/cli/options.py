@@ -6,7 +6,14 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.arguments import UsageError, milliseconds, seconds, whole_number
+from bayesnet_track.cli.arguments import (
+    UsageError,
+    complain,
+    milliseconds,
+    seconds,
+    users_mistake,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -326,3 +333,17 @@ def open_cameras_given(options: argparse.Namespace, graph: CheckedGraph) -> Seve
     how = {name: getattr(options, name) for name in ("allow_network", "on_resize", "stride", "value_range")}
     how["start"] = options.start or None
     return open_cameras(graph, options.source, options.detections, **how)
+
+
+def say_size(options: argparse.Namespace, source: Source) -> None:
+    """Say which pixels are meant where, if frames are made smaller; raises UsageError where they cannot be."""
+    from bayesnet_track.runtime.arguments import resizing_of
+
+    with users_mistake():
+        resizing = resizing_of(source, options.max_side)
+    if not (resizing.is_none or options.quiet):
+        (width, height), (columns, rows) = resizing.source, resizing.tracked
+        complain(
+            f"frames of {width}x{height} px are tracked at {columns}x{rows} px: boxes are in pixels of the "
+            "source, UD and lengths in the graph in pixels of the smaller frames"
+        )

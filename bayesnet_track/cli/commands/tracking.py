@@ -43,6 +43,7 @@ from bayesnet_track.cli.options import (
     given_once_or_named,
     open_cameras_given,
     open_given,
+    say_size,
 )
 
 if TYPE_CHECKING:
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.runtime.run import Start
-    from bayesnet_track.sources.frames import Source
 
 
 Cell = str | int | float | None
@@ -211,6 +211,12 @@ def say_summary(rows: Sequence[Row], options: argparse.Namespace, head: dict[str
         say(f"{head['run']}: {len(seeds)} seeds, {seeds[0]} to {seeds[-1]}\n{spread_text(summary)}")
 
 
+NO_START = (
+    "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with `birth`, "
+    "whose detectors find the targets"
+)
+
+
 def run(options: argparse.Namespace) -> int:
     """Track in a video, with --seeds as often as there are seeds."""
     if options.out is None:
@@ -236,10 +242,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         starts = [parse_start(text) for text in options.init or ()]
     if not starts and not has_births(graph) and options.view is None:
-        raise UsageError(
-            "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
-            "`birth`, whose detectors find the targets"
-        )
+        raise UsageError(NO_START)
     options.source = given_once_or_named("--source", options.source, graph)
     options.detections = given_once_or_named("--detections", options.detections, graph)
     if graph.several_cameras:
@@ -248,7 +251,7 @@ def run(options: argparse.Namespace) -> int:
     with users_mistake():
         options.source = str(source_or_times(options.source, graph, options.detections))
     with open_view(options) as view, open_given(options) as source:
-        _say_size(options, source)
+        say_size(options, source)
         return track_source(options, graph, source, starts, out, video=options.video, view=view)
 
 
@@ -319,20 +322,6 @@ def track_source(
                 max_side=getattr(options, "max_side", None),
             )
         return follow(options, results, summary, source.expected_frames, out, view)
-
-
-def _say_size(options: argparse.Namespace, source: Source) -> None:
-    """Which pixels are meant where, if frames are made smaller; raises UsageError where they cannot be."""
-    from bayesnet_track.runtime.arguments import resizing_of
-
-    with users_mistake():
-        resizing = resizing_of(source, options.max_side)
-    if not (resizing.is_none or options.quiet):
-        (width, height), (columns, rows) = resizing.source, resizing.tracked
-        complain(
-            f"frames of {width}x{height} px are tracked at {columns}x{rows} px: boxes are in pixels of the "
-            "source, UD and lengths in the graph in pixels of the smaller frames"
-        )
 
 
 def _opaque(graph: CheckedGraph) -> list[str]:
