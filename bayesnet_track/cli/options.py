@@ -336,7 +336,7 @@ def open_cameras_given(options: argparse.Namespace, graph: CheckedGraph) -> Seve
 
 
 def say_size(options: argparse.Namespace, source: Source) -> None:
-    """Say which pixels are meant where, if frames are made smaller; raises UsageError where they cannot be."""
+    """Say which pixels are meant where, of smaller frames; raises UsageError where they cannot be."""
     from bayesnet_track.runtime.arguments import resizing_of
 
     with users_mistake():

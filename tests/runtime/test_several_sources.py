@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import track
-from bayesnet_track.__main__ import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.paths import SourceError
 from tests.engine.test_several_cameras import CAMERAS, boxes_of, write_graph
