@@ -4,7 +4,7 @@ While targets of a plate are close, a detection may be of one or of another. A `
 hypotheses of which detection was of which member, each with a Kalman filter per member that starts with the
 belief before they met:
 
-    p(h_t) ~ p(h_{t-1}) prod_i [ pd N(z_a(i); H m_i, s^2 S_i) L_i(z_a(i))^c  or  1 - pd ] prod_(z left) lambda(z)
+    p(h_t) = c p(h_{t-1}) prod_i [pd N(z_a(i); H m_i, s^2 S_i) L_i(z_a(i))^a  or  1 - pd] prod_left lambda(z)
 
 for every assignment a of members to detections, exactly. Hypotheses with the same last `RECENT` detections of
 every member differ by what is long past: they become one, with the moments of their mixture. S_i has the
@@ -47,6 +47,8 @@ MISSED = 0
 """In place of the number of a detection: there was none."""
 GAPS = (1, 2, 4, 8)
 """Classes of frames since a target's last detection: from so many frames on."""
+NEW = "new"
+"""Identity of what is none of those that are known."""
 LEAST_DOUBT = 0.001
 """Of who is who, what is less probable is left out."""
 MOST_ASSIGNMENTS = 64
@@ -58,7 +60,7 @@ class SensorRates:
     """What is measured of a plate's detections where it is plain whose they are.
 
     Attributes:
-        d2: (G, 2) sums of d^2 / 2 of x, y and of w, h by `GAPS`: each has mean 1 if the errors are those named.
+        d2: (G, 2) sums of d^2 / 2 of x, y and of w, h by `GAPS`: the mean is 1 if errors are those named.
         count: (G,) number of them.
         seen: frames of targets with a detection, and of all.
         clutter: detections of nobody, and frames.
@@ -361,14 +363,20 @@ class Placing:
     looks: Floats
 
     def named(self) -> list[tuple[str, ...]]:
-        """Of each, the members that the tracks are; a track that is none of them is itself."""
+        """Of each, the members that the tracks are; of none, the track itself or, of a member, `NEW`."""
+        names = (*self.members, None)
         return [
             tuple(
-                self.members[member] if member < len(self.members) else track
+                names[member] or (NEW if track in self.members else track)
                 for track, member in zip(self.tracks, choice, strict=True)
             )
             for choice in self.choices.tolist()
         ]
+
+    @property
+    def shares(self) -> dict[tuple[str, ...], float]:
+        """Members that the tracks are -> probability."""
+        return dict(zip(self.named(), self.probability.tolist(), strict=True))
 
 
 def place_tracks(meeting: Meeting, tracks: Sequence[str], mean: Floats, covariance: Floats) -> Placing:
@@ -476,3 +484,22 @@ def keep_live(known: Sequence[Entangled], live: frozenset[str], sure: float) -> 
         else:
             after += only(one.tracks, dict(zip(one.identities, one.probability, strict=True)), left, sure)
     return tuple(after)
+
+
+@dataclass(frozen=True, eq=False)
+class PlateIdentities:
+    """What is remembered of the identities of a plate.
+
+    Attributes:
+        meetings: targets that are close, or were a short while ago.
+        entangled: tracks that may be other ones.
+        rates: what is measured of detections.
+        unseen: target -> frames since its last detection, if there are any.
+        refused: target -> the first frame of its meeting, of those that could not be asked about.
+    """
+
+    meetings: tuple[Meeting, ...] = ()
+    entangled: tuple[Entangled, ...] = ()
+    rates: SensorRates = field(default_factory=SensorRates)
+    unseen: Mapping[str, int] = field(default_factory=dict)
+    refused: tuple[tuple[str, str], ...] = ()

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import compress
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.frame_columns import per_node
+from bayesnet_track.journal.frame_columns import identity_column, per_node
 from bayesnet_track.journal.metrics import Answers, FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.records import evolve
+
+Identities = Mapping[str, Mapping[str, float]]
+NO_DOUBT: Identities = MappingProxyType({})
 
 
 class LineGroup(Protocol):
@@ -64,6 +68,7 @@ class Lines(Sequence[FrameMetrics]):
         order: their targets, in the order of their lines.
         born: lines that are made already, such as those of targets that start.
         answers: answers to queries, for the lines of all groups.
+        identities: target that may be another one -> identity -> its probability.
 
     >>> lines = Lines(born=("first", "second"))
     >>> len(lines), lines[1], lines == ("first", "second")
@@ -76,8 +81,10 @@ class Lines(Sequence[FrameMetrics]):
         order: Sequence[str] = (),
         born: Sequence[FrameMetrics] = (),
         answers: Sequence[Answers] = (),
+        identities: Identities = NO_DOUBT,
     ) -> None:
         self._groups, self._order, self.born, self.answers = groups, order, tuple(born), answers
+        self.identities = identities
         self._made: tuple[FrameMetrics, ...] | None = None
 
     @classmethod
@@ -92,14 +99,22 @@ class Lines(Sequence[FrameMetrics]):
         groups = self._groups  # read before `_made`: another thread may make them
         if self._made is not None:
             return Lines(born=(*self._made, *born))
-        return Lines(groups, self._order, (*self.born, *born), self.answers)
+        return Lines(groups, self._order, (*self.born, *born), self.answers, self.identities)
 
     def with_answers(self, answers: Sequence[Answers]) -> Lines:
         """These, with answers to queries."""
         groups = self._groups
         if self._made is not None:
             return Lines(born=_answered(self._made, answers))
-        return Lines(groups, self._order, _answered(self.born, answers), answers)
+        return Lines(groups, self._order, _answered(self.born, answers), answers, self.identities)
+
+    def with_identities(self, identities: Identities) -> Lines:
+        """These, with who may be whom."""
+        groups = self._groups
+        if self._made is not None:
+            return Lines(born=_identified(self._made, identities))
+        born = _identified(self.born, identities)
+        return Lines(groups, self._order, born, self.answers, identities)
 
     @property
     def ids(self) -> Sequence[str]:
@@ -149,12 +164,11 @@ class Lines(Sequence[FrameMetrics]):
         """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made."""
         groups = self._groups
         columns = groups[0].columns() if len(groups) == 1 and not self.born else None
-        if columns is None or not self.answers:
+        if columns is None or not (self.answers or self.identities):
             return columns
-        return {
-            **columns,
-            **per_node("queries", [numbers_of(self.answers, target) for target in self._order]),
-        }
+        answers = [numbers_of(self.answers, target) for target in self._order] if self.answers else []
+        doubts = [self.identities.get(target, {}) for target in self._order]
+        return {**columns, **per_node("queries", answers), **identity_column(doubts)}
 
     def without_hypotheses(self) -> Sequence[FrameMetrics]:
         """The lines, maybe without their hypotheses, which may take most of the time."""
@@ -179,7 +193,7 @@ class Lines(Sequence[FrameMetrics]):
         if [line.target for line in made] != [*self._order]:
             of = {line.target: line for line in made}
             made = [of[target] for target in self._order]
-        return (*_answered(made, self.answers), *self.born)
+        return (*_identified(_answered(made, self.answers), self.identities), *self.born)
 
     @overload
     def __getitem__(self, at: int) -> FrameMetrics: ...
@@ -204,6 +218,15 @@ class Lines(Sequence[FrameMetrics]):
 
     def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
         return tuple, (self._lines(),)
+
+
+def _identified(lines: Sequence[FrameMetrics], identities: Identities) -> Sequence[FrameMetrics]:
+    if not identities:
+        return lines
+    return [
+        evolve(line, identities=identities[line.target]) if line.target in identities else line
+        for line in lines
+    ]
 
 
 def _answered(lines: Sequence[FrameMetrics], answers: Sequence[Answers]) -> Sequence[FrameMetrics]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from bayesnet_track.adapt.identities import PlateIdentities
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load, balance
@@ -43,6 +44,7 @@ class State:
         load: what is remembered of late frames.
         scene: what the last frame showed that showed anything; None where no graph asks for cuts.
         queries: memory of the queries of the graph.
+        identities: plate with `identity` -> who may be whom.
     """
 
     net: Net = field(default_factory=Net)
@@ -53,6 +55,7 @@ class State:
     load: Load = field(default_factory=Load)
     scene: Scene | None = None
     queries: QueryMemory = field(default_factory=QueryMemory)
+    identities: Mapping[str, PlateIdentities] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

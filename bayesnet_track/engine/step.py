@@ -19,6 +19,7 @@ from bayesnet_track.engine.finishing import Results, finish_targets
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.joining import JointBelief, join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
+from bayesnet_track.engine.lifecycle.identities import track_identities
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import (
@@ -153,6 +154,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
         stages.insert(0, Stage("scene cuts", cut_scenes, (find_cuts,)))
     if any(compiled.lifecycle is not None for compiled in plates):
         stages.append(Stage("tracks", start_and_end, (manage_tracks,)))
+    if any(compiled.plate.spec.identity is not None for compiled in plates):
+        stages.append(Stage("identities", identify, (track_identities,)))
     if engine.joins:
         stages.append(Stage("joins", change_joins, (with_joins,)))
     if engine.queries:
@@ -241,6 +244,13 @@ def finish(batch: Batch) -> Batch:
 def start_and_end(batch: Batch) -> Batch:
     """Detections become targets, lost targets are found, and nets end."""
     return evolve(batch, outcome=manage_tracks(batch.work, batch.outcome, batch.associated))
+
+
+def identify(batch: Batch) -> Batch:
+    """Who may be whom of targets that came close."""
+    if batch.associated is None:
+        return batch
+    return evolve(batch, outcome=track_identities(batch.work, batch.targets, batch.associated, batch.outcome))
 
 
 def change_joins(batch: Batch) -> Batch:

@@ -48,6 +48,7 @@ from bayesnet_track.graph.settings.beliefs import (
     Unscented,
 )
 from bayesnet_track.graph.settings.cameras import CameraSource, Ground, WorldState
+from bayesnet_track.graph.settings.identity import Identity
 from bayesnet_track.graph.settings.inputs import MOST_INPUTS, FrameInput, Inputs
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
 from bayesnet_track.graph.settings.lifecycle import (
@@ -148,6 +149,10 @@ class Target(Model):
     existence: Existence | None = Field(
         default=None,
         description="how probable it is that a target exists; default: births and ends are counted",
+    )
+    identity: Identity | None = Field(
+        default=None,
+        description="who is who after targets came close, with a probability; default: not asked",
     )
     associate: Literal["assignment", "marginal"] = Field(
         default="assignment",

@@ -87,6 +87,7 @@ def all_columns(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[
     columns |= {name: _optional([getattr(line, name) for line in lines]) for name in OPTIONAL[1:]}
     joins = ["" if line.join is None else json.dumps(asdict(line.join)) for line in lines]
     columns["join"] = texts(joins)
+    columns |= identity_column([line.identities for line in lines])
     columns |= _parts(lines)
     if hypotheses:
         columns |= _clouds(lines)
@@ -146,6 +147,7 @@ def lines_of(columns: Columns) -> Iterator[FrameMetrics]:
     values["particles"] = columns["particles"].tolist()
     values["angle"] = _single(columns, "angle", count) if "angle" in columns else [0.0] * count
     values["join"] = _joins(columns, count)
+    values["identities"] = _identities_of(columns, count)
     values["parts"] = _parts_of(columns, count)
     values["cloud"] = _clouds_of(columns, count)
     if {*map(len, values.values())} != {count}:
@@ -248,6 +250,20 @@ def _words(columns: Columns, name: str, count: int) -> list[tuple[str, ...]]:
     if name not in columns:
         return [()] * count
     return [tuple(text.split()) for text in strings(columns[name])]
+
+
+def identity_column(identities: Sequence[Mapping[str, float]]) -> dict[str, NDArray[Any]]:
+    """The column of who may be whom; none where nobody is doubtful."""
+    if not any(identities):
+        return {}
+    rounded = [{name: round(share, 4) for name, share in one.items()} for one in identities]
+    return {"identities": texts(json.dumps(one) if one else "" for one in rounded)}
+
+
+def _identities_of(columns: Columns, count: int) -> list[dict[str, float]]:
+    if "identities" not in columns:
+        return [{}] * count
+    return [json.loads(text) if text else {} for text in strings(columns["identities"])]
 
 
 def _joins(columns: Columns, count: int) -> list[JoinMetrics | None]:

@@ -162,6 +162,8 @@ class FrameMetrics(HasBox):
             targets together; left out when the graph has no `queries`.
         state: mean of each field of the motion beside the box, such as `vx` in px per frame or a field of
             the graph's own, and its sd, as ``vx_sd``; in the frames tracked in; left out without any.
+        identities: whose identity it may have, with probabilities, the most probable one first; left out
+            while it is not doubtful, or where the graph has no `identity`.
     """
 
     frame: int
@@ -213,6 +215,7 @@ class FrameMetrics(HasBox):
     log_predictive: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     queries: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     state: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    identities: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
         """The main facts: who, when, how sure, where, and by whose evidence."""

@@ -147,6 +147,20 @@ def marginal_association_has_mixtures(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, f"parent: {plate.roots[0]}", key=("parent",))
 
 
+def identity_has_boxes(plate: Plate) -> Iterator[GraphMessage]:
+    """`identity` needs detections that are boxes in the image, measured by an agent."""
+    if plate.spec.identity is None:
+        return
+    path = ("targets", plate.name, "identity")
+    if plate.spec.state != "box":
+        found = "identity of a state that has no box in the image"
+        yield plate.at.message(path, found, "state: box, or no such key", on_key=True)
+    elif not _measuring(plate) or plate.spec.birth is None:
+        found = "identity without an agent that measures by detections"
+        allowed = "agent: detection in a node and birth: {detector: ...}, or no such key"
+        yield plate.at.message(path, found, allowed, on_key=True)
+
+
 def lost_by_existence_has_existence(plate: Plate) -> Iterator[GraphMessage]:
     """`lost.existence_below` needs `existence`, lies above `existence.end`, and is the only rule."""
     rule = plate.spec.existence
@@ -181,6 +195,7 @@ def _measuring(plate: Plate) -> list[str]:
 EXISTENCE_CHECKS: tuple[Check, ...] = (
     existence_has_detections,
     marginal_association_has_mixtures,
+    identity_has_boxes,
     lost_by_existence_has_existence,
 )
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from bayesnet_track.journal.events import (
     beliefs,
     faults,
+    identities,
     joins,
     lives,
     load,
@@ -47,6 +48,7 @@ Event = (
     | beliefs.ModeChanged
     | beliefs.QueryPassed
     | switches.ReferenceGuarded
+    | identities.IdentityDoubtful
     | statuses.DistractorSeen
     | statuses.DoubtEnded
     | statuses.AssuranceChanged

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
+from bayesnet_track.adapt.identities import Entangled, Meeting, PlateIdentities, SensorRates
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
 from bayesnet_track.adapt.memory import Baseline, InformationRate, Layout, RuleMemory
@@ -91,6 +92,10 @@ CLASSES: tuple[type, ...] = (
     Scene,
     QueryMemory,
     Trail,
+    PlateIdentities,
+    Meeting,
+    Entangled,
+    SensorRates,
 )
 """Every class of which the state between frames is made."""
 

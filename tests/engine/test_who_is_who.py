@@ -1,0 +1,125 @@
+"""The stage of identities: doubt where targets cannot be told apart, none where they can, in every output."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from bayesnet_track import DetectionsTracker, load_graph
+from bayesnet_track.engine.compiled import compile_graph
+from bayesnet_track.engine.step import compile_stages
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graphs import find_graph
+from bayesnet_track.journal.events.identities import IdentityDoubtful
+from bayesnet_track.journal.frame_columns import columns_of, lines_of
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
+
+
+def with_identity(name: str = "kalman_detections", **keys: object) -> CheckedGraph:
+    graph = yaml.safe_load(find_graph(name).read_text(encoding="utf-8"))
+    for plate in graph["targets"].values():
+        plate["identity"] = keys
+    return check_graph(graph)
+
+
+def ways(gap: tuple[int, int] | None, slope: float, count: int = 2) -> list[Floats]:
+    """Detections (M, 4) of targets that cross in frame 30; in a gap all are one box, or none."""
+    rng, frames = np.random.default_rng(2), []
+    for step in range(60):
+        x = 150.0 + 5.0 * step
+        lines = [(x, 240.0 + k * slope * (step - 30)) for k in np.linspace(-1, 1, count)]
+        boxes = np.array([[a, b, 30.0, 60.0] for a, b in lines]) + rng.normal(0, 1.0, (count, 4))
+        frames.append(boxes if gap is None or not gap[0] <= step < gap[1] else boxes[:0])
+    return frames
+
+
+def run(graph: CheckedGraph, frames: list[Floats], order: int = 1) -> tuple[DetectionsTracker, list, list]:
+    tracker, events, doubts = DetectionsTracker(graph, size=(640, 480), fps=25), [], []
+    for boxes in frames:
+        boxes = boxes[::order]
+        corners = np.hstack([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2])
+        tracker.update(SimpleNamespace(xyxy=corners, confidence=np.full(len(boxes), 0.9)))
+        events += [event for event in tracker.events if isinstance(event, IdentityDoubtful)]
+        doubts.append({line.target: line.identities for line in tracker.targets if line.identities})
+    return tracker, events, doubts
+
+
+@pytest.mark.parametrize("name", ["kalman_detections", "jpda"])
+def test_a_plain_crossing_leaves_no_doubt(name: str) -> None:
+    _, events, doubts = run(with_identity(name), ways(None, 6.0))
+    assert any(doubts) and not doubts[-1] and not events
+
+
+def test_two_that_are_not_seen_while_they_cross_may_be_each_other() -> None:
+    _, events, doubts = run(with_identity(), ways((24, 36), 1.0))
+    (event,) = events
+    assert 0.05 < event.probability < 0.95 and event.mutual
+    assert {event.target, event.other} == {"1", "2"} and event.since < 24
+    assert doubts[-1][event.target][event.other] == pytest.approx(event.probability, abs=1e-9)
+    assert doubts[-1][event.other][event.target] == pytest.approx(event.probability, abs=1e-9)
+    assert sum(doubts[-1]["1"].values()) == pytest.approx(1.0)
+    sentence = event.describe()
+    assert f"identities 1 and 2 could be swapped since frame {event.since}, probability" in sentence
+    assert "appearance +0.0, motion" in sentence  # the graph looks at no image
+
+
+def test_the_probability_does_not_depend_on_the_order_of_detections() -> None:
+    graph = with_identity()
+    _, one, _ = run(graph, ways((24, 36), 1.0))
+    _, other, _ = run(graph, ways((24, 36), 1.0), order=-1)
+    assert one[0].probability == pytest.approx(other[0].probability, rel=1e-6)
+
+
+def test_targets_and_boxes_are_those_of_a_graph_without_the_key() -> None:
+    frames = ways((24, 36), 4.0, count=3)
+    asked, _, doubts = run(with_identity(), frames)
+    plain, _, _ = run(load_graph("kalman_detections"), frames)
+    assert any(doubts)
+    boxes = [[(line.target, line.centre_box) for line in tracker.targets] for tracker in (asked, plain)]
+    assert boxes[0] == boxes[1]
+
+
+def test_a_graph_without_the_key_does_not_enter_the_stage() -> None:
+    assert "identities" not in [stage.name for stage in compile_stages(compile_graph(load_graph("jpda")))]
+
+
+def test_five_that_meet_at_once_are_asked_about_by_four() -> None:
+    sizes = []
+    for end in (28, 29, 30, 31, 32):
+        tracker, _, _ = run(with_identity(), ways((29, 31), 3.0, count=5)[:end])
+        sizes += [len(meeting.members) for meeting in tracker._now.state.identities["target"].meetings]
+    assert max(sizes) in (3, 4)
+
+
+def test_the_state_goes_through_bytes_and_the_lines_through_columns() -> None:
+    graph, frames = with_identity(), ways((24, 36), 1.0)
+    tracker, _, _ = run(graph, frames[:38])
+    state = tracker._now.state
+    assert state.identities["target"].meetings
+    again = decode_state(encode_state(state), tracker._engine, state.previous)
+    held, other = (one.identities["target"].meetings[0] for one in (state, again))
+    assert other.members == held.members
+    np.testing.assert_array_equal(other.mean, held.mean)
+    lines = list(tracker.targets)
+    assert any(line.identities for line in lines)
+    for line, same in zip(lines, lines_of(columns_of(lines)), strict=True):
+        assert same.identities == pytest.approx(line.identities, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("two_squares", "identity without an agent that measures by detections"),
+        ("street", "identity of a state that has no box in the image"),
+    ],
+)
+def test_a_graph_that_cannot_be_asked_is_refused(name: str, found: str) -> None:
+    with pytest.raises(GraphError) as error:
+        with_identity(name)
+    assert found in str(error.value)
