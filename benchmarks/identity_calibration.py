@@ -25,7 +25,7 @@ from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 
 from bayesnet_track import DetectionsTracker
-from bayesnet_track.adapt.identities import Meeting, Placing
+from bayesnet_track.adapt.meetings import Meeting, Placing
 from bayesnet_track.engine.lifecycle import identities as stage
 
 SIZE, FRAMES = (640, 480), 150

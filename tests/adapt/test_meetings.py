@@ -6,20 +6,18 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayesnet_track.adapt import identities
-from bayesnet_track.adapt.identities import (
+from bayesnet_track.adapt import meetings
+from bayesnet_track.adapt.identities import Entangled, compose, keep_live
+from bayesnet_track.adapt.meetings import (
     MOST_MEMBERS,
     RECENT,
-    Entangled,
     Meeting,
     Placing,
     SensorRates,
     Sighting,
     advance,
     assignments,
-    compose,
     join_meetings,
-    keep_live,
     open_meeting,
     place_tracks,
 )
@@ -125,8 +123,8 @@ def test_merging_old_histories_hardly_moves_the_posterior(monkeypatch: pytest.Mo
         return float(meeting.weights[meeting.recent[:, 0, -1] == meeting.count - 1].sum())
 
     merged = [straight(seed) for seed in range(12)]
-    monkeypatch.setattr(identities, "RECENT", 8)
-    monkeypatch.setattr(identities, "MOST_HYPOTHESES", 1 << 14)
+    monkeypatch.setattr(meetings, "RECENT", 8)
+    monkeypatch.setattr(meetings, "MOST_HYPOTHESES", 1 << 14)
     exact = [straight(seed) for seed in range(12)]
     assert np.ptp(exact) > 0.5
     assert np.abs(np.subtract(merged, exact)).max() < 0.05

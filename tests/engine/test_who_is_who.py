@@ -15,7 +15,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.journal.events.identities import IdentityDoubtful
+from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.journal.frame_columns import columns_of, lines_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state

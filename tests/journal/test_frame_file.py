@@ -50,6 +50,7 @@ FULL = line(
     p_values={"color": 1e-60},
     queries={"near/2": 0.5, "speed_sd": 1.5},
     state={"vx": -1.5, "vx_sd": 0.25},
+    identities={"4": 0.71, "9": 0.22, "new": 0.07},
 )
 
 

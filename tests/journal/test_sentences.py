@@ -76,6 +76,7 @@ from bayesnet_track.journal.events.statuses import (
     DistractorSeen,
     DoubtEnded,
     FoundAgain,
+    IdentityDoubtful,
     Regained,
     SceneCut,
     StatusChanged,
@@ -291,6 +292,16 @@ GOLDEN = [
     (
         QueryPassed(23, "1", "near", 0.31, 0.9, False, "2"),
         "frame 23: near of targets 1 and 2 no longer probable: 0.31 < 0.9",
+    ),
+    (
+        IdentityDoubtful(230, "4", "9", 211, 0.224, 0.776, 1.8, -0.5),
+        "frame 230: identities 4 and 9 could be swapped since frame 211, probability 0.22; decided by "
+        "appearance +1.8, motion -0.5 nats",
+    ),
+    (
+        IdentityDoubtful(230, "12", "9", 211, 0.6, 0.4, 0.0, -0.4, False, ("7",)),
+        "frame 230: target 12 could be 9 since frame 211, probability 0.60; decided by appearance +0.0, "
+        "motion -0.4 nats; also close, and not asked about: 7",
     ),
     (
         DegenerateBelief(12, "1", "all weights are 0"),

@@ -12,24 +12,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.identities import (
+from bayesnet_track.adapt.identities import Entangled, PlateIdentities, compose, keep_live
+from bayesnet_track.adapt.meetings import (
     FAR_D2,
     MOST_DETECTIONS,
     MOST_MEMBERS,
-    Entangled,
     Meeting,
     Placing,
-    PlateIdentities,
     SensorRates,
     Sighting,
     advance,
-    compose,
+    close_pairs,
     gap_class,
     halves_of_d2,
     join_meetings,
-    keep_live,
     open_meeting,
     place_tracks,
+    spread_of_shared,
 )
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import CompiledPlate
@@ -41,8 +40,8 @@ from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.settings.identity import Identity
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.identities import IdentityDoubtful
 from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired, Returned
+from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
 
@@ -54,8 +53,6 @@ SURE = 0.99
 """Probability from which on an identity is not doubtful."""
 PLAIN = 0.9995
 """Probability from which on who is who is settled at once, two frames after parting."""
-SHARED_SD = 0.3
-"""Sd of what a box around two targets tells of each, in its sides."""
 MOST_TRACKS = 6
 
 
@@ -278,7 +275,7 @@ class Identifying:
             log_else.append(log)
         boxes = seen.boxes[columns]
         looks = self._looks(meeting, boxes)
-        variances = seen.variances[columns] + _spread_of_shared(meeting, boxes)
+        variances = seen.variances[columns] + spread_of_shared(meeting, boxes)
         return advance(meeting, Sighting(boxes, variances, looks, np.array(log_else)), rates)
 
     def _looks(self, meeting: Meeting, boxes: Floats) -> Floats:
@@ -393,19 +390,6 @@ class Detections:
         return float(-np.sum(d2 / scale2 + log + np.log(scale2)) - 2.0 * np.log(2.0 * np.pi))
 
 
-def _spread_of_shared(meeting: Meeting, boxes: Floats) -> Floats:
-    """(M, 4) further variances of boxes (M, 4) that may be around two members at once.
-
-    Such a box holds two members of the most probable hypothesis, of which no other box holds one.
-    """
-    away = np.abs(boxes[:, None, :2] - meeting.mean[0, :, :2])
-    holds = (away < boxes[:, None, 2:] / 2.0).all(axis=2)
-    alone = holds & (holds.sum(axis=0) == 1)
-    shared = alone.sum(axis=1) >= 2
-    sides = boxes[:, [2, 3, 2, 3]]
-    return np.asarray(np.where(shared[:, None], (SHARED_SD * sides) ** 2, 0.0))
-
-
 def _predicted(meeting: Meeting, expecting: Predict) -> Meeting:
     shape = meeting.mean.shape
     mean, covariance = expecting(
@@ -425,18 +409,8 @@ def _close_pairs(
     # At least what the graph names: it may have swapped by that.
     scale2 = np.maximum(rates.scale2[gap_class(unseen)][:, 0], 1.0)
     spread = expected.covariance[:, :4, :4] + rule.variances(expected.mean[:, :4])[:, :, None] * np.eye(4)
-    spread = spread * scale2[:, None, None]
-    order = np.argsort(expected.mean[:, 0], kind="stable")
-    x, reach = expected.mean[order, 0], np.sqrt(NEAR_D2 * spread[order, 0, 0])
-    last = np.searchsorted(x, x + np.sqrt(2.0) * np.maximum(reach, reach.max(initial=0.0)), side="right")
-    pairs = [np.arange(k + 1, end) for k, end in enumerate(last.tolist())]
-    first = order[np.repeat(np.arange(count), [len(some) for some in pairs])]
-    second = order[np.concatenate(pairs)] if pairs else np.empty(0, dtype=np.int64)
-    d2, _ = halves_of_d2(expected.mean[first, :4] - expected.mean[second, :4], spread[first] + spread[second])
-    value = d2[:, 0]
-    close = np.flatnonzero(value < NEAR_D2 / 2.0)
-    ranked = close[np.argsort(value[close], kind="stable")]
-    return [(expected.ids[first[pair]], expected.ids[second[pair]]) for pair in ranked.tolist()]
+    pairs = close_pairs(expected.mean[:, :4], spread * scale2[:, None, None], NEAR_D2)
+    return [(expected.ids[first], expected.ids[second]) for first, second in pairs]
 
 
 def _recognised(events: Sequence[Event], known: Sequence[Entangled], live: Sequence[str]) -> list[Entangled]:

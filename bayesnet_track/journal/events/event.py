@@ -15,7 +15,6 @@ from __future__ import annotations
 from bayesnet_track.journal.events import (
     beliefs,
     faults,
-    identities,
     joins,
     lives,
     load,
@@ -48,7 +47,7 @@ Event = (
     | beliefs.ModeChanged
     | beliefs.QueryPassed
     | switches.ReferenceGuarded
-    | identities.IdentityDoubtful
+    | statuses.IdentityDoubtful
     | statuses.DistractorSeen
     | statuses.DoubtEnded
     | statuses.AssuranceChanged

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
-from bayesnet_track.adapt.identities import Entangled, Meeting, PlateIdentities, SensorRates
+from bayesnet_track.adapt.identities import Entangled, PlateIdentities
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
+from bayesnet_track.adapt.meetings import Meeting, SensorRates
 from bayesnet_track.adapt.memory import Baseline, InformationRate, Layout, RuleMemory
 from bayesnet_track.adapt.presence import Known, Presence
 from bayesnet_track.adapt.shedding import Load
