@@ -34,8 +34,8 @@ from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.assigning import score_looks
-from bayesnet_track.engine.lifecycle.association import Associated, predictor
-from bayesnet_track.engine.lifecycle.sharing import Predict
+from bayesnet_track.engine.lifecycle.association import Associated
+from bayesnet_track.engine.lifecycle.sharing import Predict, predictor
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.settings.identity import Identity
@@ -156,13 +156,13 @@ class Identifying:
         expecting = predictor(self.work, self.compiled)
         mean, covariance = expecting(self.before.mean, self.before.covariance)
         expected = evolve(self.before, mean=mean, covariance=covariance)
-        found, events = associated.found.get(plate), list[Event]()
+        found, events = associated.found.get(plate, {}).get(""), list[Event]()
         after = tracks_of(self.compiled, Targets.of(outcome.state.targets))
         entangled = keep_live(known.entangled, frozenset(after.ids), SURE)
         entangled = (*entangled, *_recognised(outcome.events, entangled, after.ids))
         if found is None:
-            meetings = tuple(_predicted(meeting, expecting) for meeting in known.meetings)
-            return evolve(known, meetings=meetings, entangled=entangled), [], events
+            waiting = tuple(_predicted(meeting, expecting) for meeting in known.meetings)
+            return evolve(known, meetings=waiting, entangled=entangled), [], events
         seen = Detections.of(self.compiled, found.boxes, associated.owners.get(plate, ()))
         unseen = np.array([known.unseen.get(target, 0) + 1 for target in self.before.ids], dtype=np.int64)
         meetings, refused = self._meet(known, expected, seen, unseen)
