@@ -45,6 +45,18 @@ class DetectionParameters(CueParameters):
     sd_size: float = Field(default=0.06, ge=0, description="Sd of a detection's sides (share of them).")
     sd_place_px: float = Field(default=0.0, ge=0, description="Further sd of a detection's centre (px).")
     sd_size_px: float = Field(default=0.0, ge=0, description="Further sd of a detection's sides (px).")
+    sd_place_slow: float = Field(
+        default=0.0,
+        ge=0,
+        description="Sd of a further error of a target's centres, which changes slowly (share of the "
+        "detection's width and height). For targets on the ground.",
+    )
+    sd_size_slow: float = Field(
+        default=0.0, ge=0, description="The same of its sides (share of them). For targets on the ground."
+    )
+    slow_over_s: float = Field(
+        default=2.0, gt=0, description="Time in which the correlation of slow errors falls to 1 / e (s)."
+    )
     similarity: Literal["density", "iou"] = Field(
         default="density",
         description="What the best assignment has most of: `density`, the log density of the detections "
@@ -159,6 +171,7 @@ class DetectionParameters(CueParameters):
 
 OF_BOXES = frozenset(
     {"sd_place", "sd_size", "sd_place_px", "sd_size_px", "similarity", "min_overlap", "first_score"}
+    | {"sd_place_slow", "sd_size_slow", "slow_over_s"}
     | {"direction", "direction_frames", "recover", "re_update", "appearance", "continue_box"}
 )
 """Parameters that are of boxes."""

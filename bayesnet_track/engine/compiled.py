@@ -16,7 +16,14 @@ from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.averaged import without_modes
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
-from bayesnet_track.belief.motion.composed import Deviation, Nested, deviations_of, turning
+from bayesnet_track.belief.motion.composed import (
+    Deviation,
+    Lasting,
+    Nested,
+    deviations_of,
+    lasting_of,
+    turning,
+)
 from bayesnet_track.belief.motion.formulas import FormulaMotion, make_formula_motion
 from bayesnet_track.belief.motion.models import KinematicMotion, make_motion
 from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
@@ -126,7 +133,7 @@ class CompiledPlate:
     @property
     def has_one_image(self) -> bool:
         """True unless several cameras see its targets."""
-        return self.views is None or len(self.views.cameras) == 1
+        return self.views is None or len(self.views.views) == 1
 
     @cached_property
     def moments(self) -> MotionModel:
@@ -273,8 +280,11 @@ def _compile_plate(
     merge = "never" if views else kind.merge_duplicates
     life = life_rules(kind.birth, merge, kind.death, reidentify, kind.existence)
     if own is None:
-        made_motion = make_plate_motion(root, constants, deviations_of(kind.nodes), kind.state)
-    motion = made_motion if own is None else own
+        lasting = lasting_of(plate.lasting)
+        further: tuple[Deviation | Lasting, ...] = (*deviations_of(kind.nodes), *lasting)
+        motion = make_plate_motion(root, constants, further, kind.state)
+    else:
+        motion = Nested(own, lasting_of(plate.lasting)) if plate.lasting else own
     rules = {agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection}
     if views:
         rules = {agent: replace(rule, continue_box=0.0) for agent, rule in rules.items()}
@@ -315,13 +325,13 @@ def _compile_plate(
 def make_plate_motion(
     root: spec.InferenceNode,
     constants: Mapping[str, float],
-    deviations: tuple[Deviation, ...] = (),
+    deviations: tuple[Deviation | Lasting, ...] = (),
     state: str | WorldState = "box",
 ) -> MotionModel:
     """The motion that a graph with these constants asks for, before anything of a frame influences it.
 
-    `deviations` are those of latent nodes with a motion of their own. Targets that are no boxes go on beyond
-    the frame.
+    `deviations` are those of latent nodes with a motion of their own, and errors that last. Targets that are
+    no boxes go on beyond the frame.
     """
     assert root.motion is not None
     settings = root.motion.settings

@@ -65,7 +65,7 @@ def detectors_of(life: LifeRules | None, views: Views | None) -> dict[str, str]:
     if life is None or life.birth is None:
         return {}
     name = flow_text(as_plain(life.birth.detector))
-    cameras = ("",) if views is None else [one.name for one in views.cameras.values()]
+    cameras = ("",) if views is None else [one.seen_by for one in views.views.values()]
     return {camera: of_camera(name, camera) for camera in cameras}
 
 

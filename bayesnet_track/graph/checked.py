@@ -111,6 +111,32 @@ class Calibration:
     name: str | None = None
 
 
+@dataclass(frozen=True)
+class LastingError:
+    """One coordinate of an error of what sees targets, which lasts from frame to frame: a field of the state.
+
+    It is an Ornstein-Uhlenbeck process, N(0, sd^2) at any time.
+
+    Attributes:
+        node: the view whose camera is off, or the agent whose detections are.
+        axis: the coordinate of the box in the image: x, y, w or h.
+        sd: its sd, px of a view, and the share of the box's width or height of an agent.
+        over_s: time in which its correlation falls to 1 / e.
+        is_shared: whether all targets share it, so that it is allowed for and not estimated from one of them.
+    """
+
+    node: str
+    axis: str
+    sd: float
+    over_s: float
+    is_shared: bool
+
+    @property
+    def field(self) -> str:
+        """Name of the field of the state."""
+        return f"{self.node}.{self.axis}"
+
+
 @dataclass(frozen=True, eq=False)
 class NamedCamera:
     """A camera of the graph.
@@ -143,6 +169,7 @@ class CheckedTarget:
         measures: agent -> its measurement functions, of those that have some.
         inverses: agent that is given detections of quantities -> how one of them starts a target.
         views: view -> its camera.
+        lasting: errors of its cameras and detections that last: the last fields of its states.
     """
 
     name: str
@@ -159,6 +186,7 @@ class CheckedTarget:
     measures: Mapping[str, MeasuredAs] = field(default_factory=dict)
     inverses: Mapping[str, Inverse] = field(default_factory=dict)
     views: Mapping[str, NamedCamera] = field(default_factory=dict)
+    lasting: tuple[LastingError, ...] = ()
 
     def __repr__(self) -> str:
         """Name and size."""

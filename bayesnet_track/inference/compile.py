@@ -15,8 +15,7 @@ from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.plane_words import plane_words
-from bayesnet_track.inference.views import View
-from bayesnet_track.numerics.cameras import GroundView
+from bayesnet_track.inference.views import View, views_below
 from bayesnet_track.observation.cue import AnyCue, MeasuringCue
 from bayesnet_track.observation.planes import Plane
 
@@ -124,9 +123,9 @@ class Plan:
     idle_planes: Mapping[str, tuple[Plane, ...]]
     views: tuple[View, ...] = ()
 
-    def camera(self, node: str) -> GroundView | None:
-        """Camera of a view; None of another node."""
-        return next((one.camera for one in self.views if one.node == node), None)
+    def view(self, node: str) -> View | None:
+        """A view by its name; None of another node."""
+        return next((one for one in self.views if one.node == node), None)
 
     def in_image(self) -> Plan:
         """The plan of hypotheses that are boxes in the image of the only view, if there is one."""
@@ -186,7 +185,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         fusions=tuple(_fuse(target, name, messengers, measuring) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
-        views=tuple(View(name, target.root, one.camera, one.name) for name, one in target.views.items()),
+        views=views_below(target),
     )
 
 

@@ -73,8 +73,8 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
                 constants[step.agent] = answer.log_constant / step.temperature
             answer = to_power(answer, 1.0 / step.temperature)
             messages[step.agent] = measurement_message(answer, at[step.at])
-            camera = plan.camera(step.at)
-            measured[step.agent] = answer if camera is None else through(camera, answer)
+            view = plan.view(step.at)
+            measured[step.agent] = answer if view is None else through(view, answer, step.agent)
         elif answer is None:
             measured[step.agent] = None
             messages[step.agent] = np.zeros(len(hypotheses))
@@ -178,8 +178,8 @@ def join_messages(
                 total, scale = _scale(matched, above, prior_log, total)
                 rests[fusion.node] = scale
                 if matched is not None:
-                    camera = plan.camera(_source(plan, fusion.node))
-                    gaussians[fusion.node] = matched if camera is None else through(camera, matched)
+                    view = plan.view(_source(plan, fusion.node))
+                    gaussians[fusion.node] = matched if view is None else through(view, matched)
             elif fusion.written is not None:
                 if fusion.own == "kernel":
                     log_kernel = log_given(fusion.written, above.boxes, own.boxes)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.graph.checked import CheckedTarget, NamedCamera
+from bayesnet_track.graph.checked import CheckedTarget, LastingError
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.observation.cue import Hypotheses, Measurement
@@ -23,19 +23,50 @@ REACH = 3.0
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A node whose hypotheses are those of `given_from` as its camera, called `seen_by`, sees them."""
+    """A node whose hypotheses are those of `given_from` as its camera sees them.
+
+    Attributes:
+        node: its name.
+        given_from: the node that has the state.
+        camera: what it looks through.
+        seen_by: the camera's name.
+        lasting: errors that last, of all views of the plate and of agents below them.
+    """
 
     node: str
     given_from: str
     camera: GroundView
     seen_by: str
+    lasting: tuple[LastingError, ...] = ()
+
+    def boxes(self, states: Mapping[str, Floats], agent: str = "") -> Floats:
+        """(N, 4) boxes in the image of states, field -> (N,), as the camera shows and `agent` finds them."""
+        boxes = self.camera.boxes(np.stack([states[name] for name in BOX], axis=1))
+        for error in self.lasting:
+            if error.node in (self.node, agent):
+                boxes = boxes + effects(error, boxes) * states[error.field][:, None]
+        return boxes
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Fields of the state that are allowed for and not estimated."""
+        return tuple(error.field for error in self.lasting if error.is_shared)
 
     def project(self, ground: Hypotheses, frame: Frame) -> Hypotheses:
         """Hypotheses as boxes in its image; see `visible_boxes`.
 
         Further fields of the state, such as velocities, are in metres, and have no place there.
         """
-        return Hypotheses(visible_boxes(self.camera, ground.boxes, size_in(frame, self.seen_by, self.camera)))
+        states = {**ground.fields, **dict(zip(BOX, ground.boxes.T, strict=True))}
+        return Hypotheses(visible_boxes(self.boxes(states), size_in(frame, self.seen_by, self.camera)))
+
+
+def effects(error: LastingError, boxes: Floats) -> Floats:
+    """(N, 4) by how much boxes in the image change with an error."""
+    column = BOX.index(error.axis)
+    moved = np.zeros_like(boxes)
+    moved[:, column] = 1.0 if error.is_shared else boxes[:, 2 + column % 2]
+    return moved
 
 
 def size_in(frame: Frame, name: str, camera: GroundView) -> tuple[int, int]:
@@ -46,12 +77,11 @@ def size_in(frame: Frame, name: str, camera: GroundView) -> tuple[int, int]:
     return own.width, own.height
 
 
-def visible_boxes(camera: GroundView, ground: Floats, frame: tuple[int, int]) -> Floats:
-    """(N, 4) centre boxes in an image of `frame` columns and rows of targets (N, 4) on the ground.
+def visible_boxes(boxes: Floats, frame: tuple[int, int]) -> Floats:
+    """(N, 4) centre boxes as far as they are near an image of `frame` columns and rows; else `UNSEEN`.
 
-    Sides are at least 1 px; a target that the camera cannot see is `UNSEEN`.
+    Sides are at least 1 px.
     """
-    boxes = camera.boxes(ground)
     size = np.array([*frame, *frame], dtype=np.float64)
     seen = np.isfinite(boxes).all(axis=1, keepdims=True)
     with np.errstate(invalid="ignore"):
@@ -60,14 +90,13 @@ def visible_boxes(camera: GroundView, ground: Floats, frame: tuple[int, int]) ->
     return np.where(seen, held, np.array(UNSEEN))
 
 
-def through(camera: GroundView, measured: Measurement) -> Measurement:
-    """What was measured of the box in the image, as a measurement of the state on the ground."""
+def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
+    """Measurement of the box in the image by `agent`, as a measurement of the state on the ground."""
     inner, errors = measured.seen, measured.errors
     columns = None if inner is not None else [BOX.index(name) for name in measured.fields]
 
     def in_image(states: Mapping[str, Floats]) -> dict[str, Floats]:
-        boxes = camera.boxes(np.stack([states[name] for name in BOX], axis=1))
-        return dict(zip(BOX, boxes.T, strict=True))
+        return dict(zip(BOX, view.boxes(states, agent).T, strict=True))
 
     def function(states: Mapping[str, Floats]) -> Floats:
         if inner is not None:
@@ -78,8 +107,8 @@ def through(camera: GroundView, measured: Measurement) -> Measurement:
         of_boxes = errors.function
         errors = replace(errors, function=lambda states, away: of_boxes(in_image(states), away))
     periods = np.full(len(measured.fields), np.inf) if inner is None else inner.periods
-    choices = tuple((weight, through(camera, one)) for weight, one in measured.choices)
-    return replace(measured, seen=Seen(function, periods), choices=choices, errors=errors)
+    choices = tuple((weight, through(view, one, agent)) for weight, one in measured.choices)
+    return replace(measured, seen=Seen(function, periods, view.shared), choices=choices, errors=errors)
 
 
 Sizes = tuple[tuple[float, float] | None, tuple[float, float] | None]
@@ -97,19 +126,29 @@ class Placed:
         which: (M,) the boxes that stand somewhere.
         states: (M, 4) x, y, w, h in m.
         covariances: (M, 4, 4).
+        cross: (M, 4, L) of the states and L errors that last.
     """
 
     which: Ints
     states: Floats
     covariances: Floats
+    cross: Floats
 
 
-def place(camera: GroundView, boxes: Floats, variances: Floats, sizes: Sizes) -> Placed:
+def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str = "") -> Placed:
     """The most probable states of targets seen as boxes (N, 4) with errors of variances (N, 4), px.
 
     Foot points are equally probable anywhere on the ground; sizes as `sizes` say. By Gauss and Newton's steps
-    from the foot of the box; the covariance is (J' R^-1 J + P^-1)^-1.
+    from the foot of the box; the covariance is (J' R^-1 J + P^-1)^-1. Errors of the view and of the `agent`
+    that last are part of R: each moves the state by -K g, K = covariance J' R^-1 and g its effect on the box.
     """
+    camera = view.camera
+    lasting = np.zeros((len(boxes), 4, len(view.lasting)))
+    for k, error in enumerate(view.lasting):
+        if error.node in (view.node, agent):
+            lasting[:, :, k] = effects(error, boxes)
+    of_lasting = np.array([error.sd**2 for error in view.lasting])
+    variances = variances + (lasting**2 @ of_lasting if len(of_lasting) else 0.0)
     feet = camera.ground_points(np.column_stack([boxes[:, 0], boxes[:, 1] + boxes[:, 3] / 2]))
     prior = np.array([0.0 if one is None else one[1] ** -2 for one in (None, None, *sizes)])
     usual = np.array([0.0, 0.0, *(1.0 if one is None else one[0] for one in sizes)])
@@ -132,7 +171,9 @@ def place(camera: GroundView, boxes: Floats, variances: Floats, sizes: Sizes) ->
         usable = done & np.isfinite(states).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
         usable &= np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]) < FARTHEST
     which = np.flatnonzero(usable)
-    return Placed(which, states[which], covariances[which])
+    weighted = np.swapaxes(camera.jacobian(states[which]) / variances[which][:, :, None], 1, 2)
+    cross = -covariances[which] @ weighted @ lasting[which] * of_lasting
+    return Placed(which, states[which], covariances[which], cross)
 
 
 FARTHEST = 25.0
@@ -175,44 +216,55 @@ class Views:
     """The cameras of a plate, which stand between its states on the ground and boxes in an image.
 
     Attributes:
-        cameras: view -> its camera; the first one is that of the image in results.
+        views: the views by name; the first one is that of the image in results.
         sizes: of targets that start.
     """
 
-    cameras: Mapping[str, NamedCamera]
+    views: Mapping[str, View]
     sizes: Sizes
 
     @property
-    def main(self) -> GroundView:
-        """The camera of the image in results."""
-        return self._first.camera
+    def main(self) -> View:
+        """The view of the image in results."""
+        return next(iter(self.views.values()))
 
     @property
-    def _first(self) -> NamedCamera:
-        return next(iter(self.cameras.values()))
+    def lasting(self) -> tuple[LastingError, ...]:
+        """Errors that last: the last columns of a state."""
+        return self.main.lasting
+
+    def named(self, states: Floats) -> dict[str, Floats]:
+        """The fields of states (N, D) that a box in an image depends on."""
+        columns = dict(zip(BOX, states[:, :4].T, strict=True))
+        own = states[:, states.shape[1] - len(self.lasting) :].T
+        return columns | {one.field: own[k] for k, one in enumerate(self.lasting)}
 
     def boxes(self, states: Floats, frame: Frame, node: str | None = None) -> Floats:
         """(N, 4) boxes of states (N, D) in the image of a view, by default the first one."""
-        seen_by = self._first if node is None else self.cameras[node]
-        return visible_boxes(seen_by.camera, states[:, :4], size_in(frame, seen_by.name, seen_by.camera))
+        view = self.main if node is None else self.views[node]
+        return visible_boxes(view.boxes(self.named(states)), size_in(frame, view.seen_by, view.camera))
 
     def footprints(self, states: Floats) -> Floats:
         """(N, 4) the squares that targets (N, D) cover of the ground, m, centre first."""
         return states[:, [0, 1, 2, 2]]
 
-    def place(self, box: Floats) -> tuple[Floats, Floats] | None:
-        """(4,) state and (4, 4) covariance of a target in a given centre box (4,); None above the horizon."""
+    def place(self, box: Floats) -> Placed | None:
+        """Where a target in a given centre box (4,) stands; None above the horizon."""
         sds = GIVEN_SD * np.array([box[2], box[3], box[2], box[3]])
         placed = place(self.main, box[None], sds[None] ** 2, self.sizes)
-        return (placed.states[0], placed.covariances[0]) if len(placed.which) else None
+        return placed if len(placed.which) else None
 
     def moments(self, mean: Floats, covariance: Floats, frame: Frame) -> tuple[Floats, Floats]:
         """(4,) box and (4, 4) covariance in the image of a state N(mean, covariance), by the derivative."""
         box = self.boxes(mean[None], frame)[0]
-        slopes = self.main.jacobian(mean[None, :4])[0]
+        slopes = np.zeros((4, len(mean)))
+        slopes[:, :4] = self.main.camera.jacobian(mean[None, :4])[0]
+        for column, error in enumerate(self.lasting, len(mean) - len(self.lasting)):
+            if error.node == self.main.node:
+                slopes[:, column] = effects(error, box[None])[0]
         if not np.isfinite(slopes).all():
             return box, np.zeros((4, 4))
-        return box, slopes @ covariance[:4, :4] @ slopes.T
+        return box, slopes @ covariance @ slopes.T
 
 
 def views_of(plate: CheckedTarget) -> Views | None:
@@ -221,4 +273,11 @@ def views_of(plate: CheckedTarget) -> Views | None:
     if isinstance(state, str) or state.ground is None:
         return None
     sizes = [None if one is None else (one.mean, one.sd) for one in (state.ground.width, state.ground.height)]
-    return Views(plate.views, (sizes[0], sizes[1]))
+    return Views({one.node: one for one in views_below(plate)}, (sizes[0], sizes[1]))
+
+
+def views_below(plate: CheckedTarget) -> tuple[View, ...]:
+    """The views of a plate."""
+    return tuple(
+        View(node, plate.root, one.camera, one.name, plate.lasting) for node, one in plate.views.items()
+    )

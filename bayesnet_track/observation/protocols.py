@@ -159,10 +159,13 @@ class Seen:
         function: state field -> (N,), to (N, K) values; NaN where there is none.
         periods: (K,) after how much a quantity is the same again, 2 pi of an angle in radians; infinite of
             those that are no angles.
+        shared: fields of the state that a measurement allows for and does not update: errors that other
+            targets have, too.
     """
 
     function: Callable[[Mapping[str, Floats]], Floats]
     periods: Floats
+    shared: tuple[str, ...] = ()
 
     def less(self, values: Floats, expected: Floats) -> Floats:
         """(N, K) values less what was expected; of angles the shorter way round."""

@@ -26,6 +26,7 @@ from bayesnet_track.belief.gaussian.update import (
     Gated,
     MeasurementUpdate,
     SigmaPoints,
+    allow_for,
     ask,
     fit_moments,
     log_message,
@@ -33,7 +34,7 @@ from bayesnet_track.belief.gaussian.update import (
     take,
 )
 from bayesnet_track.belief.motion.borders import Confined, Reflecting
-from bayesnet_track.belief.motion.composed import Nested
+from bayesnet_track.belief.motion.composed import Nested, shared_columns
 from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian, linear_moves
 from bayesnet_track.graph import spec
@@ -229,6 +230,7 @@ class GaussianFilter:
         """
         # Predict
         mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
+        before = mean, covariance
 
         predicted = (Predicted(1.0, mean, covariance),)
 
@@ -245,6 +247,8 @@ class GaussianFilter:
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states), motion)
             return evolve(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
+        if shared := shared_columns(motion):
+            mean, covariance = allow_for(shared, before, (mean, covariance))
         by_points = self.settings.filter == "unscented"
         after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
         stepped = _step(

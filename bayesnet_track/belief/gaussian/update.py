@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -347,7 +347,27 @@ def update_seen(
             after = extended_update(mean, covariance, measured, one.covariance, unwrapped)
     except np.linalg.LinAlgError:
         return None
-    return after if np.isfinite(after.mean).all() and np.isfinite(after.covariance).all() else None
+    if not (np.isfinite(after.mean).all() and np.isfinite(after.covariance).all()):
+        return None
+    if seen.shared:
+        columns = columns_of(seen.shared, fields)
+        held = allow_for(columns, (mean, covariance), (after.mean, after.covariance))
+        after = replace(after, mean=held[0], covariance=held[1])
+    return after
+
+
+def allow_for(
+    columns: Sequence[int], before: tuple[Floats, Floats], after: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Mean and covariance `after` an update in which some columns were to be allowed for, not estimated.
+
+    Schmidt's update: the gain of these columns is 0. That leaves their means and their covariance as they
+    were `before`; all other entries, those between them and the rest included, are as of the full update.
+    """
+    mean, covariance = after[0].copy(), after[1].copy()
+    at = np.ix_(columns, columns)
+    mean[list(columns)], covariance[at] = before[0][list(columns)], before[1][at]
+    return mean, covariance
 
 
 def _mix(

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors, MotionModel
-from bayesnet_track.belief.motion.borders import Reflecting
+from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_PX, Ancestors, MotionModel
+from bayesnet_track.belief.motion.borders import Confined, Reflecting
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.checked import LastingError
 from bayesnet_track.graph.settings.motion import BoxSd, Moving
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import ANGLE
@@ -63,6 +65,47 @@ class Walk:
         return 1.0, self.sd * float(np.sqrt(dt))
 
 
+@dataclass(frozen=True)
+class Lasting:
+    """An error that lasts: an Ornstein-Uhlenbeck process that is in its long run from the start.
+
+    Attributes:
+        name: the field of the state.
+        sd: at any time, above 0.
+        time: in which its correlation falls to 1 / e, above 0.
+        is_shared: whether it is allowed for and not estimated.
+    """
+
+    name: str
+    sd: float
+    time: float
+    is_shared: bool
+
+    def over(self, dt: float) -> tuple[float, float]:
+        """Share and sd as of a `Deviation`.
+
+        >>> [round(value, 6) for value in Lasting("view.x", 5.0, 2.0, True).over(2.0)]
+        [0.367879, 4.649363]
+        """
+        kept = math.exp(-dt / self.time)
+        return kept, self.sd * math.sqrt(-math.expm1(-2.0 * dt / self.time))
+
+
+def lasting_of(errors: Sequence[LastingError]) -> tuple[Lasting, ...]:
+    """Fields of the state for errors of what sees the targets."""
+    return tuple(Lasting(one.field, one.sd, one.over_s, one.is_shared) for one in errors)
+
+
+def shared_columns(motion: MotionModel) -> tuple[int, ...]:
+    """Columns of the state that are allowed for and not estimated."""
+    while isinstance(motion, Confined | Reflecting):
+        motion = motion.motion
+    if not isinstance(motion, Nested):
+        return ()
+    first = len(motion.fields) - len(motion.deviations)
+    return tuple(first + k for k, one in enumerate(motion.deviations) if getattr(one, "is_shared", False))
+
+
 def turning(motion: MotionModel, sd_deg: float) -> Nested:
     """`motion`, with a last column of the state: by how much the target is turned since its first frame.
 
@@ -92,7 +135,7 @@ def deviations_of(nodes: Mapping[str, spec.Node]) -> tuple[Deviation, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Nested:
-    """`motion`, with last columns of the state for coordinates of their own; 0 in the first frame.
+    """`motion`, with last columns of the state for coordinates of their own; errors apart 0 at first.
 
     They move independently of the box and of each other. Of the deviations of latent nodes: the agents
     learn a part at its place in the start box, so it deviates from there by nothing yet; where a part is
@@ -104,22 +147,37 @@ class Nested:
     """
 
     motion: MotionModel
-    deviations: tuple[Deviation | Walk, ...]
+    deviations: tuple[Deviation | Walk | Lasting, ...]
 
     @property
     def fields(self) -> tuple[str, ...]:
         """Fields of the model, and the deviations."""
         return (*self.motion.fields, *(one.name for one in self.deviations))
 
+    @property
+    def leaves_image(self) -> bool:
+        """True where targets go on beyond the frame."""
+        return bool(getattr(self.motion, "leaves_image", False))
+
+    @property
+    def least_side(self) -> float:
+        """Of widths and heights, in the unit of the state."""
+        return float(getattr(self.motion, "least_side", LEAST_SIDE_PX))
+
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """Like the model, everything in its place."""
-        return _with(self.motion.start(box, size, rng), np.zeros((size, len(self.deviations))))
+        states, sds = self.motion.start(box, size, rng), self._first_sds
+        own = sds * rng.standard_normal((size, len(sds))) if sds.any() else np.zeros((size, len(sds)))
+        return _with(states, own)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """Like the model, everything in its place."""
         mean, covariance = self.motion.start_moments(box)
         further = len(self.deviations)
-        return np.append(mean, np.zeros(further)), np.pad(covariance, (0, further))
+        spread = np.pad(covariance, (0, further))
+        at = np.arange(len(mean), len(spread))
+        spread[at, at] = self._first_sds**2
+        return np.append(mean, np.zeros(further)), spread
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -172,6 +230,10 @@ class Nested:
             sds=np.concatenate([own.sds, sds], axis=2),
             states=None if own.states is None else states_at,
         )
+
+    @property
+    def _first_sds(self) -> Floats:
+        return np.array([one.sd if isinstance(one, Lasting) else 0.0 for one in self.deviations])
 
     def _over(self, dt: float) -> tuple[Floats, Floats]:
         kept, sds = zip(*(one.over(dt) for one in self.deviations), strict=True)

@@ -20,9 +20,8 @@ from bayesnet_track.engine.lifecycle.measuring import (
 )
 from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.inference.views import UNSEEN, Sizes, Views, place
+from bayesnet_track.inference.views import UNSEEN, View, Views, place
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.numerics.gaussian import chi_square_quantile, symmetric
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
@@ -37,15 +36,17 @@ class ViewSensor:
 
     Attributes:
         association: the agent's rule.
-        camera: the camera.
-        sizes: of targets that start.
+        agent: the agent.
+        views: of the plate.
+        view: through which it looks.
         is_unscented: whether moments are by sigma points.
         has_extent: False: a target moves in metres, as its motion says, not in sides of a box.
     """
 
     association: AssociationRule
-    camera: GroundView
-    sizes: Sizes
+    agent: str
+    views: Views
+    view: View
     is_unscented: bool = False
     has_extent: bool = False
     log_scale: float = -0.5 * WIDTH * LOG_TURN
@@ -56,7 +57,7 @@ class ViewSensor:
 
     def boxes(self, mean: Floats) -> Floats:
         """(T, 4) boxes in the image of states (T, D)."""
-        found = self.camera.boxes(mean[:, :4])
+        found = self.view.boxes(self.views.named(mean))
         return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, np.array(UNSEEN))
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
@@ -85,6 +86,8 @@ class ViewSensor:
             return
         expected = self.expect(mean[rows], covariance[rows])
         variances = self.association.variances(found.values)
+        first = mean.shape[1] - len(self.views.lasting)
+        shared = [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]
         for at, row in enumerate(rows.tolist()):
             if not expected.is_known[at]:
                 continue
@@ -96,9 +99,11 @@ class ViewSensor:
                 np.linalg.solve(spread, np.broadcast_to(cross.T, (len(columns), *cross.T.shape))), 1, 2
             )
             moves = (gains @ (found.values[columns] - expected.values[at])[:, :, None])[:, :, 0]
+            moves[:, shared] = 0.0
             shift = shares @ moves
             between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
             told = np.einsum("k,kij->ij", shares, gains @ cross.T)
+            told[np.ix_(shared, shared)] = 0.0  # Schmidt's update, as of `belief.gaussian.update.allow_for`
             mean[row] += shift
             covariance[row] = symmetric(covariance[row] - told + between)
         np.maximum(mean[:, 2:4], LEAST_SIDE_M, out=mean[:, 2:4])
@@ -127,12 +132,15 @@ class ViewSensor:
 
     def begin(self, motion: MotionModel, found: Found) -> Begun:
         """Where the box stands, as surely as it says; none above the horizon."""
-        placed = place(self.camera, found.values, self.association.variances(found.values), self.sizes)
+        variances = self.association.variances(found.values)
+        placed = place(self.view, found.values, variances, self.views.sizes, self.agent)
         started = [motion.start_moments(state) for state in placed.states]
-        size = len(motion.fields)
+        size, first = len(motion.fields), len(motion.fields) - len(self.views.lasting)
         mean = np.array([one for one, _ in started]).reshape(-1, size)
         covariance = np.array([one for _, one in started]).reshape(-1, size, size)
         covariance[:, :4, :4] += placed.covariances
+        covariance[:, :4, first:] += placed.cross
+        covariance[:, first:, :4] += np.swapaxes(placed.cross, 1, 2)
         return Begun(placed.which, mean, covariance)
 
     def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
@@ -147,14 +155,15 @@ class ViewSensor:
         return d2, -0.5 * d2 - half
 
     def _of(self, states: Floats) -> Floats:
-        return self.camera.boxes(states[:, :4])
+        return self.view.boxes(self.views.named(states), self.agent)
 
     def _near(self, states: Floats, expected: Floats) -> Floats:
-        return self.camera.boxes(states[:, :4])
+        return self._of(states)
 
 
 def make_view_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, views: Views) -> ViewSensor:
     """The sensor of an agent below a view that is given detections of boxes."""
     seen_by = plate.seen_by(agent)
     assert seen_by is not None
-    return ViewSensor(rule, seen_by.camera, views.sizes, is_unscented(plate))
+    view = next(one for one in views.views.values() if one.seen_by == seen_by.name)
+    return ViewSensor(rule, agent, views, view, is_unscented(plate))

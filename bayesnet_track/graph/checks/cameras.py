@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checked import Calibration, NamedCamera
+from bayesnet_track.graph.checked import Calibration, LastingError, NamedCamera
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate, is_seen, written_name
@@ -304,6 +304,52 @@ def views_of_detections(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "no such key", key=path, on_key=True)
 
 
+def slow_errors_are_on_the_ground(plate: Plate) -> Iterator[GraphMessage]:
+    """Errors of detections that change slowly are fields of a Gaussian state on the ground."""
+    for name, node in plate.agents.items():
+        slow = _slow(plate, name)
+        if not any(slow[:2]):
+            continue
+        key = ("agent", node.agent.cue, "sd_place_slow" if slow[0] else "sd_size_slow")
+        root = next((plate.inference[one] for one in plate.roots), None)
+        if not plate.spec.is_ground:
+            what = "of a target whose state is in pixels, where a slow error is one of the place itself"
+            found = f"{key[-1]} {what}"
+            yield plate.message(name, found, f"no such key, or {ON_GROUND}", key=key, on_key=True)
+        elif root is not None and (root.belief is None or root.belief.gaussian is None):
+            found = f"{key[-1]} beside particles, which weigh a detection as if errors were independent"
+            yield plate.message(name, found, "belief: {gaussian: ..}, or no such key", key=key, on_key=True)
+
+
+def _slow(plate: Plate, agent: str) -> tuple[float, float, float]:
+    """Sd of slow errors of place and size of an agent's detections, and the time that they last, s."""
+    node = plate.agents[agent]
+    declaration = plate.cues.get(node.agent.cue)
+    if declaration is None or not declaration.reads_detection:
+        return 0.0, 0.0, 0.0
+    try:
+        parameters: Any = cue_parameters(node.agent, declaration)
+    except ValidationError:
+        return 0.0, 0.0, 0.0  # said where parameters are checked
+    place, size = (float(getattr(parameters, f"sd_{what}_slow", 0.0)) for what in ("place", "size"))
+    return place, size, float(getattr(parameters, "slow_over_s", 0.0))
+
+
+def read_lasting(plate: Plate) -> tuple[LastingError, ...]:
+    """Errors that last, of the cameras and the detections of a plate that passed the checks."""
+    errors = []
+    for view, node in plate.inference.items():
+        for bias in (plate.sources[camera].bias_px for camera in node.seen_by):
+            if bias is None:
+                continue
+            errors += [LastingError(view, axis, bias.sd, bias.over_s, True) for axis in "xy"]
+    for agent in plate.agents:
+        place, size, over_s = _slow(plate, agent)
+        for axes, sd in (("xy", place), ("wh", size)):
+            errors += [LastingError(agent, axis, sd, over_s, False) for axis in axes if sd > 0.0]
+    return tuple(errors)
+
+
 def _compares_boxes(parameters: Any) -> Iterator[str]:
     if getattr(parameters, "sd", None):
         yield "sd"
@@ -371,4 +417,5 @@ CAMERA_CHECKS: tuple[Check, ...] = (
     grounds_need_no_pixels,
     views_of_detections,
     *SEVERAL_CHECKS,
+    slow_errors_are_on_the_ground,
 )

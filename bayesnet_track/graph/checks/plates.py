@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.checked import Calibration
+from bayesnet_track.graph.settings.cameras import CameraSource
 from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
@@ -29,6 +30,7 @@ class Plate:
         inputs: names of what is known of every frame beside its image.
         masks: images by their paths as written; one that cannot be read as what is wrong with it.
         cameras: cameras by name, in the same way.
+        sources: the same as the graph has them.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Plate:
     masks: Mapping[str, Mask | str] = field(default_factory=dict)
     inputs: tuple[str, ...] = ()
     cameras: Mapping[str, Calibration | str] = field(default_factory=dict)
+    sources: Mapping[str, CameraSource] = field(default_factory=dict)
 
     @property
     def frame_names(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from bayesnet_track.graph.checks.cameras import (
     calibrations_of,
     cameras_can_be_read,
     in_units_of_the_state,
+    read_lasting,
     read_views,
 )
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters, evidence_counts_once
@@ -269,7 +270,7 @@ def check(
     folder = FilePath(at.file).parent
     images, read = masks_of(spec, folder, masks), calibrations_of(spec, folder, calibrations)
     cameras = {name: read[source.key] for name, source in spec.cameras.items()}
-    around = (at, known, spec.constants, images, tuple(spec.inputs), cameras)
+    around = (at, known, spec.constants, images, tuple(spec.inputs), cameras, spec.cameras)
     resolved = {name: per_camera(target, [*cameras]) for name, target in spec.targets.items()}
     plates = [Plate(name, in_units_of_the_state(target), *around) for name, target in resolved.items()]
     errors = [message for plate in plates for message in _violations(plate)]
@@ -352,4 +353,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
         measures=read_measures(plate),
         inverses=read_inverses(plate),
         views=read_views(plate),
+        lasting=read_lasting(plate),
     )

@@ -27,6 +27,13 @@ class MetreSd(Model):
     h: NotNegative = Field(default=0.0, description="of the height, m")
 
 
+class CameraBias(Model):
+    """Error of where a camera sees things, common to all targets and lasting: of its calibration."""
+
+    sd: Positive = Field(description="of the shift along x, and of that along y, px")
+    over_s: Positive = Field(default=3600.0, description="time in which its correlation falls to 1 / e, s")
+
+
 class CameraSource(Model):
     """A camera that targets on the ground are seen by.
 
@@ -41,6 +48,11 @@ class CameraSource(Model):
         "([what can be read](metres.md)); a path from where the graph file is"
     )
     name: Name | None = Field(default=None, description="which camera, where the file has several")
+    bias_px: CameraBias | None = Field(
+        default=None,
+        description="how far off it may be: a shift of the image that lasts, of which intervals allow for; "
+        "default: the calibration is exact",
+    )
 
     @property
     def key(self) -> str:
