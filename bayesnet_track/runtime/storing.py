@@ -230,18 +230,34 @@ def unpack(data: bytes, kind: str, own_graph: CheckedGraph | None = None) -> Sto
         raise
     except (zlib.error, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise StoredError(f"the stored tracker is damaged: {error}") from error
-    for path, sha256, _ in files.values():
-        if file_sha256(path) != sha256:
-            raise StoredError(f"{path} is not what it was when the tracker was stored")
     if own_graph is None:
+        for path, sha256, _ in files.values():
+            _check_file("calibration", path, sha256)
         cameras = {key: read_file(Path(path), name) for key, (path, _, name) in files.items()}
         own_graph = check(*read_graph(text, "the stored graph"), masks=masks, calibrations=cameras)
     graph = own_graph
     _compare(graph, text, masks)
+    for key, (path, sha256, _) in files.items():
+        if graph.calibrations[key].sha256 != sha256:
+            raise StoredError(f"the calibration {path} is not what it was when the tracker was stored")
     for path, sha256 in models.items():
-        if file_sha256(path) != sha256:
-            raise StoredError(f"{path} is not what it was when the tracker was stored")
+        _check_file("model", path, sha256)
     return Stored(graph, options, body[size:])
+
+
+def _check_file(what: str, path: str, sha256: str) -> None:
+    """Refuse a file that a stored tracker needs, and that is gone or another."""
+    try:
+        found = file_sha256(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        other = "" if what == "model" else ", or load with a graph that has it (graph=..)"
+        raise StoredError(
+            f"the {what} {path}, which the tracker was stored with, cannot be read: {reason}; "
+            f"put it back{other}"
+        ) from error
+    if found != sha256:
+        raise StoredError(f"the {what} {path} is not what it was when the tracker was stored")
 
 
 def _first_line() -> bytes:

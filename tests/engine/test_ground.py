@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker, Tracker, track
+from bayesnet_track.cli.main import main
+from bayesnet_track.evaluate.world import read_world_truth
 from bayesnet_track.numerics.cameras import Camera
 from bayesnet_track.runtime.recording.run_reader import open_run
 from bayesnet_track.runtime.smoothing import smooth
@@ -306,6 +308,18 @@ def test_metres_are_columns_of_a_run(tmp_path):
     np.testing.assert_allclose(float(rows[-1]["h_m"]), 1.7, atol=0.3)
     boxes = np.loadtxt(tmp_path / "run" / "tracks.txt", delimiter=",")[:, 2:6]
     np.testing.assert_allclose(boxes[-1], corner_of(frames[-1][1]), atol=12.0)
+    assert (
+        main(["export", str(tmp_path / "run"), "--format", "world", "-o", str(tmp_path / "world.csv")]) == 0
+    )
+    places = read_world_truth(tmp_path / "world.csv")
+    assert len(places.times) == len(rows)
+    np.testing.assert_allclose(
+        places.points, [[float(row["x_m"]), float(row["y_m"])] for row in rows], atol=1e-3
+    )
+    (*_, last) = csv.DictReader((tmp_path / "world.csv").open(encoding="utf-8"))
+    assert float(last["sd"]) >= max(float(rows[-1]["x_m_sd"]), float(rows[-1]["y_m_sd"])) - 1e-3
+    speed = np.hypot(float(rows[-1]["vx"]), float(rows[-1]["vy"]))
+    assert float(last["speed"]) == pytest.approx(speed, abs=1e-3)
 
 
 def test_what_is_not_built_on_the_ground_says_so(tmp_path):
@@ -368,6 +382,11 @@ def test_a_stored_tracker_goes_on_and_knows_its_camera(tmp_path):
     assert tracker.targets[0].state == again.targets[0].state
     write_camera(tmp_path, camera_of(29.0))
     with pytest.raises(ValueError, match=r"north.json is not what it was when the tracker was stored"):
+        DetectionsTracker.load(tmp_path / "tracker")
+    (tmp_path / "north.json").unlink()
+    with pytest.raises(
+        ValueError, match=r"the calibration .*north.json, which .* cannot be read: No such file"
+    ):
         DetectionsTracker.load(tmp_path / "tracker")
 
 

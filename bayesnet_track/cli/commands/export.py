@@ -251,7 +251,7 @@ def _export_beliefs(options: argparse.Namespace) -> int:
 
 
 DRAWS = 500
-FORMATS = ("mot", "coco", "csv", "jsonl", "frames", "arviz")
+FORMATS = ("mot", "coco", "csv", "jsonl", "frames", "world", "arviz")
 
 
 def add_export(commands: argparse._SubParsersAction[Any]) -> None:
@@ -272,7 +272,7 @@ def add_export(commands: argparse._SubParsersAction[Any]) -> None:
         action="store_true",
         help="include the boxes of lost targets (default for csv, jsonl, frames)",
     )
-    lost.add_argument("--no-lost", action="store_true", help="leave them out (default for mot, coco)")
+    lost.add_argument("--no-lost", action="store_true", help="leave them out (default for mot, coco, world)")
     export.add_argument(
         "--afterwards",
         action="store_true",

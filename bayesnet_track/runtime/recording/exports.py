@@ -1,4 +1,4 @@
-"""A run in other tools' formats: MOT, COCO, CSV, JSON Lines."""
+"""A run in other tools' formats: MOT, COCO, CSV, JSON Lines, places on the ground."""
 
 from __future__ import annotations
 
@@ -101,12 +101,45 @@ def as_frames(run: Run, lost: bool = True) -> str:
     return "".join(f"{to_json(line)}\n" for line in _lines(run, lost))
 
 
+WORLD_COLUMNS = ("t", "id", "x", "y", "sd", "speed")
+
+
+def as_world(run: Run, lost: bool = False) -> str:
+    """CSV of places on the ground: ``t, id, x, y, sd, speed``, in s, m and m/s; as a ground truth has them.
+
+    `sd` is that along the longest axis of the ellipse; `speed` is empty where the motion has no velocity.
+
+    Raises:
+        JournalError: no target of the run has a place on the ground.
+    """
+    if not any(plate.is_ground for plate in run.spec.targets.values()):
+        raise JournalError(
+            f"{run.directory.path}: its targets have places in the image only; world is of graphs with "
+            "state: {ground: ..} (docs/metres.md)"
+        )
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(WORLD_COLUMNS)
+    for line in _lines(run, lost):
+        state = line.state
+        if "x_m" not in state:
+            continue
+        across, along = state["x_m_sd"] ** 2, state["y_m_sd"] ** 2
+        both = state["xy_corr"] * math.sqrt(across * along)
+        longest = (across + along) / 2.0 + math.hypot((across - along) / 2.0, both)
+        speed = round(math.hypot(state["vx"], state["vy"]), 4) if "vx" in state else ""
+        place = (round(state[name], 4) for name in ("x_m", "y_m"))
+        writer.writerow([round(line.time_s, 6), line.target, *place, round(math.sqrt(longest), 4), speed])
+    return text.getvalue()
+
+
 FORMATS: Mapping[str, Callable[[Run, bool], str]] = {
     "mot": as_mot,
     "coco": as_coco,
     "csv": as_csv,
     "jsonl": as_jsonl,
     "frames": as_frames,
+    "world": as_world,
 }
 
 
