@@ -17,7 +17,7 @@ from bayesnet_track.observation.detector import (
     detectors_of_graphs,
     of_camera,
 )
-from bayesnet_track.observation.settings import setting
+from bayesnet_track.observation.settings import setting, to_caller
 from bayesnet_track.vision.detectors.selection import Selected
 
 
@@ -47,10 +47,11 @@ def make_detectors(
             if wanted in given:
                 made[name] = Selected(given[wanted], parameters)
             elif camera and chosen.detector == GIVEN:
+                named = "detections={" + f'"{camera}": FILE' + "}"
+                ways = to_caller(f"--detections {camera}=FILE", named)
                 raise DetectorError(
-                    f"{plate.name} is seen by {' and '.join(detectors)}, and no detections "
-                    f"of {camera} are given; give those of each camera "
-                    f"({setting('--detections', f'{camera}=FILE')})"
+                    f"{plate.name} is seen by {' and '.join(detectors)}, and no detections of {camera} are "
+                    f"given; give those of each camera ({ways})"
                 )
             else:
                 made[name] = declaration.make(parameters)

@@ -172,3 +172,13 @@ def test_a_live_stream_is_refused(room):
 
     with pytest.raises(SourceError, match="a live stream as the source of camera south"):
         SeveralSources({"south": Live()})
+
+
+def test_detections_of_one_camera_only_are_refused(room, tmp_path):
+    images = tmp_path / "images"
+    images.mkdir()
+    width, height = CAMERAS["east"].size
+    for frame in range(2):
+        (images / f"{frame}.pgm").write_bytes(b"P5 %d %d 255\n" % (width, height) + bytes(width * height))
+    with pytest.raises(ValueError, match=r"no detections of east are given; .*detections=.\"east\": FILE"):
+        track(room, {"east": images}, detections={"south": detections_in(room)["south"]})
