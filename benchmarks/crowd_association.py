@@ -33,6 +33,7 @@ from bayesnet_track.evaluate.truth import Tracks, pair
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.observation.detector import Detector
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector
 from simulated.crowd_detector import DetectorSettings, detect_crowd
@@ -116,7 +117,7 @@ def reported(outcome: Outcome) -> list[tuple[int, Floats]]:
     return [(int(target), box) for target, box in zip(ids, boxes, strict=True)]
 
 
-def tracked(graph: CheckedGraph, detector: FileDetector, frames: int, size: tuple[int, int]) -> Tracks:
+def tracked(graph: CheckedGraph, detector: Detector, frames: int, size: tuple[int, int]) -> Tracks:
     """What a graph makes of detections."""
     engine = make_engine(graph, 0, detectors={"detections": detector})
     image, state = np.zeros((size[1], size[0], 3), np.uint8), None
