@@ -34,6 +34,10 @@ RING = 1.8
 """Outer side of the ring that counts as background, in sides of the target."""
 RARE = 0.01
 """A hue of so small a share of the pixels says little about whose it is."""
+CONTRAST_ABOVE = 1.5
+"""Smallest ratio of the back-projection in the box to that in the ring around it."""
+MAX_STEPS, TOLERANCE_PX = 20, 0.05
+"""Largest number of shifts of the window; the search ends with a smaller shift, px."""
 
 
 class CamShiftParameters(CueParameters):
@@ -70,15 +74,6 @@ class CamShiftParameters(CueParameters):
         description="Smallest back-projection in the box at which the target is seen, as a share of that when"
         " learnt.",
     )
-    contrast_above: float = Field(
-        default=1.5,
-        gt=1,
-        description="Smallest ratio of the back-projection in the box to that in the ring around it.",
-    )
-    max_steps: int = Field(
-        default=20, ge=1, le=1000, description="Largest number of shifts of the window (count)."
-    )
-    tolerance_px: float = Field(default=0.05, gt=0, description="The search ends with a smaller shift (px).")
 
 
 @dataclass(frozen=True)
@@ -166,7 +161,7 @@ class CamShift:
         if window is None or float(reference["density"]) <= 0.0:
             return None
         share = min(window.mass / (float(reference["density"]) * float(np.prod(window.path[0, 2:]))), 1.0)
-        if share < p.seen_above or window.density < p.contrast_above * window.ring:
+        if share < p.seen_above or window.density < CONTRAST_ABOVE * window.ring:
             return None
         sides, lost = window.box[2:], (1.0 - share) * window.path[0, 2:]
         place = np.maximum(p.sd_box * sides, 0.5) ** 2 + (lost / 2) ** 2
@@ -187,7 +182,7 @@ class CamShift:
         centre, sides = predicted[:2] - origin, predicted[2:] + 2.0 * p.reach_sd * sd
         low, high = predicted[2:] / p.change_max, predicted[2:] * p.change_max
         path, spread = [np.concatenate([centre, predicted[2:]])], np.eye(2)
-        for _ in range(p.max_steps):
+        for _ in range(MAX_STEPS):
             half = WINDOW * sides / 2
             moments = window_moments(cells, probability, centre[0], centre[1], half[0], half[1])
             if moments[0] <= 0.0:
@@ -197,7 +192,7 @@ class CamShift:
             shift, sides = moments[1:3] / moments[0], np.clip(grown, low, np.maximum(sides, low))
             centre = centre + shift
             path.append(np.concatenate([centre, sides]))
-            if shift @ shift < p.tolerance_px**2 and np.allclose(path[-1], path[-2], atol=p.tolerance_px):
+            if shift @ shift < TOLERANCE_PX**2 and np.allclose(path[-1], path[-2], atol=TOLERANCE_PX):
                 break
         sides = np.minimum(sides, high)
         window_sums, wide, inner, outer = (

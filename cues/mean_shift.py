@@ -31,6 +31,8 @@ from bayesnet_track.vision.planes import ColorCells, seen_cells
 
 SHRINK = 0.7
 """Factor of the search window from one stage to the next."""
+MAX_STEPS, TOLERANCE_PX = 20, 0.05
+"""Largest number of shifts of each window; the search ends with a smaller shift, px."""
 
 
 class MeanShiftParameters(CueParameters):
@@ -59,10 +61,6 @@ class MeanShiftParameters(CueParameters):
         lt=1,
         description="Smallest share of the target's colours under the window at which the target is seen.",
     )
-    max_steps: int = Field(
-        default=20, ge=1, le=1000, description="Largest number of shifts of each window (count)."
-    )
-    tolerance_px: float = Field(default=0.05, gt=0, description="The search ends with a smaller shift (px).")
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ class MeanShift:
         radii = radii_at_rest + p.reach_sd * sd
         path = [(x, y, *radii)]
         while True:
-            x, y, steps = shift(cells, model, x, y, radii[0], radii[1], p.tolerance_px, p.max_steps)
+            x, y, steps = shift(cells, model, x, y, radii[0], radii[1], TOLERANCE_PX, MAX_STEPS)
             if steps == 0:
                 return None
             path.append((x, y, *radii))

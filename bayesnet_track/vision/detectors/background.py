@@ -25,6 +25,9 @@ EVERY = 4
 GAIN = 4.0
 """Largest change of brightness that is followed, as a factor."""
 
+MIN_SD, FIRST_SD = 4.0, 12.0
+"""Least standard deviation of a Gaussian, and that with which it starts, gray levels of 255."""
+
 
 class BackgroundParameters(BlobParameters):
     """Parameters of the background subtraction."""
@@ -45,12 +48,6 @@ class BackgroundParameters(BlobParameters):
         default=4.0,
         gt=0,
         description="A pixel belongs to a Gaussian within this distance (standard deviations).",
-    )
-    min_sd: float = Field(
-        default=4.0, gt=0, description="Least standard deviation of a Gaussian (gray levels of 255)."
-    )
-    first_sd: float = Field(
-        default=12.0, gt=0, description="Standard deviation that a Gaussian starts with (gray levels of 255)."
     )
     background_share: float = Field(
         default=0.6,
@@ -133,8 +130,8 @@ class Background:
             next_state["variances"],
             settings.match_sd**2,
             settings.background_share,
-            settings.min_sd**2,
-            settings.first_sd**2,
+            MIN_SD**2,
+            FIRST_SD**2,
             settings.darkest if settings.shadows else 1.0,
             settings.shadow_chroma**2,
             evidence,
@@ -147,7 +144,7 @@ class Background:
         state = _empty(image.shape[0], image.shape[1], self.parameters.modes, time)
         state["weights"][:, :, 0] = 1.0
         state["means"][:, :, 0] = image
-        state["variances"][:] = self.parameters.first_sd**2
+        state["variances"][:] = FIRST_SD**2
         return state
 
 

@@ -112,12 +112,6 @@ class StereoBlobsParameters(DetectorParameters):
     max_elevation_m: float = Field(default=2.5, description="Points higher than this are no target (m).")
     min_height_m: float = Field(default=0.5, ge=0, description="Least height of a target (m).")
     max_height_m: float = Field(default=2.5, gt=0, description="Largest height of a target (m).")
-    step_share: float = Field(
-        default=0.05,
-        gt=0,
-        lt=1,
-        description="Depths of neighbours in one region differ by at most this share of the depth.",
-    )
     min_region_px: int = Field(default=400, ge=1, description="Least size of a region (pixels).")
 
     @model_validator(mode="after")
@@ -159,7 +153,6 @@ def _make(parameters: StereoBlobsParameters) -> Detector:
         p.min_elevation_m,
         p.max_elevation_m,
         p.min_region_px,
-        p.step_share,
     )
     matcher = Correlation() if p.matcher == "correlation" else SemiGlobal()
     settings = StereoBlobSettings(matcher, reach, p.min_height_m, p.max_height_m, max(4 * p.max_count, 64))
