@@ -271,6 +271,22 @@ def test_a_late_frame_is_refused(tmp_path):
         tracker.update({"east": boxes["south"]}, time_s=0.9)
 
 
+def test_a_time_at_which_no_camera_looked_is_no_miss(tmp_path):
+    """Nobody exists less surely for it, but for its survival; with empty detections it is a miss."""
+    place, existence = np.array([0.0, 9.0]), {}
+    for given in (None, {camera: detections_of(np.empty((0, 4))) for camera in ("south", "east")}):
+        tracker = DetectionsTracker(write_graph(tmp_path), fps=FPS)
+        for _ in range(6):
+            boxes = {camera: detections_of(boxes_of(camera, place)) for camera in ("south", "east")}
+            tracker.update(boxes)
+        (before,) = tracker.targets
+        answer = tracker.update(given)
+        existence[given is None] = before.existence, tracker.targets[0].existence
+        assert (answer is None) == (given is None)
+    assert existence[True][1] > 0.98 * existence[True][0]
+    assert existence[False][1] < 0.9 * existence[False][0]
+
+
 def test_sizes_are_those_of_the_calibrations(tmp_path):
     path = write_graph(tmp_path)
     with pytest.raises(ValueError, match=r"east.json: of 800x480 px, and the frames have 640x480 px"):

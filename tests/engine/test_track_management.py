@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
 
-from bayesnet_track import CueDeclaration, CueParameters
+from bayesnet_track import CueDeclaration, CueParameters, Tracker, load_graph
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, start_target, step
@@ -28,6 +28,8 @@ from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.library import SceneSource
 
 SIDE = 12.0
 
@@ -382,3 +384,16 @@ def test_a_step_leaves_what_is_remembered_as_it_was():
     state = play(engine, frames[:21])[-2].state
     first, second = step(engine, state, frames[20]), step(engine, state, frames[20])
     assert first.events == second.events and events_of([first], Returned)
+
+
+def test_targets_held_by_the_image_are_not_unseen_between_looks_of_their_detector():
+    """The detector runs in every sixth frame: `unseen_frames: 4` counts its runs, and none misses them."""
+    written = load_graph("orange_and_gray_detected").spec.model_dump(exclude_unset=True)
+    for plate in written["targets"].values():
+        plate["birth"]["every"], plate["death"] = 6, {"unseen_frames": 4}
+    source, tracker = SceneSource(make_scene("orange_and_gray"), "scene"), Tracker(load_graph(written))
+    ended = []
+    for number, frame in enumerate(islice(source, 36)):
+        tracker.update(frame.image) if number else tracker.init(frame.image)
+        ended += [event for event in tracker.events if isinstance(event, TargetDied)]
+    assert ended == [] and [one.target for one in tracker.targets] == ["1", "2"]
