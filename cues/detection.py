@@ -17,11 +17,13 @@ from pydantic import Field, model_validator
 from bayesnet_track.observation.cue import (
     OBSERVED,
     OWN_DETECTION,
+    OWN_LABEL,
     AssociationRule,
     CueDeclaration,
     CueParameters,
     Floats,
     Hypotheses,
+    Label,
     Measurement,
     Reference,
 )
@@ -130,6 +132,14 @@ class DetectionParameters(CueParameters):
         default={},
         description="Least and largest value of each quantity of `sd` that the sensor gives; false ones are "
         "uniform between them.",
+    )
+
+    confusion: dict[str, dict[str, dict[str, Annotated[float, Field(gt=0, le=1)]]]] = Field(
+        default={},
+        max_length=1,
+        description="A category, each of its values, and the probability of each label that a detection of "
+        "such a target has, as `{team: {red: {red: 0.9, blue: 0.1}, ...}}`. A label that is not named says "
+        "nothing. Default: labels are no evidence.",
     )
 
     @model_validator(mode="after")
@@ -242,14 +252,22 @@ class Detection:
             return None
         width = len(self.parameters.sd) or len(FIELDS)
         if detections.shape[1] == width + 1:
-            return self._measured(detections[0, :width])
+            return self._labelled(self._measured(detections[0, :width]), reference, 0)
         weights = detections[:, width + 1]
         choices = tuple(
-            (float(weight), self._measured(values))
-            for weight, values in zip(weights, detections[:, :width], strict=True)
+            (float(weight), self._labelled(self._measured(values), reference, row))
+            for row, (weight, values) in enumerate(zip(weights, detections[:, :width], strict=True))
         )
         middle = self._measured(weights @ detections[:, :width] / weights.sum())
         return replace(middle, choices=choices)
+
+    def _labelled(self, measured: Measurement, reference: Reference, row: int) -> Measurement:
+        """The measurement with what the detection's label says of the target."""
+        log = reference.get(OWN_LABEL)
+        if log is None:
+            return measured
+        label = Label(next(iter(self.parameters.confusion)), log[row, :-1], float(log[row, -1]))
+        return replace(measured, label=label)
 
     def _measured(self, values: Floats) -> Measurement:
         mean, sd, floor = np.array(values, dtype=np.float64), self.parameters.sd, self.parameters.floor

@@ -54,6 +54,12 @@ class ReadingsParameters(CueParameters):
         description="Sd of each quantity's error, in its unit, angles in radians: a number, an expression of "
         "the state, or a distribution around 0 such as student_t(scale, degrees).",
     )
+    delay: float = Field(
+        default=0.0,
+        ge=0,
+        le=16,
+        description="How late the sensor tells: frame intervals from a reading to its frame.",
+    )
 
 
 class ReadingsError(ValueError):

@@ -75,6 +75,7 @@ class UnconfirmedTracks:
         seen: (K,) looks in which it was more probably detected than not.
         looks: (K,) looks since.
         score: (K,) sum of the scores of its detections.
+        values: (K, V) probabilities of what each is, by the labels of its detections; V is 0 without labels.
         presence: of each, beside its existence.
     """
 
@@ -87,6 +88,7 @@ class UnconfirmedTracks:
     seen: Ints
     looks: Ints
     score: Floats
+    values: Floats
     presence: Presence
 
     def __len__(self) -> int:
@@ -104,6 +106,8 @@ class UnconfirmedTracks:
         """These, then others."""
         if not len(others):
             return self
+        if not len(self):
+            return others
         more = others._arrays()
         parts = {name: np.concatenate([part, more[name]]) for name, part in self._arrays().items()}
         return UnconfirmedTracks(**parts, presence=self.presence.extend(others.presence))
@@ -113,7 +117,8 @@ class UnconfirmedTracks:
         """None, of a state of so many fields."""
         none, whole = np.empty(0), np.empty(0, np.int64)
         moments = np.empty((0, width)), np.empty((0, width, width))
-        return cls(*moments, none, whole, none, whole, whole, whole, none, Presence.sure(0))
+        values = np.empty((0, 0))
+        return cls(*moments, none, whole, none, whole, whole, whole, none, values, Presence.sure(0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ class AppearanceMemory:
         time: that time, frame intervals.
         references: agent -> what it remembers.
         birth: what its draws were keyed by.
+        kinds: probabilities of what it was, of a kind of target with categories.
     """
 
     target: str
@@ -39,6 +40,7 @@ class AppearanceMemory:
     time: float
     references: Mapping[str, Reference]
     birth: str
+    kinds: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +206,8 @@ class Candidate:
         observed: (H,) what is remembered of the detections of a tentative track (`adapt.association`).
         is_far: whether its first two detections are more than `FOLLOW_BOX` apart.
         track: its detections in the looks that count, in order: time (frame intervals) and centre box (4,).
+        labels: (V,) log-likelihood of the labels of its detections by the value of what it is; None where
+            labels are no evidence.
     """
 
     box: Floats
@@ -217,6 +221,11 @@ class Candidate:
     observed: Floats | None = None
     track: tuple[tuple[float, Floats], ...] = ()
     is_far: bool = False
+    labels: Floats | None = None
+
+    def told(self, labels: Floats) -> Candidate:
+        """The same after a detection with a label of these log-likelihoods (V,)."""
+        return evolve(self, labels=labels if self.labels is None else self.labels + labels)
 
     @property
     def seen(self) -> int:
@@ -241,6 +250,7 @@ class FreeDetections:
         frame: index of the frame.
         time: its time, frame intervals.
         alone_box: how far from its first detection a candidate is looked for that is alone, in box sides.
+        labels: (N, V) log-likelihoods of their labels; None where labels are no evidence.
     """
 
     boxes: Floats
@@ -249,6 +259,11 @@ class FreeDetections:
     frame: int
     time: float
     alone_box: float = 0.0
+    labels: Floats | None = None
+
+    def label_of(self, candidate: Candidate, row: int) -> Candidate:
+        """The candidate with what the label of a detection says."""
+        return candidate if self.labels is None else candidate.told(self.labels[row])
 
 
 def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> tuple[Candidate, ...]:
@@ -276,11 +291,13 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
         box, is_far = free.boxes[row].copy(), one.is_far or bool(far[row] != UNASSIGNED)
         track = (*one.track, (free.time, box))[-confirm.of :]
         step = box[:2] - one.box[:2]
-        kept.append(evolve(one, looks=looks, box=box, step=step, track=track, is_far=is_far))
+        after = evolve(one, looks=looks, box=box, step=step, track=track, is_far=is_far)
+        kept.append(free.label_of(after, row))
     for new in np.flatnonzero(near == UNASSIGNED).tolist():  # one far from a candidate may be another's first
         box, looks = free.boxes[new].copy(), (float(free.scores[new]),)
         track = ((free.time, box),)
-        kept.append(Candidate(box, np.zeros(2), looks, free.frame, free.births[new], track=track))
+        one = Candidate(box, np.zeros(2), looks, free.frame, free.births[new], track=track)
+        kept.append(free.label_of(one, new))
     return keep_best(kept, rule)
 
 

@@ -17,6 +17,7 @@ from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.grid.cells import AXIS, GridBelief
+from bayesnet_track.belief.motion.modes import Modes
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.numerics.arrays import Floats
 
@@ -51,10 +52,16 @@ class WeightedGroup:
     fields: Sequence[str]
     states: Floats
     weights: Floats
+    modes: Modes | None = None
 
     def nodes(self, names: Sequence[str]) -> tuple[Fields, Floats]:
         """The hypotheses."""
-        return {name: self.states[:, :, self.fields.index(name)] for name in names}, self.weights
+        return {name: self._values(name) for name in names}, self.weights
+
+    def _values(self, name: str) -> Floats:
+        if self.modes is not None and name in self.modes.index:
+            return self.modes.fields(self.states[:, :, -1])[name]
+        return np.asarray(self.states[:, :, self.fields.index(name)])
 
     def moments(self, factors: Mapping[str, float]) -> None:
         """Nothing: hypotheses are counted."""
@@ -63,7 +70,9 @@ class WeightedGroup:
     def take(self, row: int) -> WeightedGroup:
         """One of the targets."""
         row_only = slice(row, row + 1)
-        return WeightedGroup([self.ids[row]], self.fields, self.states[row_only], self.weights[row_only])
+        return WeightedGroup(
+            [self.ids[row]], self.fields, self.states[row_only], self.weights[row_only], self.modes
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +115,12 @@ class SingleGroup:
 
     ids: Sequence[str]
     belief: GridBelief | ModalPosterior
+    modes: Modes | None = None
 
     def nodes(self, names: Sequence[str]) -> tuple[Fields, Floats]:
         """Its cells, summed over what is not asked for; of modes, the points of each Gaussian."""
         belief = self.belief
-        return _cells(belief, names) if isinstance(belief, GridBelief) else _points(belief, names)
+        return _cells(belief, names) if isinstance(belief, GridBelief) else _points(belief, self.modes, names)
 
     def moments(self, factors: Mapping[str, float]) -> None:
         """Nothing: neither cells nor a mixture are normal."""
@@ -139,21 +149,31 @@ def _cells(belief: GridBelief, names: Sequence[str]) -> tuple[Fields, Floats]:
     return fields, weights / weights.sum()
 
 
-def _points(belief: ModalPosterior, names: Sequence[str]) -> tuple[Fields, Floats]:
+def _points(belief: ModalPosterior, modes: Modes | None, names: Sequence[str]) -> tuple[Fields, Floats]:
+    discrete = {} if modes is None else modes.index
+    moving = [name for name in names if name not in discrete]
     group = GaussianGroup(
         [""] * len(belief.parts),
         belief.fields,
         np.array([part.mean for part in belief.parts]),
         np.array([part.covariance for part in belief.parts]),
     )
-    fields, weights = group.nodes(names)
+    fields, weights = group.nodes(moving)
     shares = belief.mode_probabilities / belief.mode_probabilities.sum()
     shared = (weights * shares[:, None]).reshape(1, -1)
-    return {name: values.reshape(1, -1) for name, values in fields.items()}, shared
+    values = {name: values.reshape(1, -1) for name, values in fields.items()}
+    for name in names:
+        if name in discrete:
+            repeated = np.repeat(discrete[name].astype(np.float64), weights.shape[1])
+            values[name] = repeated.reshape(1, -1)
+    return values, shared
 
 
-def groups_of(beliefs: Iterable[tuple[str, Posterior]]) -> list[BeliefGroup]:
-    """Beliefs of targets as groups: those that are alike together, each kind in the order given."""
+def groups_of(beliefs: Iterable[tuple[str, Posterior]], modes: Modes | None = None) -> list[BeliefGroup]:
+    """Beliefs of targets as groups: those that are alike together, each kind in the order given.
+
+    `modes` are those of the targets, so that queries may read them and what the targets are.
+    """
     members_by_kind: dict[tuple[object, ...], list[tuple[str, Posterior]]] = {}
     for target, belief in beliefs:
         key: tuple[object, ...] = (target,)
@@ -162,15 +182,16 @@ def groups_of(beliefs: Iterable[tuple[str, Posterior]]) -> list[BeliefGroup]:
         elif isinstance(belief, GaussianPosterior):
             key = (GaussianPosterior, belief.fields)
         members_by_kind.setdefault(key, []).append((target, belief))
-    return [_group(members) for members in members_by_kind.values()]
+    return [_group(members, modes) for members in members_by_kind.values()]
 
 
-def _group(members: Sequence[tuple[str, Posterior]]) -> BeliefGroup:
+def _group(members: Sequence[tuple[str, Posterior]], modes: Modes | None) -> BeliefGroup:
     ids, first = [target for target, _ in members], members[0][1]
     if isinstance(first, ParticleSet):
         sets = [member for _, member in members if isinstance(member, ParticleSet)]
         states = np.array([member.states for member in sets])
-        return WeightedGroup(ids, first.fields, states, np.array([member.weights.weights for member in sets]))
+        weights = np.array([member.weights.weights for member in sets])
+        return WeightedGroup(ids, first.fields, states, weights, modes)
     if isinstance(first, GaussianPosterior):
         means, covariances = (
             [member.mean for _, member in members],
@@ -178,7 +199,7 @@ def _group(members: Sequence[tuple[str, Posterior]]) -> BeliefGroup:
         )
         return GaussianGroup(ids, first.fields, np.array(means), np.array(covariances))
     if isinstance(first, GridBelief | ModalPosterior):
-        return SingleGroup(ids, first)
+        return SingleGroup(ids, first, modes)
     raise TypeError(f"no queries of a {type(first).__name__}")
 
 

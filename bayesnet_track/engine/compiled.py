@@ -24,20 +24,23 @@ from bayesnet_track.belief.motion.composed import (
     lasting_of,
     turning,
 )
+from bayesnet_track.belief.motion.delayed import with_past
 from bayesnet_track.belief.motion.formulas import FormulaMotion, make_formula_motion
 from bayesnet_track.belief.motion.models import KinematicMotion, make_motion
-from bayesnet_track.belief.motion.modes import Modal, Modes, make_modes
+from bayesnet_track.belief.motion.modes import FIELD, Modal, Modes, modes_of
 from bayesnet_track.belief.motion.start_prior import StartPrior, make_start_prior
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.detectors import detectors_of, make_detectors
 from bayesnet_track.engine.lifecycle.measuring import make_sensor
 from bayesnet_track.engine.lifecycle.sensing import Sensor
 from bayesnet_track.engine.lifecycle.viewing import make_view_sensor
+from bayesnet_track.engine.modes import with_labels
 from bayesnet_track.engine.scoring.rivals import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.inputs import read_inputs
+from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn, Query, WorldState
@@ -175,6 +178,7 @@ class Engine:
         stages: what a frame goes through, in order.
         queries: what the beliefs are asked after every frame.
         inputs: what is known of every frame beside its image: input -> its column.
+        values: kinds that joins are between -> names of their modes and values, with their numbers.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -186,6 +190,11 @@ class Engine:
     stages: tuple[Stage, ...] = ()
     queries: tuple[CompiledQuery, ...] = ()
     inputs: Mapping[str, TimedInput] = field(default_factory=dict)
+    values: Mapping[frozenset[str], Mapping[str, float]] = field(default_factory=dict)
+
+    def numbers_of(self, kinds: tuple[str, ...]) -> Mapping[str, float]:
+        """Names of numbers in factors of joins between some kinds: constants, modes, values."""
+        return self.values.get(frozenset(kinds), self.constants)
 
     def with_inputs(self, frame: Frame) -> Frame:
         """The frame with what is known of it beside its image.
@@ -248,8 +257,18 @@ def compile_graph(
         joins=graph.spec.joins,
         constants=graph.spec.constants,
         inputs=read_inputs(graph.spec),
+        values={
+            frozenset(join.between): numbers_of_kinds(graph.spec, join.between)
+            for join in graph.spec.joins
+            if join.between is not None and join.factor is not None
+        },
         queries=tuple(
-            compile_query(name, _in_units(graph, query), graph.spec.constants)
+            compile_query(
+                name,
+                _in_units(graph, query),
+                numbers_of_kinds(graph.spec, query.kinds),
+                names_of_inputs(graph.spec.inputs),
+            )
             for name, query in graph.spec.queries.items()
         ),
     )
@@ -283,15 +302,18 @@ def _compile_plate(
         lasting = lasting_of(plate.lasting)
         further: tuple[Deviation | Lasting, ...] = (*deviations_of(kind.nodes), *lasting)
         motion = make_plate_motion(root, constants, further, kind.state)
+        motion = with_past(motion, plate.measures.values())
     else:
         motion = Nested(own, lasting_of(plate.lasting)) if plate.lasting else own
+    modes = None if own is not None else modes_of(root)
     rules = {agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection}
+    rules = {agent: with_labels(rule, plate.parameters[agent], modes) for agent, rule in rules.items()}
     if views:
         rules = {agent: replace(rule, continue_box=0.0) for agent, rule in rules.items()}
     return CompiledPlate(
         plate=plate,
         cues=made,
-        belief=make_belief(root.belief, None if own is not None else root.modes),
+        belief=make_belief(root.belief, modes),
         motion=motion,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
@@ -316,7 +338,7 @@ def _compile_plate(
         },
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
-        modes=None if own is not None or root.modes is None else make_modes(root.modes),
+        modes=modes,
         verifiers={} if root.score is None else make_verifiers(root.score.settings.verifiers, declarations),
         views=views,
     )
@@ -348,11 +370,13 @@ def make_plate_motion(
         return Reflecting(motion) if settings.borders == "reflect" else motion
 
     prior = make_start_prior(root, constants)
-    if root.modes is None:
+    modes = modes_of(root)
+    if modes is None:
         return composed(root.motion, prior)
     usual = composed(root.motion)
-    own = (usual if mode.motion is None else composed(mode.motion) for mode in root.modes.values())
-    return Modal(make_modes(root.modes), tuple(own), prior=prior)
+    ways = root.modes or {"": spec.Mode()}
+    own = [usual if mode.motion is None else composed(mode.motion) for mode in ways.values()]
+    return Modal(modes, tuple(own[way] for way in modes.index[FIELD].tolist()), prior=prior)
 
 
 def _moves(
@@ -380,14 +404,14 @@ def _finder(moving: Moving) -> Detector | None:
     return declaration.make(plugin_parameters(chosen, declaration.parameters))
 
 
-def make_belief(chosen: spec.Belief | None, modes: Mapping[str, spec.Mode] | None = None) -> Belief[Any]:
+def make_belief(chosen: spec.Belief | None, modes: Modes | None = None) -> Belief[Any]:
     """The belief that a graph asks for; particles when it does not say."""
     settings = spec.Particles() if chosen is None else chosen.settings
     match settings:
         case spec.Particles():
             return ParticleFilter(settings)
         case spec.Gaussian():
-            return GaussianFilter(settings) if modes is None else ModalFilter(settings, make_modes(modes))
+            return GaussianFilter(settings) if modes is None else ModalFilter(settings, modes)
         case spec.Grid():
             return GridFilter(settings)
     raise TypeError(f"no belief for {type(settings).__name__}")

@@ -25,7 +25,7 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.modes import ModeState
+from bayesnet_track.engine.modes import ModeState, kinds_of, with_kinds
 from bayesnet_track.engine.moving.elsewhere import look_elsewhere
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.moving.sudden import search_around
@@ -136,7 +136,7 @@ def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ri
         if ride is None:
             again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
             moved, stepped = search_around(work, target, before, moves, (plan, stepped, again))
-            restart = partial(_step_from, work, belief, plan, (motion, dt, stream, compiled.modes))
+            restart = partial(_step_from, work, belief, plan, (motion, dt, stream, compiled.modes, prior))
             steps = plan, stepped, observer, restart
             moved, stepped = look_elsewhere(work, target, before, moved, steps)
         # With the answers of one that later gave none the belief would be neither with it nor without it.
@@ -206,14 +206,14 @@ def _step_from(
     work: FrameContext,
     belief: Belief[Any],
     plan: Plan,
-    given: tuple[MotionModel, float, Stream, Modes | None],
+    given: tuple[MotionModel, float, Stream, Modes | None, Posterior],
     box: Floats,
     observer: Observer,
 ) -> Step[Posterior]:
     """The step of the frame by a belief that starts in a centre box (4,)."""
-    motion, dt, stream, modes = given
+    motion, dt, stream, modes, prior = given
     own = partial(_renamed, stream, "elsewhere")
-    start = belief.start(box, motion, own)
+    start = with_kinds(belief.start(box, motion, own), modes, kinds_of(prior, modes))
     step = belief.step(start, motion, dt, _evaluation(work, modes, observer, plan), own)
     return evolve(step, ancestors=None)  # they are of a belief that starts here
 

@@ -160,10 +160,9 @@ class FinishedGroup(Generic[Table]):
         """Events of one target besides its decisions."""
         one, frame, target = self.judged.filtered.of(row), self.work.frame.index, self.ids[row]
         before, stepped, outcome = one.before, one.step, self.judged.score(row)
-        mode = None if one.modes is None else one.modes.change(frame, target)
         events: list[Event] = [
             *one.predicted.events,
-            *(() if mode is None else (mode,)),
+            *(() if one.modes is None else one.modes.changes(frame, target)),
             *(report(frame, target) for report in stepped.reports),
         ]
         events += _report_flaws(self.judged, row, frame)

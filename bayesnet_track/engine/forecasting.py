@@ -81,12 +81,13 @@ def forecast(
     for ahead in range(1, frames + 1):
         coming = last.frame + ahead
         known = values_at(engine.inputs, (coming, coming - 1), (last.time_s, last.time_s))
-        motion = confined(free, *size, {"t": state.time + ahead, **known})
+        inputs = {"t": state.time + ahead, **known}
+        motion = confined(free, *size, inputs)
         stream = engine.streams.of(birth, compiled.plate.root, moment_of(state.time + ahead), "forecast")
         belief = compiled.belief.predict(belief, motion, 1.0, stream)
         expected = _described(compiled, belief, last, ahead)
         if engine.queries:
-            answers = forecast_numbers(engine, compiled.plate.name, last.target, belief, size)
+            answers = forecast_numbers(engine, compiled.plate.name, (last.target, belief), size, inputs)
             expected = replace(expected, queries=answers)
         found.append(expected)
     return found

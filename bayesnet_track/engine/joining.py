@@ -21,6 +21,7 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
 )
 from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.motion.modes import FIELD
 from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
@@ -134,7 +135,7 @@ def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
                 pairs[pair].first_in_front,
                 rules[pair].nats,
                 rules[pair].pairings,
-                pair_factor(rules[pair], work.engine.constants, work.frame, flaws.get(pair)),
+                pair_factor(rules[pair], _constants(work, pair), work.inputs, flaws.get(pair)),
             )
             for pair in chosen
             if (pairs[pair].overlap > 0 or rules[pair].factor is not None)
@@ -143,6 +144,12 @@ def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
         for chosen in (tree, left_out)
     )
     return _Tree(pairs, left_out, edges, closing, flaws)
+
+
+def _constants(work: FrameContext, pair: Pair) -> Mapping[str, float]:
+    """Names of numbers in the factor of a pair: constants, modes, and values of categories."""
+    kinds = tuple(work.net.targets[target].template for target in pair)
+    return work.engine.numbers_of(kinds)
 
 
 def _marginals(
@@ -236,8 +243,9 @@ def _predict_order(one: PairMemory, rule: Join) -> float:
 
 
 def _states_of(one: Filtered) -> dict[str, Floats]:
-    """Field -> its (N,) values at a target's hypotheses."""
-    return dict(zip(one.step.posterior.fields, one.step.support.states.T, strict=True))
+    """Field -> its (N,) values at a target's hypotheses, with their modes and what they are."""
+    states = dict(zip(one.step.posterior.fields, one.step.support.states.T, strict=True))
+    return states if one.modes is None else {**states, **one.modes.modes.fields(states[FIELD])}
 
 
 def _prior_of(one: Filtered) -> LogWeights:

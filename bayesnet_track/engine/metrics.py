@@ -22,7 +22,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.scoring.outcome import e_value, reported_status
 from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
-from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.checked import PAST, CheckedTarget
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.predictive import log_predictive, p_values
 from bayesnet_track.inference.views import Views
@@ -127,7 +127,11 @@ def state_numbers(belief: Posterior, on_ground: bool = False) -> dict[str, float
 
     Of a state on the ground also x_m, y_m, w_m, h_m, and xy_corr, the correlation of x and y.
     """
-    places = {name: place for place, name in enumerate(belief.fields[4:], 4) if name not in CHOICES}
+    places = {
+        name: place
+        for place, name in enumerate(belief.fields[4:], 4)
+        if name not in CHOICES and PAST not in name
+    }
     if on_ground:
         places = {f"{name}_m": place for place, name in enumerate(belief.fields[:4])} | places
     if not places:

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.belief.contract import Posterior
-from bayesnet_track.belief.motion.modes import Modes, mode_probabilities
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
+from bayesnet_track.belief.motion.modes import FIELD, Modes, mode_probabilities
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.journal.events.beliefs import ModeChanged
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.target_net import HiddenCause
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.observation.cue import AssociationRule, LabelRule
 
 LEAST = 1e-12
 """Probabilities of modes are at least this: of none is it certain that the target is not in it."""
@@ -54,27 +57,33 @@ class ModeState:
         hidden = self.hidden
         return None if hidden is None else HiddenCause(self.modes.lost_above, hidden)
 
-    def named(self) -> dict[str, float]:
-        """Mode -> its probability."""
-        return self.modes.named(self.now)
+    def changes(self, frame: int, target: str) -> tuple[ModeChanged, ...]:
+        """What is told where another mode, or another value of a constant, is the most probable one now."""
+        named = [("", self.modes.index[FIELD], self.modes.ways)]
+        named += [(one.name, self.modes.index[one.name], one.values) for one in self.modes.constants]
+        made = (self._change(frame, target, *one) for one in named if len(one[2]) > 1)
+        return tuple(one for one in made if one is not None)
 
-    def change(self, frame: int, target: str) -> ModeChanged | None:
-        """What is told where another mode is the most probable one now."""
-        mode, before = int(np.argmax(self.now)), int(np.argmax(self.before))
-        if mode == before:
+    def _change(
+        self, frame: int, target: str, of: str, index: Ints, names: tuple[str, ...]
+    ) -> ModeChanged | None:
+        first, predicted, last = (np.bincount(index, one) for one in (self.before, self.predicted, self.now))
+        mode, before = int(np.argmax(last)), int(np.argmax(first))
+        # Where several are as probable as each other nothing has changed.
+        if mode == before or last[mode] <= last[before] * (1.0 + 1e-9):
             return None
-        turning = float(np.log(self.predicted[before] / self.predicted[mode]))
-        names = self.modes.names
+        turning = float(np.log(predicted[before] / predicted[mode]))
         return ModeChanged(
             frame=frame,
             target=target,
             mode=names[mode],
             before=names[before],
-            probability=float(self.now[mode]),
-            predicted=float(self.predicted[mode]),
-            nats=float(np.log(self.now[mode] / self.now[before])) + turning,
+            probability=float(last[mode]),
+            predicted=float(predicted[mode]),
+            nats=float(np.log(last[mode] / last[before])) + turning,
             turning=turning,
-            hidden=self.hidden,
+            hidden=None if of else self.hidden,
+            of=of,
         )
 
 
@@ -95,9 +104,60 @@ def with_modes(metrics: FrameMetrics, state: ModeState | None, calibrated: bool 
     score = metrics.score if calibrated or hidden is None else metrics.score * (1.0 - hidden)
     return replace(
         metrics,
-        modes=state.named(),
+        modes=state.modes.named(state.now),
         modes_predicted=state.modes.named(state.predicted),
+        category=state.modes.values(state.now),
+        category_predicted=state.modes.values(state.predicted),
         hidden=hidden,
         score=score,
         status=status_by_modes(metrics.status, state.modes, state.now),
     )
+
+
+def kinds_of(belief: Posterior, modes: Modes | None) -> Floats | None:
+    """Probabilities of the combinations of what a target may be; None where it is nothing in particular."""
+    if modes is None or not modes.constants:
+        return None
+    return np.asarray(np.bincount(modes.kinds, mode_probabilities(belief, len(modes))), dtype=np.float64)
+
+
+def with_kinds(belief: Posterior, modes: Modes | None, kinds: Floats | None) -> Posterior:
+    """A belief that starts again, about a target that is what it was with the probabilities `kinds`."""
+    own = kinds_of(belief, modes)
+    if modes is None or own is None or kinds is None:
+        return belief
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factors = np.where(own > 0.0, kinds / own, 0.0)
+    return _reweighed(belief, factors[modes.kinds])
+
+
+def with_label(belief: Posterior, modes: Modes | None, category: str, log: Floats | None) -> Posterior:
+    """A belief that starts, after labels of log-likelihoods (V,) by the value of a category."""
+    if modes is None or log is None:
+        return belief
+    return _reweighed(belief, np.exp(log - log.max())[modes.index[category]])
+
+
+def _reweighed(belief: Posterior, factors: Floats) -> Posterior:
+    """The belief with the weights of its modes times `factors` (K,)."""
+    if isinstance(belief, ModalPosterior):
+        shares = belief.mode_probabilities * factors
+        return replace(belief, mode_probabilities=shares / shares.sum())
+    if isinstance(belief, ParticleSet):
+        with np.errstate(divide="ignore"):
+            log = np.log(factors)[belief.states[:, -1].astype(np.intp)]
+        return replace(belief, weights=belief.weights.times(log)[0])
+    return belief
+
+
+def with_labels(rule: AssociationRule, parameters: object, modes: Modes | None) -> AssociationRule:
+    """The rule with how labels are evidence, by the `confusion` of an agent's parameters."""
+    constants = {} if modes is None else {one.name: one for one in modes.constants}
+    for category, rows in getattr(parameters, "confusion", {}).items():
+        if category in constants:
+            labels = tuple(next(iter(rows.values())))
+            of_values = (rows[value] for value in constants[category].values)
+            table = tuple(tuple(row[label] for label in labels) for row in of_values)
+            prior = constants[category].prior
+            return replace(rule, label=LabelRule(category, labels, table, prior))
+    return rule

@@ -16,6 +16,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.targets import Targets
+from bayesnet_track.graph.expressions.terms import FRAME_S
 from bayesnet_track.inference.crossings import (
     Sample,
     Trail,
@@ -38,7 +39,7 @@ from bayesnet_track.journal.events.lives import DuplicateEnded
 from bayesnet_track.journal.metrics import Answers, Subject, numbers_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import FramePair
 
 Trails = Mapping[tuple[str, str], Trail]
 """(query, target) -> its hypotheses with the automaton of a line."""
@@ -75,8 +76,8 @@ def answer_queries(work: FrameContext, outcome: Outcome, filtered: Together | No
     """
     started, state = work.engine.clock(), outcome.state
     kinds = {kind for compiled in work.engine.queries for kind in compiled.query.kinds}
-    targets = asked_targets(state, kinds)
-    frame = frame_names(work.frame, work.cache.frames.previous)
+    targets = asked_targets(work.engine, state, kinds)
+    frame = frame_names(work.cache.frames)
     trails, ended = follow_crossings(work, outcome, targets, filtered)
     answers = tuple(
         answer(compiled, targets, frame)
@@ -97,38 +98,41 @@ def answer_queries(work: FrameContext, outcome: Outcome, filtered: Together | No
     )
 
 
-def frame_names(frame: Frame, previous: Frame | None) -> dict[str, float]:
+def frame_names(frames: FramePair) -> dict[str, float]:
     """Values of the names that are the same for all hypotheses of a frame; NaN where unknown."""
+    frame, previous = frames.current, frames.previous
     passed = math.nan if previous is None else frame.time - previous.time
     seconds = math.nan if previous is None else frame.time_s - previous.time_s
-    return {
-        "frame_width": float(frame.width),
-        "frame_height": float(frame.height),
-        "dt": 1.0 if previous is None else passed,
-        "frame_s": seconds / passed,
-    }
+    return {**frames.names, FRAME_S: seconds / passed}
 
 
 def forecast_numbers(
-    engine: Engine, kind: str, target: str, belief: Posterior, size: tuple[int, int]
+    engine: Engine,
+    kind: str,
+    single: tuple[str, Posterior],
+    size: tuple[int, int],
+    inputs: Mapping[str, float],
 ) -> dict[str, float]:
-    """Numbers that a belief one frame after another answers, by name.
+    """Numbers that a belief one frame after another answers, by name; `single`: a target and its belief.
 
-    Conditions and numbers of one target; what reads `frame_s`, pairs and crossings are left out.
+    Conditions and numbers of one target; what reads `frame_s`, pairs and crossings are left out. `inputs` has
+    the time and the inputs of the frame.
     """
-    targets = AskedTargets({kind: groups_of([(target, belief)])}, {})
-    frame = {"frame_width": float(size[0]), "frame_height": float(size[1]), "dt": 1.0, "frame_s": math.nan}
+    target, belief = single
+    targets = AskedTargets({kind: groups_of([(target, belief)], engine.plates[kind].modes)}, {})
+    frame = {"frame_width": float(size[0]), "frame_height": float(size[1]), "dt": 1.0, FRAME_S: math.nan}
+    frame |= inputs
     asked = [
         compiled
         for compiled in engine.queries
         if compiled.query.kinds == (kind,)
         and compiled.query.kind in ("probability", "value")
-        and "frame_s" not in compiled.fixed
+        and FRAME_S not in compiled.fixed
     ]
     return numbers_of([answer(compiled, targets, frame) for compiled in asked], target)
 
 
-def asked_targets(state: State, kinds: set[str]) -> AskedTargets:
+def asked_targets(engine: Engine, state: State, kinds: set[str]) -> AskedTargets:
     """The live targets of some kinds; those of tables stay columns."""
     targets = Targets.of(state.targets)
     groups: dict[str, list[BeliefGroup]] = {kind: [] for kind in sorted(kinds)}
@@ -150,7 +154,8 @@ def asked_targets(state: State, kinds: set[str]) -> AskedTargets:
             for target, target_state in targets.others.items()
             if target_state.plan.target == kind
         }
-        groups[kind] += groups_of((target, states[target].belief) for target in states)
+        beliefs = ((target, states[target].belief) for target in states)
+        groups[kind] += groups_of(beliefs, engine.plates[kind].modes)
         known_existence = {target: states[target].existence for target in states}
         existence.update((target, share) for target, share in known_existence.items() if share is not None)
     return AskedTargets(groups, existence)

@@ -10,6 +10,7 @@ import numpy as np
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import confined, framed
 from bayesnet_track.belief.motion.composed import Influences, compose_motion, deviations_of
+from bayesnet_track.belief.motion.modes import modes_of
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.motion import Moving
@@ -80,8 +81,8 @@ def simulate(plate: CheckedTarget, constants: dict[str, float], box: Floats, cho
         known = values_at(chosen.inputs, (frame, frame - 1), (float(frame), frame - 1.0))
         into = framed(motion, chosen.size, {"t": float(frame), **known})
         states.append(into.propagate(states[-1].copy(), 1.0, stream(frame)))
-    modes = plate.inference(plate.root).modes
-    return Simulated(np.array(states), motion.fields, () if modes is None else tuple(modes))
+    modes = modes_of(plate.inference(plate.root))
+    return Simulated(np.array(states), motion.fields, () if modes is None else modes.names)
 
 
 def prior_motion(plate: CheckedTarget, constants: dict[str, float], first_size: Floats) -> MotionModel:

@@ -19,7 +19,7 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.metrics import state_numbers
-from bayesnet_track.engine.modes import ModeState, with_modes
+from bayesnet_track.engine.modes import ModeState, kinds_of, with_kinds, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
 from bayesnet_track.engine.scoring.score import ScoreState
@@ -183,7 +183,11 @@ def restart(work: FrameContext, target: str, template: str, box: Floats, before:
     learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in compiled.looks])
     return replace(
         before,
-        belief=_start_belief(work, compiled, work.births[target], box),
+        belief=with_kinds(
+            _start_belief(work, compiled, work.births[target], box),
+            compiled.modes,
+            kinds_of(before.belief, compiled.modes),
+        ),
         references={**before.references, **learnt},
         memory=before.memory.without(("activate", "deactivate", "lost", "found", "seen", "unsure")),
         scored=replace(without_motion(before.scored), smooth={}),

@@ -46,6 +46,10 @@ class Conditional:
     constants: Mapping[str, float]
 
 
+PAST = "@"
+"""Between a field and frame intervals: the field of a state as it was so long ago."""
+
+
 @dataclass(frozen=True, eq=False)
 class MeasuredAs:
     """Expressions of the quantities that an agent measures, given a state.
@@ -55,11 +59,18 @@ class MeasuredAs:
         constants: the numbers that they use by name.
         errors: quantity -> distribution of its error, a density of the variable `DRAWN` around 0; empty where
             all errors are Gaussian with an sd that the agent knows.
+        discrete: `mode` and each category -> its number in each combination of mode and values, in order;
+            empty without either.
+        delay: frame intervals before the frame to which the quantities belong.
+        late: fields of the state that they are of, where there is a delay.
     """
 
     terms: Mapping[str, Term]
     constants: Mapping[str, float]
     errors: Mapping[str, Term] = field(default_factory=dict)
+    discrete: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    delay: float = 0.0
+    late: tuple[str, ...] = ()
 
 
 ANCHORED = ("x", "y")
@@ -197,6 +208,12 @@ class CheckedTarget:
     def agents(self) -> tuple[str, ...]:
         """The agent nodes, in `order`."""
         return tuple(name for name in self.order if isinstance(self.spec.nodes[name], AgentNode))
+
+    @property
+    def confusions(self) -> dict[str, str]:
+        """Agent for which labels of detections are evidence -> the category that they tell of."""
+        written = ((agent, getattr(one, "confusion", {})) for agent, one in self.parameters.items())
+        return {agent: category for agent, confusion in written for category in confusion}
 
     @cached_property
     def below(self) -> Mapping[str, frozenset[str]]:

@@ -36,6 +36,11 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
         each = (weight * np.exp(measurement_message(one, hypotheses)) for weight, one in measured.choices)
         with np.errstate(divide="ignore"):
             return np.asarray(np.minimum(np.log(measured.missed + sum(each)), 0.0))
+    log = _place_message(measured, hypotheses)
+    return log if measured.label is None else log + measured.label.of(hypotheses.fields)
+
+
+def _place_message(measured: Measurement, hypotheses: Hypotheses) -> Floats:
     if measured.errors is not None:
         return measured.log_by_errors(_states(hypotheses))
     if measured.seen is None:
@@ -81,6 +86,7 @@ def to_power(measured: Measurement, power: float) -> Measurement:
         log_peak=None if measured.log_peak is None else measured.log_peak * power,
         floor=measured.floor**power,
         choices=tuple((weight, to_power(one, power)) for weight, one in measured.choices),
+        label=None if measured.label is None else measured.label.to_power(power),
     )
 
 

@@ -47,6 +47,8 @@ class Sight:
         scale = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * measured.covariance)[1])
         if measured.log_peak is not None:
             scale = -measured.log_peak
+        if measured.label is not None:
+            scale += measured.label.log_nobody
         return float(np.log(unseen.mistaken) + scale - np.log(self._extents(measured, hypotheses)).sum())
 
     def _extents(self, measured: Measurement, hypotheses: Hypotheses) -> Floats:
@@ -114,10 +116,13 @@ def evaluate_modes(
     Products, pools and temperatures join that as they join what agents see. A measurement far from a visible
     hypothesis is of the background, too, the target missed: that stands in for the agent's own floor.
     """
+    number = hypotheses.fields[FIELD].astype(np.intp)
+    if sight.modes.constants:
+        known = {**hypotheses.fields, **sight.modes.fields(number)}
+        hypotheses = Hypotheses(hypotheses.boxes, known)
     seen = evaluate(hypotheses, prior_log)
     if not sight.modes.can_hide:
         return seen
-    number = hypotheses.fields[FIELD].astype(np.intp)
     log_detected = sight.log_detected(seen)[number]
     hidden = np.array(sight.modes.hidden)[number]
     said = {

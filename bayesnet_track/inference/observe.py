@@ -249,7 +249,10 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
     choices = _check_choices(measured, known)
     if isinstance(choices, str):
         return choices
-    checked = Measurement(fields, mean, covariance, float(measured.floor), choices, confidence)
+    label = measured.label
+    if label is not None and label.category not in known:
+        return f"measured a label of {label.category}; the hypotheses have {', '.join(known)}"
+    checked = Measurement(fields, mean, covariance, float(measured.floor), choices, confidence, label=label)
     return _check_covariance(checked) or checked
 
 

@@ -14,7 +14,6 @@ from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.joint_members import Factor
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.planes import Frame
 
 
 @dataclass(eq=False)
@@ -37,16 +36,17 @@ class PairFlaw:
 
 
 def pair_factor(
-    rule: Join, constants: Mapping[str, float], frame: Frame, found: PairFlaw | None = None
+    rule: Join, constants: Mapping[str, float], frame: Mapping[str, float], found: PairFlaw | None = None
 ) -> Factor | None:
     """The factor of a join in a frame; None of one without. Pairs of which it has no value are impossible.
 
-    What is wrong with its values is written into `found`.
+    `frame` has the values of names that are the same of all states in it. What is wrong with the factor's
+    values is written into `found`.
     """
     if rule.factor is None:
         return None
     term = _term(rule.factor)
-    fixed = {"frame_width": float(frame.width), "frame_height": float(frame.height), **constants}
+    fixed = {**frame, **constants}
 
     def log_density(first: Mapping[str, Floats], second: Mapping[str, Floats]) -> Floats:
         names = {f"a.{name}": values for name, values in first.items()}

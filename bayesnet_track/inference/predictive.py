@@ -72,9 +72,9 @@ def _predicted(
     """Weights (P,), means (P, K) and covariances (P, K, K) or (1, K, K) of the predicted measurement."""
     fields = step.posterior.fields
     if step.predicted:
-        parts = [part for part in step.predicted if part.weight > 0]
-        weights = np.array([part.weight for part in parts])
-        each = [_of_gaussian(one, fields, part.mean, part.covariance) for part in parts]
+        parts = [(mode, part) for mode, part in enumerate(step.predicted) if part.weight > 0]
+        weights = np.array([part.weight for _, part in parts])
+        each = [_of_gaussian(one.in_mode(mode), fields, part.mean, part.covariance) for mode, part in parts]
         means, covariances = np.array([mean for mean, _ in each]), np.array([own for _, own in each])
         if not parts:
             return None
@@ -107,8 +107,11 @@ def _by_errors(one: Measurement, step: Step[Any]) -> float | None:
     """The same where the distribution of the errors is written as an expression."""
     exact, fields = replace(one, floor=0.0), step.posterior.fields
     if step.predicted:
-        parts = [part for part in step.predicted if part.weight > 0]
-        each = [update_by_errors(part.mean, part.covariance, fields, exact) for part in parts]
+        modal = [(mode, part) for mode, part in enumerate(step.predicted) if part.weight > 0]
+        parts = [part for _, part in modal]
+        each = [
+            update_by_errors(part.mean, part.covariance, fields, exact.in_mode(mode)) for mode, part in modal
+        ]
         log = np.array([-np.inf if own is None else own.log_likelihood for own in each])
         log = log + np.log([part.weight for part in parts])
     else:

@@ -7,7 +7,7 @@ weighted hypotheses or cells, or over the fixed points of `belief.asked`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from statistics import NormalDist
@@ -17,7 +17,7 @@ import numpy as np
 from bayesnet_track.belief.asked import BeliefGroup, Fields, GaussianGroup, uniform_nodes
 from bayesnet_track.graph.expressions.evaluate import Between, Linear, between_of, linear_of, values_of
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import Term, names_in
+from bayesnet_track.graph.expressions.terms import FRAME_NAMES, FRAME_S, Term, names_in
 from bayesnet_track.graph.settings.queries import Query
 from bayesnet_track.inference.crossings import Trail
 from bayesnet_track.journal.metrics import Answer
@@ -68,18 +68,26 @@ class CompiledQuery:
     corners: Floats | None = None
 
     @property
+    def reads_inputs(self) -> bool:
+        """True where it reads time or an input, which smoothing and files of beliefs do not have."""
+        return any(name not in (*self.constants, *FRAME_NAMES, FRAME_S) for name in self.fixed)
+
+    @property
     def shares(self) -> tuple[float, float]:
         """Shares of a number's belief at or below the bounds of its interval."""
         tail = (1.0 - self.query.interval) / 2.0
         return tail, 1.0 - tail
 
 
-def compile_query(name: str, query: Query, constants: Mapping[str, float]) -> CompiledQuery:
-    """A query of a graph that passed the checks."""
+def compile_query(
+    name: str, query: Query, constants: Mapping[str, float], inputs: Collection[str] = ()
+) -> CompiledQuery:
+    """A query of a graph that passed the checks; `inputs` are further names of what a frame has."""
     texts = [text for _, text in query.texts]
     if texts:
         term = parse(texts[0])
-        fields = tuple(name for name in names_in(term) if _is_field(name) and name not in constants)
+        of_frame = {*FRAME_NAMES, FRAME_S, *inputs}
+        fields = tuple(name for name in names_in(term) if name not in of_frame and name not in constants)
         fixed = tuple(name for name in names_in(term) if name not in fields and name != "pi")
         own_constants = {name: constants[name] for name in fixed if name in constants}
         return CompiledQuery(name, query, term, fields, fixed, own_constants)
@@ -87,10 +95,6 @@ def compile_query(name: str, query: Query, constants: Mapping[str, float]) -> Co
     reads = ("x", "y", "h") if point == "foot" else ("x", "y")
     corners = None if query.count is None else np.array(query.count.polygon, dtype=np.float64)
     return CompiledQuery(name, query, None, reads, (), {}, corners)
-
-
-def _is_field(name: str) -> bool:
-    return name not in ("frame_width", "frame_height", "dt", "pi", "frame_s")
 
 
 def probabilities(compiled: CompiledQuery, group: BeliefGroup, frame: Mapping[str, float]) -> Floats:

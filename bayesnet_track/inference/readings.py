@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from bayesnet_track.belief.motion.formulas import Undefined
-from bayesnet_track.graph.checked import MeasuredAs
+from bayesnet_track.belief.motion.modes import FIELD
+from bayesnet_track.graph.checked import PAST, MeasuredAs
 from bayesnet_track.graph.expressions.distributions import distribution_of, moments, parameters_of
 from bayesnet_track.graph.expressions.evaluate import log_values, values_of
 from bayesnet_track.graph.expressions.periods import period_of
@@ -33,7 +34,7 @@ def errors_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePai
     terms = [functions.errors[name] for name in quantities]
 
     def densities(states: Mapping[str, Floats], away: Floats) -> Floats:
-        names = {**states, **fixed}
+        names = {**in_modes(at_delay(states, functions), functions), **fixed}
         columns = [log_values(term, {**names, DRAWN: away[:, k]}) for k, term in enumerate(terms)]
         return np.stack([np.broadcast_to(column, (len(away),)) for column in columns], axis=1)
 
@@ -65,13 +66,37 @@ def _fixed(functions: MeasuredAs, frames: FramePair) -> dict[str, float]:
     return {**frames.names, **functions.constants}
 
 
+def at_delay(states: Mapping[str, Floats], functions: MeasuredAs) -> Mapping[str, Floats]:
+    """The states as they were when the agent measured: between two frame intervals they change evenly."""
+    if not functions.delay:
+        return states
+    whole, share = int(functions.delay), functions.delay % 1.0
+
+    def before(name: str, lag: int) -> Floats:
+        return states[f"{name}{PAST}{lag}"] if lag else states[name]
+
+    late = {name: before(name, whole) for name in functions.late}
+    if share:
+        late = {name: (1.0 - share) * now + share * before(name, whole + 1) for name, now in late.items()}
+    return {**states, **late}
+
+
+def in_modes(states: Mapping[str, Floats], functions: MeasuredAs) -> Mapping[str, Floats]:
+    """The states with what their combination of mode and values is, where they have the combination alone."""
+    if FIELD not in states or all(name in states for name in functions.discrete):
+        return states
+    combination = states[FIELD].astype(np.intp)
+    numbers = {name: np.array(own, dtype=np.float64) for name, own in functions.discrete.items()}
+    return {**states, **{name: own[combination] for name, own in numbers.items()}}
+
+
 def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Seen:
     """h: what quantities would be of states in these frames."""
     fixed = _fixed(functions, frames)
     terms = [functions.terms.get(name, Variable(name)) for name in quantities]
 
     def values(states: Mapping[str, Floats]) -> Floats:
-        names = {**states, **fixed}
+        names = {**in_modes(at_delay(states, functions), functions), **fixed}
         size = len(next(iter(states.values())))
         return np.stack([np.broadcast_to(values_of(term, names), (size,)) for term in terms], axis=1)
 

@@ -35,7 +35,7 @@ REGIONS = {"region50": 0.5, "region90": 0.9}
 """Column -> share of the centre's weight that lies in it."""
 PER_NODE = (
     *("kl", "contribution", "agent_ud_px2", "strength", "features", "modes", "modes_predicted", "p_values"),
-    *("log_predictive", "queries", "state"),
+    *("log_predictive", "queries", "state", "category", "category_predicted"),
 )
 """Fields of a number per node, mode, feature or query, besides `ud_nodes`: a column ``FIELD/NAME`` each."""
 NUMBERS = ("score", "log_evidence", "surprise", "ess", "learn_rate")

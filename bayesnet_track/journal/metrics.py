@@ -152,6 +152,9 @@ class FrameMetrics(HasBox):
         modes: mode -> its probability; left out when the graph has no `modes`.
         modes_predicted: mode -> its probability before the frame's evidence.
         hidden: probability that the target is hidden; None, and left out, when the graph has no hidden mode.
+        category: `team=red` -> its probability, of each value of each category; left out when the graph has
+            no `category`.
+        category_predicted: the same before the frame's evidence.
         e_value: evidence that the target is not held; left out when the graph has no `alarm`.
         p_values: agent that measured -> probability of a measurement farther from its prediction than it was;
             left out when there are none.
@@ -199,6 +202,10 @@ class FrameMetrics(HasBox):
     modes: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     modes_predicted: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     hidden: float | None = field(default=None, metadata={"left_out_when_empty": True})
+    category: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    category_predicted: Mapping[str, float] = field(
+        default_factory=dict, metadata={"left_out_when_empty": True}
+    )
 
     @property
     def is_gone(self) -> bool:
@@ -209,6 +216,15 @@ class FrameMetrics(HasBox):
     def mode(self) -> str:
         """The most probable mode; empty where the graph has no `modes`."""
         return max(self.modes, key=self.modes.__getitem__, default="")
+
+    @property
+    def categories(self) -> dict[str, dict[str, float]]:
+        """Probability of each value of each category: ``categories["team"]["red"]``."""
+        found: dict[str, dict[str, float]] = {}
+        for key, probability in self.category.items():
+            name, _, value = key.partition("=")
+            found.setdefault(name, {})[value] = probability
+        return found
 
     e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
     p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})

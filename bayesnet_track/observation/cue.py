@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.numerics.arrays import Floats as Floats
+from bayesnet_track.observation.labels import Label as Label
+from bayesnet_track.observation.labels import LabelRule as LabelRule
 from bayesnet_track.observation.likelihoods import FLOOR, SD_LOG_AREA, SD_LOG_ASPECT
 from bayesnet_track.observation.likelihoods import Reference as Reference
 from bayesnet_track.observation.likelihoods import blend_arrays as blend_arrays
@@ -35,6 +37,7 @@ from bayesnet_track.observation.protocols import ANGLE as ANGLE
 from bayesnet_track.observation.protocols import CONTEXT as CONTEXT
 from bayesnet_track.observation.protocols import OBSERVED as OBSERVED
 from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
+from bayesnet_track.observation.protocols import OWN_LABEL as OWN_LABEL
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
 from bayesnet_track.observation.protocols import AssociationRule as AssociationRule

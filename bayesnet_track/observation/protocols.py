@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Protocol, runtime_checkable
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.inversion import shorter_way
+from bayesnet_track.observation.labels import Label, LabelRule
 from bayesnet_track.observation.likelihoods import Reference, floored
 from bayesnet_track.observation.planes import Plane, Planes
 
@@ -42,6 +43,7 @@ class AssociationRule:
         re_update: whether a target that has a detection again is filtered anew over the gap.
         continue_box: within how many box sides a frame of a target that lost its detections others go on with
             it; 0: never.
+        label: how labels of detections are evidence; None where they are none.
     """
 
     sd_place: float
@@ -59,6 +61,7 @@ class AssociationRule:
     recover: bool = False
     re_update: bool = False
     continue_box: float = 0.0
+    label: LabelRule | None = None
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
@@ -151,6 +154,11 @@ class Cue(Protocol):
 BOX = ("x", "y", "w", "h")
 
 
+def _with_mode(states: Mapping[str, Floats], number: int) -> Mapping[str, Floats]:
+    size = len(next(iter(states.values())))
+    return {**states, "mode": np.full(size, float(number))}
+
+
 @dataclass(frozen=True, eq=False)
 class Seen:
     """Quantities of a measurement as functions of states, where they are no fields of them.
@@ -166,6 +174,14 @@ class Seen:
     function: Callable[[Mapping[str, Floats]], Floats]
     periods: Floats
     shared: tuple[str, ...] = ()
+
+    def in_mode(self, number: int) -> Seen:
+        """The same of states that are in a mode of this number and do not say so."""
+
+        def function(states: Mapping[str, Floats]) -> Floats:
+            return self.function(_with_mode(states, number))
+
+        return Seen(function, self.periods)
 
     def less(self, values: Floats, expected: Floats) -> Floats:
         """(N, K) values less what was expected; of angles the shorter way round."""
@@ -186,6 +202,14 @@ class Errors:
     function: Callable[[Mapping[str, Floats], Floats], Floats]
     is_normal: bool = False
     power: float = 1.0
+
+    def in_mode(self, number: int) -> Errors:
+        """The same of states that are in a mode of this number and do not say so."""
+
+        def function(states: Mapping[str, Floats], away: Floats) -> Floats:
+            return self.function(_with_mode(states, number), away)
+
+        return Errors(function, self.is_normal, self.power)
 
     def log_density(self, states: Mapping[str, Floats], away: Floats) -> Floats:
         """(N, K) log densities of errors (N, K); -inf where there is no distribution."""
@@ -216,6 +240,7 @@ class Measurement:
             that of the errors at the prediction.
         log_peak: log density of what was measured at the place itself: what the likelihood lacks to be the
             density of a measurement, apart from its floor. None of one whose errors are Gaussian.
+        label: what was told beside the place of what the target is; the place's errors do not depend on it.
     """
 
     fields: tuple[str, ...]
@@ -227,6 +252,15 @@ class Measurement:
     seen: Seen | None = None
     errors: Errors | None = None
     log_peak: float | None = None
+    label: Label | None = None
+
+    def in_mode(self, number: int) -> Measurement:
+        """The same of states that are in a mode of this number and do not say so."""
+        if self.seen is None:
+            return self
+        errors = None if self.errors is None else self.errors.in_mode(number)
+        choices = tuple((weight, one.in_mode(number)) for weight, one in self.choices)
+        return replace(self, seen=self.seen.in_mode(number), errors=errors, choices=choices)
 
     def log_by_errors(self, states: Mapping[str, Floats]) -> Floats:
         """(N,) log-likelihood of states, state field -> (N,), by `errors`, mixed with the floor."""
@@ -291,6 +325,9 @@ class MeasuringCue(Protocol):
 
 OBSERVED = "observed"
 """Name, in a reference, of what is remembered of the detections a target was given (`adapt.association`)."""
+
+OWN_LABEL = "label"
+"""Array of a reference beside `OWN_DETECTION`: what the labels say (`LabelRule.told`)."""
 
 OWN_DETECTION = "claim"
 """Name, in a reference, of the detection that the target was given for this frame; see `AssociatingCue`."""

@@ -182,6 +182,12 @@ def explain_unused(
         if unused:
             reasons = "; ".join(f"{count} {reason}" for reason, count in unused.items())
             yield f"{sum(unused.values())} of {total} detections are not used: {reasons}"
+        unnamed = sum(label == "" for of_frame in read.values() for label in of_frame.labels)
+        if unnamed:
+            yield from (
+                f"{unnamed} of {total} detections have no label: they say nothing of {category}"
+                for category in plate.confusions.values()
+            )
 
 
 def _waits_for(graph: CheckedGraph, first: int, step: int) -> bool:

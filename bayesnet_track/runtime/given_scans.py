@@ -358,6 +358,13 @@ def _labels(detections: Any, count: int, graph: CheckedGraph) -> tuple[str, ...]
     if names is not None:
         _check_one_each('data["class_name"]', np.shape(names), count)
         return tuple(map(str, names))
+    wanted = next((one for plate in graph.targets.values() for one in plate.confusions.items()), None)
+    if wanted is not None and count:
+        agent, category = wanted
+        raise ValueError(
+            f'detections without data["class_name"]; agent {agent} of the graph takes labels as evidence of '
+            f"{category}: give a name for each box, an empty one where it is unknown"
+        )
     births = (plate.spec.birth for plate in graph.targets.values())
     accepted = [label for birth in births if birth is not None for label in birth.labels]
     if accepted and count:

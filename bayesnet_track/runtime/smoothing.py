@@ -14,6 +14,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import NOTHING, confined
 from bayesnet_track.belief.motion.composed import compose_motion, deviations_of
 from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.modes import modes_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
 from bayesnet_track.engine.compiled import make_plate_motion
@@ -22,6 +23,7 @@ from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checks.inputs import read_inputs
+from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
 from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
@@ -182,16 +184,21 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
 def _with_answers(
     run: Run, metrics: Sequence[FrameMetrics], smoothed: Mapping[tuple[str, int], Smoothed]
 ) -> Iterator[FrameMetrics]:
-    """The lines with what the smoothed beliefs answer to queries; crossings stay those of the filter.
+    """The lines with what the smoothed beliefs answer to queries.
+
+    Crossings, and what reads time or inputs, stay as the filter had them.
 
     A target's first frame has no smoothed belief: its answers and the number of all stay there, too.
     """
     spec = run.spec
-    queries = [
-        compile_query(name, query, spec.constants)
+    inputs = names_of_inputs(spec.inputs)
+    every = (
+        compile_query(name, query, numbers_of_kinds(spec, query.kinds), inputs)
         for name, query in spec.queries.items()
         if query.crosses is None
-    ]
+    )
+    queries = [compiled for compiled in every if not compiled.reads_inputs]
+    modes = {kind: modes_of(root_of(target)) for kind, target in spec.targets.items()}
     if not queries:
         yield from metrics
         return
@@ -205,7 +212,8 @@ def _with_answers(
             if (line.target, index) in smoothed:
                 beliefs[run.kinds[line.target]].append((line.target, smoothed[line.target, index]))
         exists = {line.target: line.existence for line in lines if line.existence is not None}
-        targets = AskedTargets({kind: groups_of(members) for kind, members in beliefs.items()}, exists)
+        groups = {kind: groups_of(members, modes[kind]) for kind, members in beliefs.items()}
+        targets = AskedTargets(groups, exists)
         answers = [answer(compiled, targets, frame) for compiled in queries]
         if any((line.target, index) not in smoothed for line in lines):
             answers = [replace(answered, total=None) for answered in answers]

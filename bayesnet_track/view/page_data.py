@@ -186,10 +186,17 @@ def _names(rows: Block, blocks: Blocks) -> dict[str, Any]:
         "agents": list(dict.fromkeys(agent for group in groups for agent in group)),
         "nodes": _measured(rows, "ud_nodes"),
         "parts": parts,
-        "modes": _measured(rows, "modes"),
+        "modes": _bands(rows),
         "queries": _measured(rows, "queries"),
         "calibrated": bool(_measured(rows, "features")),
     }
+
+
+def _bands(rows: Block) -> list[str]:
+    """Names of bands that fill 0 to 1: the modes, else the values of the first category."""
+    modes, values = _measured(rows, "modes"), _measured(rows, "category")
+    first = values[0].partition("=")[0] if values else ""
+    return modes or [value for value in values if value.startswith(f"{first}=")]
 
 
 def _measured(rows: Block, field: str) -> list[str]:
@@ -229,8 +236,9 @@ def _target(rows: Block, names: Mapping[str, Any], blocks: Blocks, points: int) 
         columns[f"parts/{part}/status"] = np.where(is_watched, status, STATUSES.index("unwatched")).astype(
             np.uint8
         )
-    for field in ("modes", "queries"):
-        columns |= {f"{field}/{name}": _number(rows, f"{field}/{name}") for name in names[field]}
+    for name in names["modes"]:
+        columns[f"modes/{name}"] = _number(rows, f"{'category' if '=' in name else 'modes'}/{name}")
+    columns |= {f"queries/{name}": _number(rows, f"queries/{name}") for name in names["queries"]}
     return columns | _clouds(rows, points)
 
 

@@ -11,9 +11,10 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.forgetting import Forgetting
 from bayesnet_track.belief.motion.jumps import Jumping, modal_of
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.modes import FIELD, Forgetting, Modal, make_modes, mode_probabilities
+from bayesnet_track.belief.motion.modes import FIELD, Modal, make_modes, mode_probabilities
 from bayesnet_track.belief.particles.adaptive_size import EVENLY
 from bayesnet_track.belief.particles.belief import ParticleFilter, map_index
 from bayesnet_track.belief.smoothing import Move, smooth_particles

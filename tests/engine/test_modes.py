@@ -143,4 +143,4 @@ def test_probabilities_are_never_zero():
     certain = SimpleNamespace(mode_probabilities=np.array([1.0, 0.0]))
     state = ModeState.of(modes, certain, certain, 1.0)
     assert 0.0 < state.hidden < 1e-9
-    assert state.change(3, "1") is None
+    assert state.changes(3, "1") == ()

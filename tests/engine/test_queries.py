@@ -14,7 +14,7 @@ from bayesnet_track.engine.queries import frame_names
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, FramePair
 
 
 def with_queries(name: str, queries: dict[str, object]):
@@ -30,10 +30,18 @@ def test_the_stage_is_there_when_a_graph_asks() -> None:
 
 def test_the_interval_of_frames_is_that_of_their_times() -> None:
     image = np.zeros((4, 6, 3), dtype=np.uint8)
-    names = frame_names(Frame(3, 3.0, image, True, 0.12), Frame(1, 1.0, image, True, 0.04))
-    assert names == {"frame_width": 6.0, "frame_height": 4.0, "dt": 2.0, "frame_s": pytest.approx(0.04)}
-    assert math.isnan(frame_names(Frame(0, 0.0, image, True, 0.0), None)["frame_s"])
-    untimed = frame_names(Frame(1, 1.0, image, True, math.nan), Frame(0, 0.0, image, True, math.nan))
+    names = frame_names(FramePair(Frame(3, 3.0, image, True, 0.12), Frame(1, 1.0, image, True, 0.04)))
+    assert names == {
+        "frame_width": 6.0,
+        "frame_height": 4.0,
+        "dt": 2.0,
+        "t": 3.0,
+        "frame_s": pytest.approx(0.04),
+    }
+    assert math.isnan(frame_names(FramePair(Frame(0, 0.0, image, True, 0.0), None))["frame_s"])
+    untimed = frame_names(
+        FramePair(Frame(1, 1.0, image, True, math.nan), Frame(0, 0.0, image, True, math.nan))
+    )
     assert math.isnan(untimed["frame_s"])
 
 

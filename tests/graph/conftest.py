@@ -387,6 +387,7 @@ def everything() -> dict[str, Any]:
                 "seen": {"mean_frames": 40, "then": {"behind": 1}},
                 "behind": {"next": {"seen": 1}, "hidden": {"likelihood": 0.1, "lost_above": 0.4}},
             },
+            "category": {"team": {"values": ["red", "blue"], "prior": {"red": 0.4, "blue": 0.6}}},
             "estimate": {"robust_mean": {"box": 0.1}},
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},

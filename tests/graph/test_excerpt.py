@@ -117,7 +117,7 @@ but found '-'
         "        deactivate:",
         """\
 wrong.yaml:23:9: square: unknown key 'deactivate' of an inference node; allowed: parent, belief, motion, \
-start, modes, estimate, fuse, correlation, ud_fields, adapt, learn, lost, ... (6 more)
+start, modes, category, estimate, fuse, correlation, ud_fields, adapt, learn, ... (7 more)
   23 |         deactivate: {below: {ud_px2: 105}, frames: 6, drop: largest_kl}
      |         ^
   hint: `deactivate` is a key of `adapt`: indent it under `adapt:`""",

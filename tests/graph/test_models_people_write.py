@@ -39,6 +39,16 @@ RUNS = {
         "sd: {vx: 0.3, vy: 0.3, rate: 0.02}}}}}}",
         SEEN,
     ),
+    "a sensor that tells late": model(
+        f"{{belief: {{gaussian: {{filter: extended}}}}, {CV}, fuse: product}}",
+        SEEN,
+        "l: {parent: a, agent: {readings: {file: FILE, sd: {u: 2}, delay: 2}}, measures: {u: x}}",
+    ),
+    "a team as a category": model(
+        f"{{belief: {{particles: {{size: 300}}}}, {CV}, category: {{team: {{values: [red, blue]}}}}}}",
+        COLOUR,
+        'f: {parent: a, factor: "where(team == red, normal(x, 60, 40), normal(x, 100, 40))"}',
+    ),
     "a second camera by its homography": model(
         f"{{belief: {{gaussian: {{filter: unscented}}}}, {CV}, fuse: product}}",
         SEEN,
@@ -113,10 +123,6 @@ REFUSED = {
     "a source of an agent's own": (
         model(MOVES, "t: {parent: a, agent: {color_histogram: {source: two.mp4}}}"),
         "unknown key 'source'; allowed: floor,",
-    ),
-    "a delay of a sensor": (
-        model(MOVES, "t: {parent: a, agent: {readings: {file: FILE, sd: {x: 2}, delay: 3}}}"),
-        "unknown key 'delay'; allowed: floor, file, sd",
     ),
     "an arm with an angle of its own": (
         model(
@@ -198,9 +204,9 @@ def test_a_model_runs(name, tmp_path, images):
 
 HINTS = {
     "a prior of a constant": 'start: {q: "lognormal(0, 1)"}',
-    "a delay of a sensor": "drift: {x1: x} in the motion, and measures: {u: x1}",
+    "a team as two modes": "category: {team: {values: [red, blue]}} at the root",
     "a source of an agent's own": "readings: {file: FILE.csv, sd: {u: 3}}",
-    "a confusion matrix of a detector": "errors of labels are not modelled",
+    "a confusion matrix of a detector": "agent: {detection: {confusion: {team:",
     "an input": "inputs: {pan: {file: FILE.csv}}",
     "the time": "t is the time in frame intervals",
 }

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.motion.modes import modes_of
 from bayesnet_track.engine.compiled import make_belief, make_plate_motion
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import read_graph
@@ -59,7 +60,7 @@ def p_values_of(belief, frames, scale=1.0, modes="", measure=find):
     text = GRAPH.replace("BELIEF", belief).replace("MODES", modes)
     plate = check(*read_graph(text, "g.yaml")).targets["ball"]
     root, streams, rng = plate.inference("ball"), Streams(0), np.random.default_rng(5)
-    motion, belief = make_plate_motion(root, {}), make_belief(root.belief, root.modes)
+    motion, belief = make_plate_motion(root, {}), make_belief(root.belief, modes_of(root))
     posterior = belief.start(BOX, motion, lambda purpose: streams.of("1", "ball", 0, purpose))
     state, found = motion.start(BOX, 1, rng), []
     for frame in range(1, frames + 1):

@@ -45,6 +45,8 @@ FULL = line(
     modes={"seen": 0.25, "behind": 0.75},
     modes_predicted={"seen": 0.5, "behind": 0.5},
     hidden=0.75,
+    category={"team=red": 0.125, "team=blue": 0.875},
+    category_predicted={"team=red": 0.5, "team=blue": 0.5},
     e_value=1e200,
     log_predictive={"radar": -3.5},
     p_values={"color": 1e-60},

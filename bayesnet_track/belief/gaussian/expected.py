@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalFilter, ModalPosterior, mixture_moments, modal_in
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.graph import spec
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import symmetric
+from bayesnet_track.observation.cue import AssociationRule
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +26,26 @@ class ExpectedInModes:
         means: (V, D) in each.
         covariances: (V, D, D).
         visible: probability that it can be seen.
+        values: of each constant, (V,) the number of its value in each of these modes.
     """
 
     shares: Floats
     means: Floats
     covariances: Floats
     visible: float
+    values: Mapping[str, Ints] = field(default_factory=dict)
+
+    def log_gains(self, rule: AssociationRule, labels: Sequence[str]) -> Floats:
+        """(V, N) log of how much likelier labels are a target's in each mode than nobody's; 0 without."""
+        if rule.label is None:
+            return np.zeros((len(self.shares), 1))
+        return rule.label.log_gains(labels)[:, self.values[rule.label.category]].T
+
+    def log_gain(self, rule: AssociationRule, labels: Sequence[str]) -> Floats:
+        """(N,) the same in all modes together, whatever the place."""
+        with np.errstate(divide="ignore"):
+            log = np.log(self.shares)[:, None] + self.log_gains(rule, labels)
+        return np.asarray(np.logaddexp.reduce(log, axis=0))
 
     @property
     def moments(self) -> tuple[Floats, Floats]:
@@ -55,7 +71,8 @@ def expect(posterior: Posterior, motion: MotionModel, dt: float, settings: spec.
         np.array([part.mean for part in parts]),
         np.array([part.covariance for part in parts]),
     )
-    return ExpectedInModes(shares / shares.sum(), means, covariances, min(visible, 1.0))
+    values = {name: own[seen] for name, own in modes.index.items()}
+    return ExpectedInModes(shares / shares.sum(), means, covariances, min(visible, 1.0), values)
 
 
 def _in_gaussians(posterior: Posterior, size: int) -> ModalPosterior:

@@ -202,14 +202,16 @@ class ModalFilter:
         shared = {agent: one for agent, one in used.items() if one.choices}
         chosen, log_chosen = self._choose(predicted, shared)
         used = {agent: one for agent, one in used.items() if agent not in shared}
+        log_labels = self._log_labels(used)
         parts, log_evidence = [], np.empty(len(asked))
         ends = np.cumsum([len(one.states) for one in asked])
         for mode, (part, one, end) in enumerate(zip(predicted.parts, asked, ends, strict=True)):
             own = sampled[end - len(one.states) : end] + log_gated[mode]
             own_choices = take(part.mean, part.covariance, part.fields, chosen[mode], 1.0)
             part = replace(part, mean=own_choices.mean, covariance=own_choices.covariance)
-            after, log_evidence[mode] = self._update(part, one, own, {} if self.modes.hidden[mode] else used)
-            log_evidence[mode] += log_chosen[mode]
+            seen = {agent: one.in_mode(mode) for agent, one in used.items() if not self.modes.hidden[mode]}
+            after, log_evidence[mode] = self._update(part, one, own, seen)
+            log_evidence[mode] += log_chosen[mode] + log_labels[mode]
             parts.append(after)
         with np.errstate(divide="ignore"):
             log_prior = np.log(predicted.mode_probabilities)
@@ -254,6 +256,15 @@ class ModalFilter:
         held = replace(part, mean=_held(after.mean), covariance=after.covariance)
         return held, log_evidence + after.log_evidence
 
+    def _log_labels(self, used: Mapping[str, Measurement]) -> Floats:
+        """(K,) log-probability of the labels of what was measured, in each mode."""
+        log = np.zeros(len(self.modes))
+        for one in used.values():
+            if one.label is not None:
+                own = one.label.of(self.modes.index)
+                log += np.where(self.modes.hidden, one.label.log_nobody, own)
+        return log
+
     def _choose(
         self, predicted: ModalPosterior, shared: Mapping[str, Measurement]
     ) -> tuple[list[dict[str, Measurement]], Floats]:
@@ -273,7 +284,10 @@ class ModalFilter:
             for mode in np.flatnonzero(~hidden).tolist():
                 part = predicted.parts[mode]
                 fit[mode, 1:] = [
-                    np.exp(update_by(part.mean, part.covariance, part.fields, choice).log_likelihood)
+                    np.exp(
+                        update_by(part.mean, part.covariance, part.fields, choice).log_likelihood
+                        + self._log_labels({agent: choice})[mode]
+                    )
                     for _, choice in one.choices
                 ]
             joint = prior[:, None] * fit
@@ -299,9 +313,8 @@ class ModalFilter:
         """Measurements inside the gate of a visible mode, and the rest as the nearest mode has it."""
         nearest: dict[str, Gated] = {}
         used: dict[str, Measurement] = {}
-        for part, hidden, share in zip(
-            predicted.parts, self.modes.hidden, predicted.mode_probabilities, strict=True
-        ):
+        of_modes = zip(predicted.parts, self.modes.hidden, predicted.mode_probabilities, strict=True)
+        for mode, (part, hidden, share) in enumerate(of_modes):
             if hidden or share <= 0.0:
                 continue
             is_unscented = self.settings.filter == "unscented"
@@ -309,7 +322,7 @@ class ModalFilter:
                 part.mean,
                 part.covariance,
                 part.fields,
-                evidence.gaussians,
+                {agent: one.in_mode(mode) for agent, one in evidence.gaussians.items()},
                 self.settings.gate,
                 is_unscented,
             )

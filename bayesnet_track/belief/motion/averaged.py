@@ -35,7 +35,7 @@ class Averaged:
     @cached_property
     def shares(self) -> Floats:
         """(K,) probabilities of the modes in the long run."""
-        return np.asarray(self.modal.chain.stationary())
+        return np.asarray(self.modal.modes.long_run())
 
     @property
     def leaves_image(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_PX, Ancestors, MotionModel
 from bayesnet_track.belief.motion.borders import Confined, Reflecting
+from bayesnet_track.belief.motion.delayed import Delayed
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
@@ -312,13 +313,13 @@ def compose_motion(plain: MotionModel, settings: Moving, influences: Influences)
 
 def kinematics_of(plain: MotionModel) -> KinematicMotion | None:
     """The kinematics inside a plate's motion; None of a motion of another kind."""
-    while isinstance(plain, Nested | Reflecting):
+    while isinstance(plain, Delayed | Nested | Reflecting):
         plain = plain.motion
     return plain if isinstance(plain, KinematicMotion) else None
 
 
 def _put_inside(plain: MotionModel, motion: MotionModel) -> MotionModel:
     """The plate's motion with another one in place of its kinematics."""
-    if isinstance(plain, Nested | Reflecting):
+    if isinstance(plain, Delayed | Nested | Reflecting):
         return replace(plain, motion=_put_inside(plain.motion, motion))
     return motion

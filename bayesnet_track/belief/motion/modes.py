@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel, Posterior
+from bayesnet_track.belief.motion.forgetting import complete
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph.settings.motion import Hidden, Mode
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.graph.settings.net import Category
+from bayesnet_track.graph.spec import InferenceNode
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.density import Chain
 
 FIELD = "mode"
@@ -22,21 +26,52 @@ FIELD = "mode"
 
 
 @dataclass(frozen=True)
-class Modes:
-    """K modes.
+class Constant:
+    """A discrete constant of a target: what it is and stays.
 
     Attributes:
-        names: of the modes, in the order of the graph.
-        chain: how they follow each other.
-        unseen: (K,) what agents say while the target is hidden; None for a mode in which it is seen.
+        name: such as `team`.
+        values: what it may be.
+        prior: probability of each when the target starts.
     """
 
-    names: tuple[str, ...]
+    name: str
+    values: tuple[str, ...]
+    prior: tuple[float, ...]
+
+
+def key_of(constant: str, value: str) -> str:
+    """Name of a value's probability in results.
+
+    >>> key_of("team", "red")
+    'team=red'
+    """
+    return f"{constant}={value}"
+
+
+@dataclass(frozen=True)
+class Modes:
+    """K modes: ways to be in, and beside them what the target is and stays.
+
+    With constants a mode is a way and a value of each constant, the last constant's changing first. Ways
+    follow each other, values never do.
+
+    Attributes:
+        ways: names of the ways, in the order of the graph; one, without a name, beside constants alone.
+        chain: how modes follow each other.
+        unseen: (K,) what agents say while the target is hidden; None for a mode in which it is seen.
+        constants: what the target is and stays.
+        usual: (W,) shares of the ways in the long run; those of the chain where empty.
+    """
+
+    ways: tuple[str, ...]
     chain: Chain
     unseen: tuple[Hidden | None, ...]
+    constants: tuple[Constant, ...] = ()
+    usual: tuple[float, ...] = ()
 
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self.unseen)
 
     @cached_property
     def hidden(self) -> tuple[bool, ...]:
@@ -58,16 +93,62 @@ class Modes:
         """Probability of being hidden above which the target counts as lost."""
         return min((one.lost_above for one in self.unseen if one is not None), default=1.0)
 
+    @cached_property
+    def index(self) -> dict[str, Ints]:
+        """(K,) number of the way (`mode`), and of the value of each constant, of each mode."""
+        shape = (len(self.ways), *(len(one.values) for one in self.constants))
+        numbers = np.unravel_index(np.arange(len(self)), shape)
+        names = (FIELD, *(one.name for one in self.constants))
+        return {name: np.asarray(own, dtype=np.int64) for name, own in zip(names, numbers, strict=True)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the modes, such as `walk`, with values `walk team=red`."""
+        parts = [[self.ways[number] for number in self.index[FIELD]]]
+        for one in self.constants:
+            parts.append([key_of(one.name, one.values[number]) for number in self.index[one.name]])
+        return tuple(" ".join(filter(None, own)) for own in zip(*parts, strict=True))
+
+    @cached_property
+    def kinds(self) -> Ints:
+        """(K,) number of the combination of values, whatever the way."""
+        return np.arange(len(self)) % (len(self) // len(self.ways))
+
+    def fields(self, numbers: Floats | Ints) -> dict[str, Floats]:
+        """Names in expressions of hypotheses in modes of these numbers: `mode`, and each constant."""
+        modes = numbers.astype(np.intp)
+        return {name: own[modes].astype(np.float64) for name, own in self.index.items()}
+
+    def long_run(self) -> Floats:
+        """(K,) probabilities in the long run, constants as when the target starts."""
+        shares = np.array(self.usual) if self.usual else self.chain.stationary()
+        for one in self.constants:
+            shares = np.outer(shares, one.prior).ravel()
+        return np.asarray(shares)
+
     def start(self) -> Floats:
         """(K,) probabilities where the target starts: those of the long run, given that it is seen."""
-        shares = np.where(self.hidden, 0.0, self.chain.stationary())
+        shares = np.where(self.hidden, 0.0, self.long_run())
         if shares.sum() <= 0.0:
-            shares = np.where(self.hidden, 0.0, 1.0)
+            even = replace(self, usual=(1.0 / len(self.ways),) * len(self.ways))
+            shares = np.where(self.hidden, 0.0, even.long_run())
         return np.asarray(shares / shares.sum())
 
     def named(self, probabilities: Floats) -> dict[str, float]:
-        """Name -> probability."""
-        return dict(zip(self.names, probabilities.tolist(), strict=True))
+        """Way -> its probability; empty where there are constants alone."""
+        if self.ways == ("",):
+            return {}
+        shares = np.bincount(self.index[FIELD], probabilities, minlength=len(self.ways))
+        return dict(zip(self.ways, shares.tolist(), strict=True))
+
+    def values(self, probabilities: Floats) -> dict[str, float]:
+        """`team=red` -> its probability, of each value of each constant."""
+        found: dict[str, float] = {}
+        for one in self.constants:
+            counted = np.bincount(self.index[one.name], probabilities, minlength=len(one.values))
+            shares = (counted / max(float(counted.sum()), 1e-300)).tolist()
+            found.update(zip((key_of(one.name, value) for value in one.values), shares, strict=True))
+        return found
 
     def probability_hidden(self, probabilities: Floats) -> float:
         """Probability that it cannot be seen."""
@@ -81,6 +162,11 @@ class Moded(Protocol):
     @property
     def mode_probabilities(self) -> Floats:
         """(K,) probabilities of the modes."""
+
+
+def has_modes(posterior: Posterior) -> bool:
+    """True of a belief in modes."""
+    return isinstance(posterior, Moded) or posterior.fields[-1] == FIELD
 
 
 def mode_probabilities(posterior: Posterior, size: int) -> Floats:
@@ -104,8 +190,33 @@ def moments_of(posterior: Posterior) -> tuple[Floats, Floats]:
     return posterior.mean[:size], posterior.covariance[:size, :size]
 
 
+def modes_of(root: InferenceNode) -> Modes | None:
+    """The modes that a graph asks for at its root: by `modes` and by `category`; None without either."""
+    if root.category is None:
+        return None if root.modes is None else make_modes(root.modes)
+    still = Modes(("",), Chain(((0.0,),), by_rates=True), (None,))
+    ways = still if root.modes is None else make_modes(root.modes)
+    constants = tuple(make_constant(name, one) for name, one in root.category.items())
+    size = math.prod(len(one.values) for one in constants)
+    matrix = np.kron(np.array(ways.chain.rows), np.eye(size))
+    return Modes(
+        ways.ways,
+        Chain(tuple(tuple(row) for row in matrix.tolist()), ways.chain.by_rates),
+        tuple(unseen for unseen in ways.unseen for _ in range(size)),
+        constants,
+        tuple(ways.chain.stationary().tolist()),
+    )
+
+
+def make_constant(name: str, category: Category) -> Constant:
+    """A category that a graph asks for."""
+    prior = category.prior or dict.fromkeys(category.values, 1.0)
+    total = sum(prior.values())
+    return Constant(name, category.values, tuple(prior[value] / total for value in category.values))
+
+
 def make_modes(settings: Mapping[str, Mode]) -> Modes:
-    """The modes that a graph asks for."""
+    """The modes of `modes`."""
     names = tuple(settings)
     by_rates = all(mode.next is None for mode in settings.values())
     rows = []
@@ -120,134 +231,6 @@ def make_modes(settings: Mapping[str, Mode]) -> Modes:
         rates[number] = -1.0 / mode.mean_frames
         rows.append(tuple(rates))
     return Modes(names, Chain(tuple(rows), by_rates), tuple(mode.hidden for mode in settings.values()))
-
-
-def complete(motions: tuple[MotionModel, ...]) -> tuple[MotionModel, ...]:
-    """The motions, all with the fields of all of them; those that have them already are the same objects.
-
-    The fields of the longest motion come first, then those of the others. A field that a motion does not have
-    is drawn anew in each frame, as at the start of a target that moves as the first one says that has it:
-    after a stop the target sets off in any direction.
-    """
-    starts: dict[str, tuple[float, float]] = {}
-    for one in sorted(motions, key=lambda one: -len(one.fields)):
-        mean, covariance = one.start_moments(np.ones(4))
-        own = zip(one.fields, mean.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True)
-        for name, start, sd in own:
-            starts.setdefault(name, (start, sd))
-    fields = tuple(starts)
-    made: dict[int, MotionModel] = {}
-    for one in motions:
-        if id(one) not in made:
-            missing = [starts[name] for name in fields if name not in one.fields]
-            means, sds = tuple(mean for mean, _ in missing), tuple(sd for _, sd in missing)
-            made[id(one)] = one if one.fields == fields else Forgetting(one, fields, sds, means)
-    return tuple(made[id(one)] for one in motions)
-
-
-@dataclass(frozen=True, eq=False)
-class Forgetting:
-    """`motion`, in a state with further fields, which are drawn anew in every frame.
-
-    Attributes:
-        motion: how the fields move that it has.
-        fields: of the whole state.
-        sds: of the further fields, in the order of the state.
-        means: around which they are drawn; zeros when empty.
-    """
-
-    motion: MotionModel
-    fields: tuple[str, ...]
-    sds: tuple[float, ...]
-    means: tuple[float, ...] = ()
-
-    @cached_property
-    def _own(self) -> list[int]:
-        return [self.fields.index(name) for name in self.motion.fields]
-
-    @cached_property
-    def _further(self) -> list[int]:
-        return [k for k, name in enumerate(self.fields) if name not in self.motion.fields]
-
-    @cached_property
-    def _drawn(self) -> list[int]:
-        """Further fields that have noise: the others are their means."""
-        return [k for k, sd in zip(self._further, self.sds, strict=True) if sd > 0]
-
-    @cached_property
-    def _centre(self) -> Floats:
-        return np.array(self.means or np.zeros(len(self.sds)))
-
-    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """Like the model, the further fields drawn."""
-        return self._join(self.motion.start(box, size, rng), rng)
-
-    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """Mean and covariance of what `start` draws."""
-        mean, covariance = np.zeros(len(self.fields)), self._spread()
-        mean[self._own], covariance[np.ix_(self._own, self._own)] = self.motion.start_moments(box)
-        mean[self._further] = self._centre
-        return mean, covariance
-
-    def propagate(
-        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
-    ) -> Floats:
-        """(N, D) states after `dt` frame intervals."""
-        return self._join(self.motion.propagate(self._of(states), dt, rng, parents), rng)
-
-    def drift(self, states: Floats, dt: float) -> Floats:
-        """(N, D) states after `dt` frame intervals without noise: further fields are their means."""
-        found = np.empty((len(states), len(self.fields)))
-        found[:, self._own] = self.motion.drift(self._of(states), dt)
-        found[:, self._further] = self._centre
-        return found
-
-    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
-        """F and Q: nothing of the further fields is kept."""
-        whole, covariance = np.zeros((len(self.fields),) * 2), self._spread()
-        at = np.ix_(self._own, self._own)
-        whole[at], covariance[at] = self.motion.linearise(state[self._own], dt)
-        return whole, covariance
-
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) that of the model, times that of the further fields."""
-        sds, means = np.array([sd for sd in self.sds if sd > 0]), self._centre[np.array(self.sds) > 0]
-        normal = -0.5 * ((new[:, self._drawn] - means) / sds) ** 2 - np.log(sds * np.sqrt(2.0 * np.pi))
-        own = self.motion.log_density(self._of(new), self._of(old), dt)
-        return np.asarray(own + normal.sum(axis=1)[:, None])
-
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """Transition of the model; the further fields are the last coordinates."""
-        own = self.motion.transition(self._of(old), dt)
-        sds = np.broadcast_to([sd for sd in self.sds if sd > 0], (*own.sds.shape[:2], len(self._drawn)))
-        means = self._centre[np.array(self.sds) > 0]
-
-        def coordinates(states: Floats) -> tuple[Floats, Floats]:
-            points, log_jacobian = own.coordinates(self._of(states))
-            return np.concatenate([points, states[:, self._drawn]], axis=1), log_jacobian
-
-        return replace(
-            own,
-            coordinates=coordinates,
-            means=np.concatenate([own.means, np.broadcast_to(means, (len(old), len(means)))], axis=1),
-            sds=np.concatenate([own.sds, sds], axis=2),
-            states=None,
-        )
-
-    def _of(self, states: Floats) -> Floats:
-        return np.ascontiguousarray(states[:, self._own])
-
-    def _spread(self) -> Floats:
-        covariance = np.zeros((len(self.fields),) * 2)
-        covariance[self._further, self._further] = np.square(self.sds)
-        return covariance
-
-    def _join(self, moved: Floats, rng: np.random.Generator) -> Floats:
-        found = np.empty((len(moved), len(self.fields)))
-        found[:, self._own] = moved
-        drawn = rng.standard_normal((len(moved), len(self.sds)))
-        found[:, self._further] = self._centre + drawn * np.array(self.sds)
-        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -150,7 +150,8 @@ def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ances
     """The hypotheses of the last frame that those of this one move from, and their weights."""
     prior = inputs.prior
     if must_resample(settings, prior, size):
-        return draw_parents(settings, inputs, size, "resample"), LogWeights.uniform(size)
+        ancestors, log = draw_parents(settings, inputs, size, "resample")
+        return ancestors, LogWeights.uniform(size) if log is None else LogWeights.normalise(log)[0]
     return np.arange(len(prior)), prior.weights
 
 
@@ -200,9 +201,13 @@ def _draw_halves(
     """One pass of two halves that share no random number."""
     streams = [(f"{half}{again}", count) for half, count in zip(("", " half"), counts, strict=True) if count]
     drawn = [draw_parents(settings, inputs, count, f"resample{name}") for name, count in streams]
-    states = [move(inputs, drawn[n], f"propagate{name}") for n, (name, _) in enumerate(streams)]
+    parents = [ancestors for ancestors, _ in drawn]
+    states = [move(inputs, parents[n], f"propagate{name}") for n, (name, _) in enumerate(streams)]
     beta = LogWeights.uniform(sum(counts))
-    return evaluate_sample(inputs, np.concatenate(states), beta.log, np.concatenate(drawn))
+    own = [log + np.log(len(log) / sum(counts)) for _, log in drawn if log is not None]
+    if own:
+        beta = LogWeights.normalise(np.concatenate(own))[0]
+    return evaluate_sample(inputs, np.concatenate(states), beta.log, np.concatenate(parents))
 
 
 def _enlarge(
@@ -227,10 +232,27 @@ def must_resample(settings: spec.Particles, prior: ParticleSet, size: int) -> bo
     return prior.weights.ess < when.ess_below * size
 
 
-def draw_parents(settings: spec.Particles, inputs: Inputs, size: int, purpose: str) -> Ancestors:
-    """(size,) indices of hypotheses of the prior, each drawn `size` times its weight on average."""
-    rng = inputs.stream(purpose)
-    return resample(settings.resample, inputs.prior.weights.weights, size, rng).astype(np.intp, copy=False)
+def draw_parents(
+    settings: spec.Particles, inputs: Inputs, size: int, purpose: str
+) -> tuple[Ancestors, Floats | None]:
+    """(size,) indices of hypotheses of the prior, each drawn `size` times its weight on average.
+
+    What a target is and stays (`category`) is never drawn anew, so a value without hypotheses would be out
+    for good. Hypotheses of each value are drawn with a share of at least `EVENLY` by their number, and keep
+    the value's weight: then (size,) log-weights are given, too.
+    """
+    rng, weights = inputs.stream(purpose), inputs.prior.weights.weights
+    modal = modal_of(inputs.motion)
+    if modal is None or not modal.modes.constants:
+        return resample(settings.resample, weights, size, rng).astype(np.intp, copy=False), None
+    kinds = modal.modes.kinds[inputs.prior.states[:, -1].astype(np.intp)]
+    shares = np.bincount(kinds, weights)
+    alive = shares > 0.0
+    drawn = (1.0 - EVENLY) * shares + EVENLY * alive / alive.sum()
+    factors = np.divide(drawn, shares, out=np.zeros_like(shares), where=alive)
+    ancestors = resample(settings.resample, weights * factors[kinds], size, rng).astype(np.intp, copy=False)
+    counts = np.bincount(kinds[ancestors], minlength=len(shares))
+    return ancestors, np.log(shares[kinds[ancestors]] / counts[kinds[ancestors]])
 
 
 def move(inputs: Inputs, ancestors: Ancestors, purpose: str) -> Floats:

@@ -30,7 +30,15 @@ from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule, Hypotheses, Reference
+from bayesnet_track.numerics.records import evolve
+from bayesnet_track.observation.cue import (
+    OBSERVED,
+    OWN_DETECTION,
+    OWN_LABEL,
+    AssociationRule,
+    Hypotheses,
+    Reference,
+)
 
 TENTATIVE = ""
 """Stands for any tentative track where it is said whose a detection is."""
@@ -40,40 +48,52 @@ LEAST_LOG = -50.0
 
 
 def assign_detections(
-    rule: AssociationRule, expected: Tracks, seen: Found, log_looks: Callable[[Ints, Floats], Floats]
+    rule: AssociationRule,
+    expected: Tracks,
+    seen: Found,
+    log_looks: Callable[[Ints, Floats], Floats],
+    by_labels: Mapping[int, Floats],
 ) -> Owners:
     """(T,) the detection of each track, or `UNASSIGNED`; see `adapt.association` and `adapt.association`.
 
     `log_looks` takes rows (M,) in order and boxes (M, 4), and gives (M,) log-likelihoods by what the targets
-    look like.
+    look like. `by_labels` has, of rows that labels are evidence on, (N,) the log of how much likelier each
+    label is theirs than nobody's.
     """
+    log_labels = np.zeros((len(expected.mean), len(seen.boxes)) if by_labels else (0, 0))
+    for row, log in by_labels.items():
+        log_labels[row] = log
     mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
     if rule.similarity == "iou":
         if not len(boxes):
             return np.full(len(mean), UNASSIGNED, dtype=np.intp)
         return share_by_overlap(rule, mean[:, :4], expected.observed, boxes, seen.scores)
     if rule.first_score <= 0.0:
-        return _assign_by_density(rule, mean, covariance, boxes, log_looks)
+        return _assign_by_density(rule, (mean, covariance), boxes, log_looks, log_labels)
 
     def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
         def own(some: Ints, at: Floats) -> Floats:
             return log_looks(rows[some], at)
 
-        return _assign_by_density(rule, mean[rows], covariance[rows], boxes[columns], own)
+        labels = log_labels[np.ix_(rows, columns)] if by_labels else log_labels
+        return _assign_by_density(rule, (mean[rows], covariance[rows]), boxes[columns], own, labels)
 
     return share_in_passes(rule, seen.scores, len(mean), ask)
 
 
 def _assign_by_density(
     rule: AssociationRule,
-    mean: Floats,
-    covariance: Floats,
+    moments: tuple[Floats, Floats],
     boxes: Floats,
     log_looks: Callable[[Ints, Floats], Floats],
+    log_labels: Floats,
 ) -> Owners:
+    mean, covariance = moments
     pairs = gate_boxes(rule, mean, covariance, boxes)
     if rule.appearance > 0.0 and len(pairs.rows):
         pairs = _gate_looks(rule, pairs, mean, covariance, (boxes, log_looks))
+    if log_labels.size:
+        pairs = evolve(pairs, values=pairs.values + log_labels[pairs.rows, pairs.columns])
     return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(mean), len(boxes))
 
 
@@ -113,6 +133,14 @@ def advance_tentative(
     assert compiled.lifecycle is not None and compiled.lifecycle.birth is not None
     confirm = compiled.lifecycle.birth.confirm if looked else None
     return update_tentative(waiting, after.only(rows), own[rows], variances, confirm)
+
+
+def label_tentative(
+    before: Sequence[Candidate], after: Sequence[Candidate], log: Floats
+) -> tuple[Candidate, ...]:
+    """Tentative tracks `after` a look, with what the labels of their detections say: `log` (C, V)."""
+    said = {one.birth: own for one, own in zip(before, log, strict=True)}
+    return tuple(one.told(said[one.birth]) for one in after)
 
 
 def name_owners(owner: Owners, names: Sequence[str], found: int) -> tuple[str | None, ...]:
@@ -186,11 +214,17 @@ def _score_looks_of(
     return evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood
 
 
-def give_detections(state: TargetState, own: Mapping[str, Floats | None]) -> TargetState:
-    """The target with what each of its agents is given of the detections; None where nobody detected."""
+def give_detections(
+    state: TargetState, own: Mapping[str, Floats | None], labels: Mapping[str, Floats] | None = None
+) -> TargetState:
+    """The target with what each of its agents is given of the detections; None where nobody detected.
+
+    `labels` has (M, V) log-probabilities of the labels of the M detections of agents that go by labels.
+    """
     given = {
-        agent: {k: v for k, v in state.references[agent].items() if k != OWN_DETECTION}
+        agent: {k: v for k, v in state.references[agent].items() if k not in (OWN_DETECTION, OWN_LABEL)}
         | ({} if detection is None else {OWN_DETECTION: detection})
+        | ({OWN_LABEL: labels[agent]} if labels and agent in labels else {})
         for agent, detection in own.items()
         if agent in state.references
     }

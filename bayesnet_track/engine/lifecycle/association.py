@@ -27,6 +27,7 @@ from bayesnet_track.engine.lifecycle.assigning import (
     advance_tentative,
     assign_detections,
     give_detections,
+    label_tentative,
     name_owners,
     remember_detections,
     score_looks,
@@ -196,13 +197,19 @@ class Several:
         waiting = tentative_tracks(compiled, history)
         expecting, before = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
         expected = Tracks(*expecting(before.mean, before.covariance), before.observed)
+        by_labels = {}
         for row, mixture in self._in_modes(expecting.elapsed).items():
             expected.mean[row], expected.covariance[row] = mixture.moments
-        owner = assign_detections(rule, expected, seen, self._log_looks)
+            if rule.label is not None:
+                by_labels[row] = mixture.log_gain(rule, seen.labels)
+        owner = assign_detections(rule, expected, seen, self._log_looks, by_labels)
         own = own_detections(owner, seen.boxes, seen.scores)
         after, refiltered = follow(rule, before, expected, owner, own, expecting)
         if waiting:
             left = advance_tentative(compiled, waiting, after, own, found is not None)
+            if rule.label is not None:
+                whose = [seen.labels[k] if k != UNASSIGNED else "" for k in owner[-len(waiting) :].tolist()]
+                left = label_tentative(waiting, left, rule.label.log(whose))
             history = evolve(history, candidates={**history.candidates, compiled.plate.name: left})
         is_given, count, rows = owner != UNASSIGNED, self.count, None
         history = self._record_refusals(
@@ -223,7 +230,10 @@ class Several:
         others = {}
         for row, (target, state) in enumerate(self.others.items(), count):
             given = None if found is None else own[row : row + is_given[row]]
-            state = give_detections(state, dict.fromkeys(compiled.association_rules, given))
+            labels = {}
+            if rule.label is not None and is_given[row]:
+                labels = {agent: rule.label.told([seen.labels[owner[row]]])}
+            state = give_detections(state, dict.fromkeys(compiled.association_rules, given), labels)
             others[target] = remember_detections(state, agent, after.observed[row], refiltered.get(row))
         return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
 
@@ -321,6 +331,7 @@ class Several:
     ) -> TargetState:
         """A target with what its agents are given, and how probably it exists."""
         own: dict[str, Floats | None] = {}
+        labels: dict[str, Floats] = {}
         for agent, found in seen.items():
             if found is None:  # nobody looked
                 own[agent] = None
@@ -331,7 +342,10 @@ class Several:
             if self.compiled.plate.spec.associate == "marginal":
                 parts.append(weights)
             own[agent] = np.column_stack(parts)
-        return evolve(give_detections(state, own), existence=existence)
+            rule = self.compiled.association_rules[agent].label
+            if rule is not None and len(columns):
+                labels[agent] = rule.told([found.labels[column] for column in columns.tolist()])
+        return evolve(give_detections(state, own, labels), existence=existence)
 
     @property
     def count(self) -> int:

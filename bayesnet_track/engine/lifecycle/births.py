@@ -109,15 +109,19 @@ def _wait(now: Births, found: Found) -> tuple[Candidate, ...]:
     before, frame = now.tracks.history.candidates.get(now.plate, ()), now.frame.index
     births = [birth_key(now.frame.time, now.plate, number) for number in found.numbers.tolist()]
     compiled = now.work.engine.plates[now.plate]
+    by = next((one.label for one in compiled.association_rules.values() if one.label is not None), None)
+    labels = None if by is None else by.log(found.labels)
     if not now.birth.tentative:
         alone_box = ALONE_BOX if has_way(compiled) else 0.0
-        free = FreeDetections(found.boxes, found.scores, births, frame, now.frame.time, alone_box)
+        free = FreeDetections(found.boxes, found.scores, births, frame, now.frame.time, alone_box, labels)
         return feed(before, free, now.birth)
     rule = next(iter(compiled.association_rules.values()))
     new = [
         start_tentative(rule, box, float(score), (frame, birth), compiled.moments.start_moments(box))
         for box, score, birth in zip(found.boxes, found.scores, births, strict=True)
     ]
+    if labels is not None:
+        new = [one.told(said) for one, said in zip(new, labels, strict=True)]
     return keep_best([*before, *new], now.birth)
 
 

@@ -12,7 +12,7 @@ from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackRec
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
-from bayesnet_track.belief.motion.modes import moments_of
+from bayesnet_track.belief.motion.modes import mode_probabilities, moments_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
@@ -22,6 +22,7 @@ from bayesnet_track.engine.lifecycle.reidentifying import compare
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.metrics import state_numbers
+from bayesnet_track.engine.modes import with_kinds, with_label
 from bayesnet_track.engine.starting import drawn, restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
@@ -136,7 +137,7 @@ def _continue(now: Births, candidate: Candidate) -> bool:
         return False
     target, box = same.target, candidate.box
     state = restart(now.work, target, now.plate, box, tracks.state(target))
-    state = with_belief(state, candidate, rules)
+    state = _as_known(compiled, with_belief(state, candidate, rules), candidate, None)
     numbers = (candidate.first_frame, same.distance_box, reach_box)
     tracks.decide(Continued(frame.index, target, box_of(box), *numbers))
     since = tracks.record(target).since
@@ -147,6 +148,7 @@ def _continue(now: Births, candidate: Candidate) -> bool:
 def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMetrics:
     """A net for a candidate: of an old target when it is recognised, else of a new one; its first metrics."""
     tracks, frame, box = now.tracks, now.frame, candidate.box
+    old = None
     if nearest is not None and nearest.is_sure:
         target = nearest.recognition.target
         old = next(one for one in tracks.history.dead if one.target == target)
@@ -186,10 +188,25 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMet
         None if compiled.views is None else now.work.stream_of(candidate.birth, compiled.plate.root)("placed")
     )
     state = with_belief(born.state, candidate, compiled.association_rules, rng)
+    state = _as_known(compiled, state, candidate, None if old is None else old.kinds)
+    if compiled.modes is not None and compiled.modes.constants:
+        probabilities = mode_probabilities(state.belief, len(compiled.modes))
+        metrics = evolve(metrics, category=compiled.modes.values(probabilities))
     if compiled.views is not None:
         metrics = evolve(metrics, state=state_numbers(state.belief, on_ground=True))
     tracks.add(target, state, start_record(state, frame.index, frame), metrics)
     return metrics
+
+
+def _as_known(
+    compiled: CompiledPlate, state: TargetState, candidate: Candidate, kinds: Floats | None
+) -> TargetState:
+    """The state with what the labels of the first detections say, and what the target was before."""
+    by = next((one.label for one in compiled.association_rules.values() if one.label is not None), None)
+    belief = with_kinds(state.belief, compiled.modes, kinds)
+    if by is not None:
+        belief = with_label(belief, compiled.modes, by.category, candidate.labels)
+    return state if belief is state.belief else replace(state, belief=belief)
 
 
 def with_belief(

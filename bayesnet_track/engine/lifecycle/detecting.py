@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, 
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
-from bayesnet_track.observation.cue import FAULTS, said
+from bayesnet_track.observation.cue import FAULTS, LabelRule, said
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -26,6 +26,7 @@ from bayesnet_track.observation.detector import (
     of_camera,
 )
 from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.sources.entrances.notices import notice
 
 Seen = Mapping[str, Found]
 """Camera -> what a plate is given of its image; "" where there is one image."""
@@ -145,12 +146,23 @@ def _ask(
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
-    rules = engine.plates[plate].lifecycle
-    labels = () if rules is None or rules.birth is None else rules.birth.labels
+    compiled = engine.plates[plate]
+    labels = () if (rules := compiled.lifecycle) is None or rules.birth is None else rules.birth.labels
+    by = [one.label for one in compiled.association_rules.values() if one.label is not None]
+    told = tuple(found.labels) if by else ()
+    for rule in by:
+        _say_unknown(rule, told)
+    everything = Found(found.boxes, found.scores, np.arange(len(found)), told)
     if not labels:
-        return Found(found.boxes, found.scores, np.arange(len(found)))
-    keep = np.array([label in labels for label in found.labels], dtype=bool)
-    return Found(found.boxes[keep], found.scores[keep], np.flatnonzero(keep))
+        return everything
+    return everything.only(np.array([label in labels for label in found.labels], dtype=bool))
+
+
+def _say_unknown(rule: LabelRule, labels: Iterable[str]) -> None:
+    known = ", ".join(rule.labels)
+    for label in sorted({*labels} - {*rule.labels, ""}):
+        what = f"label {label!r} of detections says nothing of {rule.category}"
+        notice(f"{what}: its confusion knows {known}")
 
 
 def _word(engine: Engine, plate: str) -> str:

@@ -104,4 +104,4 @@ def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
     """What a live target would be remembered by."""
     record, birth = tracks.record(target), tracks.history.births[target]
     memory = record.mean, record.covariance, record.time, tracks.references(target)
-    return AppearanceMemory(target, plate, *memory, birth)
+    return AppearanceMemory(target, plate, *memory, birth, tracks.kinds(target, plate))

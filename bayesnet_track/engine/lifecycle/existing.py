@@ -55,6 +55,7 @@ class Crowd:
         names: of the targets.
         log_looks: rows (M,) in order, boxes (M, 4) -> (M,) log-likelihoods by what the targets look like.
         modes: row -> what is expected of a target in each of its modes.
+        values: (U, V) probabilities of what the last U of them are, of which labels are evidence on it.
     """
 
     mean: Floats
@@ -63,6 +64,7 @@ class Crowd:
     names: Sequence[str]
     log_looks: Callable[[Ints, Floats], Floats] | None = None
     modes: Mapping[int, ExpectedInModes] = field(default_factory=dict)
+    values: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +152,7 @@ def associate_marginal(
         mean=np.concatenate([crowd.mean, unconfirmed.mean]),
         covariance=np.concatenate([crowd.covariance, unconfirmed.covariance]),
         existence=np.concatenate([crowd.existence, unconfirmed.existence]),
+        values=unconfirmed.values,
     )
     presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
     own = frame.of(rule.camera) or frame
@@ -209,6 +212,13 @@ def _share(rule: CrowdRule, crowd: Crowd, weights: Weights, found: Found, log_no
     pairs = sensor.gate(crowd.mean, crowd.covariance, found)
     if crowd.modes:
         pairs = _in_modes(sensor, pairs, crowd.modes, found)
+    if (by := sensor.association.label) is not None and crowd.values is not None and len(crowd.values):
+        log_gains = np.log(crowd.values @ np.exp(by.log_gains(found.labels)).T)
+        first = len(crowd.mean) - len(crowd.values)
+        own = pairs.rows >= first
+        values = pairs.values.copy()
+        values[own] += log_gains[pairs.rows[own] - first, pairs.columns[own]]
+        pairs = evolve(pairs, values=values)
     if crowd.log_looks is not None and sensor.association.appearance > 0:
         pairs = with_looks(sensor.association, pairs, crowd.log_looks, found.boxes)
     likelihoods = evolve(pairs, values=pairs.values + sensor.log_scale)
@@ -221,7 +231,9 @@ def _in_modes(sensor: Sensor, pairs: Pairs, modes: Mapping[int, ExpectedInModes]
     for row, expected in modes.items():
         own = np.flatnonzero(pairs.rows == row)
         if len(own):
-            logs = sensor.log_gains(expected.means, expected.covariances, found.only(pairs.columns[own]))
+            seen = found.only(pairs.columns[own])
+            logs = sensor.log_gains(expected.means, expected.covariances, seen)
+            logs = logs + expected.log_gains(sensor.association, seen.labels)
             with np.errstate(divide="ignore"):
                 values[own] = np.logaddexp.reduce(np.log(expected.shares)[:, None] + logs, axis=0)
     return evolve(pairs, values=values)

@@ -40,11 +40,13 @@ class Found:
         values: (N, K) what was measured: centre boxes x, y, w, h, else a column for each quantity.
         scores: (N,) 0..1.
         numbers: (N,) their numbers in the look.
+        labels: what each is; empty where nothing goes by labels.
     """
 
     values: Floats
     scores: Floats
     numbers: Ints
+    labels: tuple[str, ...] = ()
 
     @property
     def boxes(self) -> Floats:
@@ -58,7 +60,8 @@ class Found:
 
     def only(self, which: NDArray[np.bool_] | Ints) -> Found:
         """Some of them."""
-        return Found(self.values[which], self.scores[which], self.numbers[which])
+        labels = tuple(np.array(self.labels, dtype=object)[which]) if self.labels else ()
+        return Found(self.values[which], self.scores[which], self.numbers[which], labels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,10 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.adapt.memory import LOST
-from bayesnet_track.belief.motion.modes import moments_of
+from bayesnet_track.belief.motion.modes import has_modes, moments_of
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.lines import Lines
+from bayesnet_track.engine.modes import kinds_of
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.finding import rows_of
@@ -134,6 +135,13 @@ class LiveTable:
             return self.states[target].belief.mean
         rows = self._table_of(target)
         return np.asarray(rows.columns.mean[rows.index[target]])
+
+    def kinds(self, target: str, plate: str) -> Floats | None:
+        """Probabilities of what a target is; None of one that is nothing in particular."""
+        belief = self.states[target].belief if target in self.states else None
+        if belief is None or not has_modes(belief):
+            return None
+        return kinds_of(belief, self.engine.plates[plate].modes)
 
     def references(self, target: str) -> Mapping[str, Reference]:
         """What the agents remember of a target."""

@@ -99,6 +99,7 @@ def confirmed(
 def _candidate(
     rule: CrowdRule, unconfirmed: UnconfirmedTracks, row: int, plate: str, time: float
 ) -> Candidate:
+    by = rule.sensor.association.label
     seen, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
     mean, born = unconfirmed.mean[row], float(unconfirmed.born[row])
     first = mean.copy()
@@ -115,6 +116,7 @@ def _candidate(
         unconfirmed.covariance[row],
         float(unconfirmed.existence[row]),
         track=((born, first_box),),
+        labels=None if by is None else np.log(unconfirmed.values[row]) - np.log(by.prior),
     )
 
 
@@ -181,6 +183,15 @@ def advance_unconfirmed(
     rule.sensor.mix(mean, covariance, found, Mixed(starts, columns, weights, missed))
     is_seen = shared.seen[first:] >= 0.5
     scores = np.bincount(rows, weights * found.scores[columns], minlength=len(unconfirmed))
+    values = unconfirmed.values
+    if (rule_of_labels := rule.sensor.association.label) is not None:
+        likelihoods = np.exp(rule_of_labels.log(found.labels))[columns]
+        values = np.array(
+            [
+                rule_of_labels.learnt(own, likelihoods[low:high], weights[low:high], float(missed[row]))
+                for row, (own, low, high) in enumerate(zip(values, starts[:-1], starts[1:], strict=True))
+            ]
+        )
     return UnconfirmedTracks(
         mean,
         covariance,
@@ -191,6 +202,7 @@ def advance_unconfirmed(
         unconfirmed.seen + is_seen,
         unconfirmed.looks + 1,
         unconfirmed.score + np.where(is_seen, scores, 0.0),
+        values,
         unconfirmed.presence,
     )
 
@@ -217,8 +229,18 @@ def begin_unconfirmed(
         ones,
         ones,
         found.scores[new].astype(np.float64),
+        first_values(rule, found)[new],
         presence,
     )
+
+
+def first_values(rule: CrowdRule, found: Found) -> Floats:
+    """(N, V) probabilities of what something is of which each detection is the first."""
+    by = rule.sensor.association.label
+    if by is None:
+        return np.empty((len(found.values), 0))
+    joint = np.array(by.prior) * np.exp(by.log(found.labels))
+    return np.asarray(joint / joint.sum(axis=1, keepdims=True))
 
 
 def prune(rule: CrowdRule, detection_model: DetectionModel) -> DetectionModel:

@@ -229,7 +229,7 @@ def grounds_are_seen(plate: Plate) -> Iterator[GraphMessage]:
             )
 
 
-_WITHOUT = ("modes", "score", "localization_error", "distractors", "guarantee", "alarm")
+_WITHOUT = ("modes", "category", "score", "localization_error", "distractors", "guarantee", "alarm")
 
 
 def grounds_need_no_pixels(plate: Plate) -> Iterator[GraphMessage]:

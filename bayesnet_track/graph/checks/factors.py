@@ -11,7 +11,17 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.cues import cue_parameters, noises_of, plugin_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import Check, Plate, further_fields, is_seen
+from bayesnet_track.graph.checks.plates import (
+    Check,
+    Plate,
+    discrete_fields,
+    discrete_numbers,
+    fields_of_motion,
+    further_fields,
+    is_seen,
+    moving_fields,
+    numbers_of,
+)
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import (
     DRAWN,
@@ -116,7 +126,7 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
     else:
         root = plate.inference[plate.roots[0]]
         fields = BOX[:2] if plate.spec.state == "point" else BOX
-        own = (*fields, *further_fields(root), *(["mode"] if root.modes else []), *_modes(plate))
+        own = (*fields, *further_fields(root), *discrete_fields(root), *_modes(plate))
     return (*own, *FRAME_NAMES, *plate.frame_names, *plate.constants)
 
 
@@ -157,7 +167,7 @@ def _modes(plate: Plate) -> dict[str, float]:
     """The names of modes that are free, with their numbers."""
     root = plate.inference[plate.roots[0]]
     taken = {*WORDS, *plate.constants, *further_fields(root)}
-    return {name: float(number) for number, name in enumerate(root.modes or {}) if name not in taken}
+    return {name: number for name, number in numbers_of(root).items() if name not in taken}
 
 
 def read_factors(plate: Plate) -> dict[str, Factor]:
@@ -262,17 +272,14 @@ def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
 
 def names_of_measures(plate: Plate, node: AgentNode) -> tuple[str, ...]:
     """The names of the agent's expressions: of the state whose hypotheses it is asked about."""
-    belief = plate.inference[plate.roots[0]].belief
-    is_gaussian = belief is not None and belief.gaussian is not None  # of a Gaussian for each mode
-    names = (name for name in names_at(plate, node.parent) if not (is_gaussian and name == "mode"))
-    return tuple(name for name in names if not name.startswith(PARENT))
+    return tuple(name for name in names_at(plate, node.parent) if not name.startswith(PARENT))
 
 
 def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
     """The measurement functions of a plate that passed the checks."""
     found = {}
     for name, node in plate.agents.items():
-        if node.measures or noises_of(plate, node):
+        if node.measures or noises_of(plate, node) or delay_of(node):
             found[name] = _read_measures(plate, node)
     return found
 
@@ -282,10 +289,66 @@ def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
     errors = {quantity: parse(text, error=True) for quantity, text in noises_of(plate, node).items()}
     used = {one for term in (*terms.values(), *errors.values()) for one in names_in(term)}
     constants = {name: value for name, value in _constants(plate).items() if name in used}
-    return MeasuredAs(terms, constants, errors)
+    discrete = discrete_numbers(plate.inference[plate.roots[0]])
+    late = _late_fields(plate, node) if delay_of(node) else ()
+    return MeasuredAs(terms, constants, errors, discrete, delay_of(node), late)
 
 
-MEASURE_CHECKS: tuple[Check, ...] = (measures_can_be_read, measures_are_measured, measures_fit_the_belief)
+def delay_of(node: AgentNode) -> float:
+    """How many frame intervals late an agent tells what it measured."""
+    written = node.agent.parameters.get("delay", 0.0)
+    return float(written) if isinstance(written, int | float) else 0.0
+
+
+def _late_fields(plate: Plate, node: AgentNode) -> tuple[str, ...]:
+    """The fields of the root's state that a delayed agent measures, or functions of them."""
+    texts = (*node.measures.values(), *noises_of(plate, node).values())
+    read = {name for text in texts for name in names_in(parse(text, error=True))}
+    quantities = node.agent.parameters.get("sd", {})
+    read |= {name for name in quantities if name not in node.measures}
+    return tuple(name for name in (*BOX, *moving_fields(plate.inference[plate.roots[0]])) if name in read)
+
+
+def delays_can_be_kept(plate: Plate) -> Iterator[GraphMessage]:
+    """The belief can hold the past that a delayed agent measures."""
+    root = plate.inference[plate.roots[0]]
+    for name, node in plate.agents.items():
+        if not delay_of(node):
+            continue
+        belief, key = root.belief, ("agent", node.agent.cue, "delay")
+        at = latent_above(plate, node.parent)
+        if at is not None and at != plate.roots[0]:
+            found = f"delay at {at}, of whose past nothing is kept"
+            yield plate.message(name, found, f"parent: {plate.roots[0]}", key=key, on_key=True)
+        if belief is not None and belief.grid is not None:
+            found = "delay beside a grid, which keeps no past"
+            yield plate.message(name, found, "particles or gaussian", key=key, on_key=True)
+        if belief is not None and belief.gaussian is not None and belief.gaussian.filter == "kalman":
+            found = "delay beside filter: kalman, whose state has no past"
+            yield plate.message(name, found, "filter: extended or unscented", key=key, on_key=True)
+        proposal = None if belief is None or belief.particles is None else belief.particles.proposal.kind
+        if proposal not in (None, "bootstrap"):
+            found = f"delay beside proposal: {proposal}, which draws hypotheses without a past"
+            yield plate.message(name, found, "proposal: bootstrap", key=key, on_key=True)
+        try:
+            late = _late_fields(plate, node)
+        except ExpressionError:
+            continue  # said where expressions are checked
+        for mode, one in (root.modes or {}).items():
+            motion = one.motion or root.motion
+            own = (*BOX, *(() if motion is None else fields_of_motion(motion)))
+            lacking = [field for field in late if field not in own]
+            if lacking:
+                found = f"delay of {lacking[0]}, which mode {mode!r} does not have"
+                yield plate.message(name, found, "fields that every mode has", key=key, on_key=True)
+
+
+MEASURE_CHECKS: tuple[Check, ...] = (
+    measures_can_be_read,
+    measures_are_measured,
+    measures_fit_the_belief,
+    delays_can_be_kept,
+)
 
 
 GIVEN_KEY: KeyPath = ("fuse", "latent", "given")

@@ -273,8 +273,8 @@ def _keeps_size(target: CheckedTarget, node: str) -> bool:
 
 MAX_LEVELS = 32
 ROOT_ONLY = (
-    *("motion", "start", "modes", "estimate", "learn", "lost", "score", "localization_error", "distractors"),
-    *("guarantee", "alarm"),
+    *("motion", "start", "modes", "category", "estimate", "learn", "lost", "score", "localization_error"),
+    *("distractors", "guarantee", "alarm"),
 )
 
 

@@ -117,17 +117,20 @@ def _expressions_move_alone(plate: Plate, name: str, mode: str, motion: Motion) 
 
 def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
     """Particles by bootstrap or Gaussians; no latent node where it can be hidden."""
-    for name, node, modes in _with_modes(plate):
-        belief = node.belief
-        yield from _detections_are_not_filtered_anew(plate, name)
+    for name, node in plate.inference.items():
+        if node.modes is None and node.category is None:
+            continue
+        belief, modes = node.belief, node.modes or {}
+        key = "category" if node.modes is None else "modes"
+        yield from _detections_are_not_filtered_anew(plate, name, key)
         if belief is not None and belief.grid is not None:
-            found = "modes beside a grid, which has no cells for them"
-            yield plate.message(name, found, "particles or gaussian", key=("modes",), on_key=True)
+            found = f"{key} beside a grid, which has no cells for {'it' if node.modes is None else 'them'}"
+            yield plate.message(name, found, "particles or gaussian", key=(key,), on_key=True)
         if belief is not None and belief.particles is not None:
             kind = belief.particles.proposal.kind
             if kind != "bootstrap":
-                found = f"modes beside proposal: {kind}, which knows one way to move"
-                yield plate.message(name, found, "proposal: bootstrap", key=("modes",), on_key=True)
+                found = f"{key} beside proposal: {kind}, which knows one way to move"
+                yield plate.message(name, found, "proposal: bootstrap", key=(key,), on_key=True)
         if not any(one.hidden is not None for one in modes.values()):
             continue
         for other, below in plate.inference.items():
@@ -136,11 +139,11 @@ def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
                 yield plate.message(other, found, "product or pool", key=("fuse", "latent"), on_key=True)
 
 
-def _detections_are_not_filtered_anew(plate: Plate, name: str) -> Iterator[GraphMessage]:
+def _detections_are_not_filtered_anew(plate: Plate, name: str, key: str) -> Iterator[GraphMessage]:
     for agent, node in plate.agents.items():
         if node.agent.parameters.get("re_update"):
-            found = f"modes of {name} beside re_update, which filters a gap anew in one mode"
-            yield plate.message(agent, found, "no re_update, or no modes", key=("agent",))
+            found = f"{key} of {name} beside re_update, which filters a gap anew in one mode"
+            yield plate.message(agent, found, f"no re_update, or no {key}", key=("agent",))
 
 
 def noise_has_the_same_fields(plate: Plate) -> Iterator[GraphMessage]:
@@ -215,13 +218,19 @@ def modes_are_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
         for kind in dict.fromkeys(join.between or spec.targets):
             target = spec.targets.get(kind)
             for name, node in () if target is None else target.nodes.items():
-                if not isinstance(node, InferenceNode) or node.modes is None:
+                if not isinstance(node, InferenceNode) or (node.modes is None and node.category is None):
                     continue
-                hides = any(mode.hidden is not None for mode in node.modes.values())
+                hides = any(mode.hidden is not None for mode in (node.modes or {}).values())
                 where: KeyPath = ("joins", number)
                 if join.attachment is not None:
                     found = f"attachment of {kind}, whose node {name} has modes: being carried is a mode, too"
-                    yield at.message((*where, "attachment"), found, "kinds without modes", on_key=True)
+                    allowed = "kinds without modes"
+                    if node.modes is None:
+                        found = (
+                            f"attachment of {kind}, whose node {name} has a category, as if it were a mode"
+                        )
+                        allowed = "kinds without category"
+                    yield at.message((*where, "attachment"), found, allowed, on_key=True)
                 elif hides and join.factor is None:
                     found = f"a join of {kind}, which a mode can hide: a hidden target has no pixels to share"
                     yield at.message(where, found, "a join with factor; or modes without hidden")

@@ -10,7 +10,15 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checks.cues import declares, plugin_parameters
 from bayesnet_track.graph.checks.factors import with_nearest
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import Check, Plate, further_fields
+from bayesnet_track.graph.checks.plates import (
+    Check,
+    Plate,
+    discrete_fields,
+    further_fields,
+    names_of_inputs,
+    numbers_of_kinds,
+    root_of,
+)
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, WORDS, ExpressionError, Term, names_in
 from bayesnet_track.graph.settings.motion import BoxVelocity, ByExpressions, Motion, Moving
@@ -357,7 +365,8 @@ def factors_of_pairs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[Gra
             for letter, kind in zip("ab", kinds, strict=True)
             for name in (*BOX, *_fields_of(spec, kind))
         ]
-        names = (*states, *(name for name in FRAME_NAMES if name != "dt"), *spec.constants)
+        of_frame = (*(name for name in FRAME_NAMES if name != "dt"), *names_of_inputs(spec.inputs))
+        names = (*states, *of_frame, *numbers_of_kinds(spec, kinds))
         try:
             parse(join.factor, names)
         except ExpressionError as error:
@@ -367,10 +376,9 @@ def factors_of_pairs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[Gra
 
 
 def _fields_of(spec: GraphSpec, kind: str) -> tuple[str, ...]:
-    """Fields of the state of a kind of target, beside the box."""
-    nodes = spec.targets[kind].nodes.values()
-    root = next((one for one in nodes if isinstance(one, InferenceNode) and one.parent is None), None)
-    return () if root is None else further_fields(root)
+    """Fields of the state of a kind of target, beside the box, and what it is."""
+    root = root_of(spec.targets[kind])
+    return () if root is None else (*further_fields(root), *discrete_fields(root))
 
 
 def drift_of(motion: ByExpressions) -> Mapping[str, Term]:

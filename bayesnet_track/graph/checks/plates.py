@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 from bayesnet_track.graph.checked import Calibration
+from bayesnet_track.graph.expressions.terms import WORDS
 from bayesnet_track.graph.settings.cameras import CameraSource
 from bayesnet_track.graph.settings.motion import Motion
-from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
+from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.image_files import Mask
@@ -46,7 +48,7 @@ class Plate:
     @property
     def frame_names(self) -> tuple[str, ...]:
         """Names that are the same of all states in a frame: time, inputs, and what they were."""
-        return ("t", *(one for name in self.inputs for one in (name, f"{name}{BEFORE}")))
+        return names_of_inputs(self.inputs)
 
     @cached_property
     def agents(self) -> dict[str, AgentNode]:
@@ -193,6 +195,55 @@ def ground_fields(target: Target) -> tuple[str, ...]:
     """Numbers of a state on the ground, as results name them: in metres, then the motion's own fields."""
     roots = (node for node in target.nodes.values() if isinstance(node, InferenceNode) and not node.parent)
     return (*(f"{name}_m" for name in BOX), *moving_fields(next(roots)))
+
+
+def discrete_fields(root: InferenceNode) -> tuple[str, ...]:
+    """Names in expressions of a root that has modes or categories."""
+    return (*(("mode",) if root.modes else ()), *(root.category or ()))
+
+
+def discrete_numbers(root: InferenceNode) -> dict[str, tuple[int, ...]]:
+    """The number of the mode, and of each category's value, in each of their combinations, in order."""
+    sizes = {"mode": len(root.modes or [""])}
+    sizes |= {name: len(one.values) for name, one in (root.category or {}).items()}
+    combinations = zip(*product(*map(range, sizes.values())), strict=True)
+    return dict(zip(sizes, combinations, strict=True)) if discrete_fields(root) else {}
+
+
+def numbers_of(root: InferenceNode) -> dict[str, float]:
+    """Names of modes and of values of categories, with the numbers that expressions compare."""
+    numbers = {name: float(number) for number, name in enumerate(root.modes or {})}
+    for category in (root.category or {}).values():
+        numbers |= {value: float(number) for number, value in enumerate(category.values)}
+    return numbers
+
+
+def root_of(target: Target) -> InferenceNode | None:
+    """The root of a kind of target; None of one without, which another check refuses."""
+    nodes = target.nodes.values()
+    return next((one for one in nodes if isinstance(one, InferenceNode) and one.parent is None), None)
+
+
+def numbers_of_kinds(spec: GraphSpec, kinds: Iterable[str]) -> dict[str, float]:
+    """Names of numbers in an expression about targets of some kinds: constants, modes, values of categories.
+
+    A mode or a value is left out that has the name of something else, or different numbers in two kinds.
+    """
+    numbers: dict[str, float] = {}
+    taken = {*WORDS, *spec.constants, *spec.inputs}
+    for kind in dict.fromkeys(kinds):
+        root = root_of(spec.targets[kind])
+        own = {} if root is None else numbers_of(root)
+        taken |= {name for name in own.keys() & numbers.keys() if own[name] != numbers[name]}
+        taken |= set() if root is None else {*moving_fields(root)}
+        numbers |= own
+    free = {name: number for name, number in numbers.items() if name not in taken}
+    return {**free, **spec.constants}
+
+
+def names_of_inputs(inputs: Iterable[str]) -> tuple[str, ...]:
+    """Names that are the same of all states in a frame: time, inputs, and what they were."""
+    return ("t", *(one for name in inputs for one in (name, f"{name}{BEFORE}")))
 
 
 def moving_fields(root: InferenceNode) -> tuple[str, ...]:

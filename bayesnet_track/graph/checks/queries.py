@@ -10,17 +10,21 @@ from pathlib import Path
 
 from bayesnet_track.graph.checks.factors import explain_name
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
-from bayesnet_track.graph.checks.plates import moving_fields
+from bayesnet_track.graph.checks.plates import (
+    discrete_fields,
+    moving_fields,
+    names_of_inputs,
+    numbers_of_kinds,
+    root_of,
+)
 from bayesnet_track.graph.expressions.evaluate import is_condition
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import FRAME_NAMES, ExpressionError, names_in
+from bayesnet_track.graph.expressions.terms import FRAME_NAMES, FRAME_S, ExpressionError, names_in
 from bayesnet_track.graph.settings.queries import MOST_CORNERS, Query
-from bayesnet_track.graph.spec import GraphSpec, InferenceNode, Target
+from bayesnet_track.graph.spec import GraphSpec, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.protocols import BOX
 
-FRAME_S = "frame_s"
-"""Name of queries alone: seconds per frame interval."""
 COLUMNS = (
     *("frame", "time_s", "target", "kind", "x", "y", "w", "h", "angle", "status", "score", "ud_px2"),
     *("quiet_px2", "sd_x", "sd_y", "sd_w", "sd_h", "log_evidence", "surprise", "ess", "particles"),
@@ -94,15 +98,14 @@ def names_in_query(spec: GraphSpec, query: Query) -> tuple[str, ...]:
         fields_read = (*(f"a.{name}" for name in first), *(f"b.{name}" for name in second))
     else:
         fields_read = fields[0]
-    return (*fields_read, *FRAME_NAMES, FRAME_S, *spec.constants)
+    numbers = numbers_of_kinds(spec, query.kinds)
+    return (*fields_read, *FRAME_NAMES, FRAME_S, *names_of_inputs(spec.inputs), *numbers)
 
 
 def fields_of(target: Target) -> tuple[str, ...]:
-    """The fields of the state of a kind of target."""
-    for node in target.nodes.values():
-        if isinstance(node, InferenceNode) and node.parent is None:
-            return tuple(dict.fromkeys((*BOX, *moving_fields(node))))
-    return BOX
+    """The fields of the state of a kind of target, and what it is: its mode, its categories."""
+    root = root_of(target)
+    return BOX if root is None else tuple(dict.fromkeys((*BOX, *moving_fields(root), *discrete_fields(root))))
 
 
 def _explain(message: GraphMessage, error: ExpressionError, query: Query) -> GraphMessage:

@@ -28,6 +28,7 @@ from bayesnet_track.graph.checks.cameras import (
     read_lasting,
     read_views,
 )
+from bayesnet_track.graph.checks.categories import CATEGORY_CHECKS, categories_have_evidence
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters, evidence_counts_once
 from bayesnet_track.graph.checks.factors import (
     CONSTANT_CHECKS,
@@ -221,6 +222,7 @@ VALUE_CHECKS: tuple[Check, ...] = (
     *MOTION_CHECKS,
     *FORMULA_CHECKS,
     *MODE_CHECKS,
+    *CATEGORY_CHECKS,
     *START_CHECKS,
     *PLACE_CHECKS,
     *CAMERA_CHECKS,
@@ -276,7 +278,7 @@ def check(
     errors = [message for plate in plates for message in _violations(plate)]
     errors += cameras_can_be_read(spec, at, read)
     of_graphs = (*CONSTANT_CHECKS, *CAMERA_GRAPH_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS)
-    for find in (*of_graphs, *QUERY_CHECKS, *INPUT_CHECKS):
+    for find in (*of_graphs, *QUERY_CHECKS, *INPUT_CHECKS, categories_have_evidence):
         errors += islice(find(spec, at), MAX_MESSAGES + 1)
     spec, of_polygons = with_polygons(spec, folder, at)
     errors += of_polygons

@@ -65,9 +65,11 @@ def sensors_share_detections(plate: Plate) -> Iterator[GraphMessage]:
     if not sensors:
         return
     for name, above_all in plate.inference.items():
-        if above_all.modes is not None:
-            found = "modes beside detections of quantities, which are weighed by one Gaussian of each target"
-            yield plate.message(name, found, "no modes, or detections of boxes", key=("modes",), on_key=True)
+        for key in ("modes", "category"):
+            if getattr(above_all, key) is not None:
+                found = f"{key} beside detections of quantities, which one Gaussian of each target weighs"
+                allowed = f"no {key}, or detections of boxes"
+                yield plate.message(name, found, allowed, key=(key,), on_key=True)
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if declaration is not None and declaration.reads_detection and name not in sensors:

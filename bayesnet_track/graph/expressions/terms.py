@@ -178,5 +178,7 @@ STATE_NAMES = {
 PARENT = "parent."
 """What stands before a field of the state that a latent node's own state is drawn around."""
 
+FRAME_S = "frame_s"
+"""Name of queries alone: seconds per frame interval."""
 WORDS = frozenset({*FUNCTIONS, *FRAME_NAMES, *STATE_NAMES, "and", "or", "not", "parent", "a", "b"})
 """Names that constants cannot have."""

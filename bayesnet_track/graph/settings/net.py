@@ -213,6 +213,24 @@ class Fuse(Choice):
         return "equal" if word == "pool" else {}
 
 
+class Category(Model):
+    """A discrete constant of a target that is not observed, such as its team.
+
+    A label of a detector is evidence on it (`confusion` of the agent `detection`), and so is all that is
+    read of it in expressions.
+    """
+
+    values: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)] = Field(
+        description="what it may be; names for [expressions](expressions.md)"
+    )
+    prior: dict[Name, Positive] = Field(
+        default={}, description="value: its probability when the target starts; default: all alike"
+    )
+
+
+Categories = Annotated[dict[Name, Category], Field(min_length=1, max_length=4)]
+
+
 class InferenceNode(Model):
     """A node that holds a belief about the target, or fuses its children for its parent.
 
@@ -246,6 +264,11 @@ class InferenceNode(Model):
         default=None,
         description="root only; hidden discrete states with memory: ways to move, and whether it is seen. "
         "Default: one way, always seen",
+    )
+    category: Categories | None = Field(
+        default=None,
+        description="root only; [what the target is and stays](categories.md), such as its team: discrete "
+        "constants with evidence. Default: none",
     )
     estimate: Estimate | None = Field(default=None, description="root only; default map")
     fuse: Fuse | None = Field(default=None, description="required with two or more children")

@@ -189,11 +189,16 @@ def _bracketed(sd: Term) -> str:
 
 
 def mode_lines(target: CheckedTarget, describe: Callable[[Motion], str]) -> list[str]:
-    """A line for each mode of the root, `describe` saying how a motion moves; none without modes."""
-    modes = target.inference(target.root).modes
-    if modes is None:
-        return []
-    return [f"mode {name}: {', '.join(_said(modes, name, describe))}" for name in modes]
+    """A line for each mode and category of the root, `describe` saying how a motion moves."""
+    modes, categories = (
+        target.inference(target.root).modes or {},
+        target.inference(target.root).category or {},
+    )
+    lines = [f"mode {name}: {', '.join(_said(modes, name, describe))}" for name in modes]
+    for name, one in categories.items():
+        prior = one.prior or dict.fromkeys(one.values, 1.0 / len(one.values))
+        lines.append(f"{name}: {', '.join(f'{value} {prior[value]:.3g}' for value in one.values)}, and stays")
+    return lines
 
 
 def latex_mode_lines(target: CheckedTarget, now: str, before: str) -> list[str]:

@@ -283,8 +283,8 @@ OTHER_FORMS: Sequence[Rule] = (
     (
         r"^unknown key 'delay'",
         _always(
-            "a sensor that is late by one frame measures a field that keeps the state of the frame before: "
-            "drift: {x1: x} in the motion, and measures: {u: x1}"
+            "delay is of readings, whose sensor tells late: agent: {readings: {file: FILE.csv, sd: {u: 3}, "
+            "delay: 2}}"
         ),
     ),
     (
@@ -296,7 +296,17 @@ OTHER_FORMS: Sequence[Rule] = (
     ),
     (
         r"^unknown key 'confusion'",
-        _always("errors of labels are not modelled: min_score and labels say which detections count"),
+        _always(
+            "how probable each label is, is of the agent: agent: {detection: {confusion: {team: {red: "
+            "{red: 0.9, blue: 0.1}, ..}}}}, with category: {team: {values: [red, blue]}} at the root"
+        ),
+    ),
+    (
+        r"cannot be distinguished from",
+        _always(
+            "what a target is and stays is no mode: category: {team: {values: [red, blue]}} at the root, "
+            "with labels of detections or a factor as evidence"
+        ),
     ),
 )
 """The same of what is said in another form: what a model would need -> how this language says it."""

@@ -189,6 +189,7 @@ class ModeChanged:
         nats: log of how much likelier the frame's evidence is in `mode` than in `before`.
         turning: nats up to which `before` would have stayed more probable.
         hidden: probability that the target cannot be seen; None where it always can.
+        of: the category of which `mode` and `before` are values; empty where they are modes.
     """
 
     frame: int
@@ -200,9 +201,12 @@ class ModeChanged:
     nats: float
     turning: float
     hidden: float | None = None
+    of: str = ""
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
+        if self.of:
+            return self._describe_value()
         side = "higher" if self.nats >= 0 else "lower"
         turning = round_away(self.turning, decimals(self.turning, self.nats), up=False)
         hidden = "" if self.hidden is None else f"; hidden with probability {self.hidden:.2f}"
@@ -211,6 +215,16 @@ class ModeChanged:
             f"{self.before} → target {self.target} in mode {self.mode} with probability "
             f"{self.probability:.2f}, predicted {self.predicted:.2g}{hidden}; would have stayed in "
             f"{self.before} at ≤ {turning} nats"
+        )
+
+    def _describe_value(self) -> str:
+        turning = round_away(self.turning, decimals(self.turning, self.nats), up=False)
+        side = "higher" if self.nats >= 0 else "lower"
+        return (
+            f"the frame's evidence is {abs(self.nats):.3g} nats {side} for {self.of} {self.mode} than for "
+            f"{self.before} → {self.of} of target {self.target} is {self.mode} with probability "
+            f"{self.probability:.2f}, predicted {self.predicted:.2g}; would have stayed {self.before} at ≤ "
+            f"{turning} nats"
         )
 
 

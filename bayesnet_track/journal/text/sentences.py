@@ -190,7 +190,11 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
         f"baseline {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
     ]
     if line.modes:
-        rows.append(_modes(line))
+        rows.append(f"  modes      {_probabilities(line.modes, line.modes_predicted)}")
+    rows += [
+        f"  {name:<10} {_probabilities(now, _values_of(line.category_predicted, name))}"
+        for name, now in line.categories.items()
+    ]
     mine = [event for event in events if getattr(event, "target", None) == line.target]
     if line.features:
         rows.append(f"{_score(line, slopes)}{_limit(line, mine)}")
@@ -216,18 +220,20 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
     return "\n".join(rows)
 
 
-def _modes(line: FrameMetrics) -> str:
+def _values_of(category: Mapping[str, float], name: str) -> dict[str, float]:
+    return {key.partition("=")[2]: share for key, share in category.items() if key.startswith(f"{name}=")}
+
+
+def _probabilities(now: Mapping[str, float], before: Mapping[str, float]) -> str:
     """Each mode before the evidence, what the frame says of it in nats, the best one 0, and after it."""
-    if not line.modes_predicted:
-        return f"  modes      {', '.join(f'{mode} {p:.3g}' for mode, p in line.modes.items())}"
-    before = line.modes_predicted
-    nats = {mode: log(p / before[mode]) for mode, p in line.modes.items()}
+    if not before:
+        return ", ".join(f"{mode} {p:.3g}" for mode, p in now.items())
+    nats = {mode: log(p / before[mode]) for mode, p in now.items()}
     best = max(nats.values())
-    said = (
-        f"{mode} predicted {before[mode]:.3g}, evidence {nats[mode] - best:+.2f} nats, now {now:.3g}"
-        for mode, now in line.modes.items()
+    return "; ".join(
+        f"{mode} predicted {before[mode]:.3g}, evidence {nats[mode] - best:+.2f} nats, now {p:.3g}"
+        for mode, p in now.items()
     )
-    return f"  modes      {'; '.join(said)}"
 
 
 def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:

@@ -25,7 +25,8 @@ from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.graph.spec import GraphSpec, InferenceNode
+from bayesnet_track.graph.checks.factors import delay_of
+from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode
 from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
@@ -69,11 +70,20 @@ def check_kept(graph: GraphSpec) -> None:
         UnkeptBeliefError: one is a Gaussian for each mode.
     """
     for kind, plate in graph.targets.items():
-        for name, node in plate.nodes.items():
-            if isinstance(node, InferenceNode) and node.modes and node.belief and node.belief.gaussian:
+        for name, agent in plate.nodes.items():
+            if isinstance(agent, AgentNode) and delay_of(agent):
                 keep = setting("--keep-beliefs")
                 raise UnkeptBeliefError(
-                    f"{keep}: {kind}.{name} is Gaussian in modes, which cannot be smoothed yet; "
+                    f"{keep}: {kind}.{name} has a delay, and beliefs with their past cannot be smoothed yet; "
+                    f"allowed: no delay, or no {keep}"
+                )
+        for name, node in plate.nodes.items():
+            if not isinstance(node, InferenceNode) or not node.belief or not node.belief.gaussian:
+                continue
+            if node.modes or node.category:
+                keep, what = setting("--keep-beliefs"), "modes" if node.modes else "categories"
+                raise UnkeptBeliefError(
+                    f"{keep}: {kind}.{name} is Gaussian in {what}, which cannot be smoothed yet; "
                     f"allowed: belief: particles, or no {keep}"
                 )
 

@@ -181,8 +181,8 @@ class Run:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """The columns of its table, those of `tables.TRACK_COLUMNS`, velocities, own fields and queries."""
-        measured = dict.fromkeys(name for line in self.metrics for name in line.state)
+        """The columns of its table: `tables.TRACK_COLUMNS`, velocities, own fields, categories, queries."""
+        measured = dict.fromkeys(name for line in self.metrics for name in (*line.state, *line.category))
         fields = (name for name in measured if name not in TRACK_COLUMNS)
         asks = "\nqueries:" in self.graph_text
         return (*TRACK_COLUMNS, *fields, *(query_columns(self.spec.queries) if asks else ()))

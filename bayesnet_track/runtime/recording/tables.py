@@ -65,7 +65,7 @@ def track_rows(
     return [
         {name: get(line) for name, get in TRACK_COLUMNS.items()}
         | {"kind": kinds.get(line.target)}
-        | {name: line.state.get(name, line.queries.get(name)) for name in further}
+        | {name: line.state.get(name, line.category.get(name, line.queries.get(name))) for name in further}
         for line in metrics
     ]
 

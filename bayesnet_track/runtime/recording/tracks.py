@@ -13,8 +13,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from bayesnet_track.belief.motion.modes import key_of
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.checks.plates import ground_fields
+from bayesnet_track.graph.checks.plates import ground_fields, root_of
 from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics
@@ -36,12 +37,20 @@ def has_csv(graph: GraphSpec) -> bool:
 
 
 def number_columns(graph: GraphSpec) -> tuple[str, ...]:
-    """The columns of ``tracks.csv`` besides `CSV_COLUMNS`: states on the ground, answers to queries."""
+    """The columns of ``tracks.csv`` besides `CSV_COLUMNS`: states on the ground, categories, queries."""
     fields = dict.fromkeys(
         name for plate in graph.targets.values() if plate.is_ground for name in ground_fields(plate)
     )
     own = (*fields, *(f"{name}_sd" for name in fields), *(("xy_corr",) if fields else ()))
-    return (*own, *query_columns(graph.queries))
+    return (*own, *category_columns(graph), *query_columns(graph.queries))
+
+
+def category_columns(graph: GraphSpec) -> tuple[str, ...]:
+    """`team=red` of each value of each category of the targets."""
+    roots = (root_of(target) for target in graph.targets.values())
+    written = (root.category for root in roots if root is not None and root.category is not None)
+    keys = (key_of(name, value) for own in written for name, one in own.items() for value in one.values)
+    return tuple(dict.fromkeys(keys))
 
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
@@ -67,7 +76,7 @@ class Tracked:
         scores: of each target, 0..1.
         uds: UD of each target, px^2.
         actives: agents that gave evidence of each target, separated by spaces.
-        answers: of each target the answers to queries, and fields of its state, by name.
+        answers: of each target the answers to queries, fields of its state and what it is, by name.
     """
 
     frame: int
@@ -92,7 +101,7 @@ class Tracked:
             [line.score for line in lines],
             [line.ud_px2 for line in lines],
             [" ".join(line.active) for line in lines],
-            [{**line.state, **line.queries} for line in lines],
+            [{**line.state, **line.category, **line.queries} for line in lines],
         )
 
     @cached_property
