@@ -3,8 +3,8 @@
     python benchmarks/complaints.py [--seeds 500-503] [--graphs kalman_detections,jpda,sort,bytetrack]
 
 All detections are drawn, with errors of 3 % of the sides. Printed are the identity switches of all seeds,
-and how many identities each target has on average; few identities in few frames are no success, so that the share
-of detections with one is printed where it is below a half. `docs/benchmarks/crowds.md` has the table.
+and how many identities each target has on average; few identities in few frames are no success, so that the
+share of detections with one is printed where it is below a half. `docs/benchmarks/crowds.md` has the table.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
     python benchmarks/existence.py --detections FILE --truth FILE --images FOLDER
 
 A reported target exists in a frame if it is a person's, one to one and the nearest first, whether the person
-is detected there or not: within 40 px on the crowds, with an overlap of .3 or more in files (MOT). Of each bin are
-printed the targets in it, their mean probability, and the share of them that exist.
+is detected there or not: within 40 px on the crowds, with an overlap of .3 or more in files (MOT). Of each bin
+are printed the share of its targets that exist, their mean probability, and their number.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ import numpy as np
 from crowd_association import CELLS, NEAR_PX, FileDetector, _advance
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
-from simulated.crowd_detector import DetectorSettings, detect_crowd
-from simulated.walkers import CrowdSettings, make_crowd
 
 from bayesnet_track import load_graph
-from bayesnet_track.engine.step import Outcome, State, make_engine, step
+from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
+from simulated.crowd_detector import DetectorSettings, detect_crowd
+from simulated.walkers import CrowdSettings, make_crowd
 
 BINS = 10
 LEAST_OVERLAP = 0.3
