@@ -59,8 +59,14 @@ def _describe(value: Any, within: tuple[int, ...]) -> object:
         _code(function.__code__),
         [(name, _describe(one, within)) for name, one in _globals(function)],
         [_describe(cell.cell_contents, within) for cell in function.__closure__ or ()],
-        _describe(getattr(value, "targetoptions", {}), within),
+        _describe(_settings(value), within),
     )
+
+
+def _settings(kernel: Any) -> dict[str, Any]:
+    """Settings that become part of the machine code."""
+    settings = getattr(kernel, "targetoptions", {})
+    return {name: value for name, value in settings.items() if name != "no_cfunc_wrapper"}
 
 
 def _code(code: CodeType) -> object:
@@ -142,6 +148,7 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
         "nogil": True,
         "fastmath": relaxed,
         "forceinline": True,
+        "no_cfunc_wrapper": True,  # called from Python only; a tenth of the compilation
         "error_model": "numpy",  # a division that may raise keeps its loop from vector instructions
     }
     try:
