@@ -292,3 +292,27 @@ def test_sizes_are_those_of_the_calibrations(tmp_path):
     with pytest.raises(ValueError, match=r"east.json: of 800x480 px, and the frames have 640x480 px"):
         DetectionsTracker(path, size=(640, 480))
     assert DetectionsTracker(path, size={"south": (640, 480), "east": (800, 480)})
+
+
+def test_a_standing_target_is_as_uncertain_as_the_biases_of_its_cameras(tmp_path):
+    """At best it is where both cameras, each off by its own bias, agree; one camera alone knows less."""
+    place, bias_px, rng = np.array([0.5, 10.0]), 4.0, np.random.default_rng(0)
+    state, sds, information = np.array([[*place, WIDTH[0], HEIGHT[0]]]), {}, np.zeros((4, 4))
+    for cameras in (("south",), ("south", "east")):
+        path = write_graph(tmp_path, cameras)
+        graph = json.loads(path.read_text())
+        for source in graph["cameras"].values():
+            source["bias_px"] = {"sd": bias_px}
+        path.write_text(json.dumps(graph))
+        tracker = DetectionsTracker(path, fps=FPS)
+        for step in range(80):
+            given = {name: detections_of(noisy(boxes_of(name, place), rng)) for name in cameras}
+            tracker.update(given if len(cameras) > 1 else given["south"], time_s=step / FPS)
+        (target,) = tracker.targets
+        sds[len(cameras)] = np.array([target.state["x_m_sd"], target.state["y_m_sd"]])
+    for name in ("south", "east"):
+        slopes = CAMERAS[name].jacobian(state)[0][:2]  # the sides of boxes have no bias, and noise averages out
+        information += slopes.T @ slopes / bias_px**2
+    least = np.sqrt(np.diag(np.linalg.inv(information[:2, :2])))
+    assert (sds[2] > 0.9 * least).all()
+    assert (sds[2] < sds[1]).all()
