@@ -90,6 +90,31 @@ def visible_boxes(boxes: Floats, frame: tuple[int, int]) -> Floats:
     return np.where(seen, held, np.array(UNSEEN))
 
 
+AT_BORDER = 1.5
+"""An edge of a box that is so many px from the image's border at most was cut there."""
+
+_EDGES = np.array([[0.5, 0.0, -1.0, 0.0], [0.0, 0.5, 0.0, -1.0], [0.5, 0.0, 1.0, 0.0], [0.0, 0.5, 0.0, 1.0]])
+"""By how much x, y, w, h of a box change with its left, upper, right and lower edge."""
+
+
+def cut_covariance(camera: GroundView, boxes: Floats) -> Floats:
+    """(N, 4, 4) further errors of boxes (N, 4) with edges at the border of the image, where they were cut.
+
+    Such an edge is not seen: it may be anywhere beyond, with an sd of the image's own side. A box that goes
+    on beyond the border was not cut.
+    """
+    cut = np.zeros((len(boxes), 4, 4))
+    if camera.size is None:
+        return cut
+    size = np.array(camera.size, dtype=np.float64)
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
+    away = np.column_stack([low + 0.5, high - size + 0.5])
+    for k, edge in enumerate(_EDGES):
+        at_border = np.abs(away[:, k]) <= AT_BORDER
+        cut[at_border] += size[k % 2] ** 2 * np.outer(edge, edge)
+    return cut
+
+
 def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
     """Measurement of the box in the image by `agent`, as a measurement of the state on the ground."""
     inner, errors = measured.seen, measured.errors
@@ -108,6 +133,10 @@ def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
         errors = replace(errors, function=lambda states, away: of_boxes(in_image(states), away))
     periods = np.full(len(measured.fields), np.inf) if inner is None else inner.periods
     choices = tuple((weight, through(view, one, agent)) for weight, one in measured.choices)
+    if measured.fields == BOX and inner is None:
+        cut = cut_covariance(view.camera, measured.mean[None])[0]
+        if cut.any():
+            measured = replace(measured, covariance=measured.covariance + cut)
     return replace(measured, seen=Seen(function, periods, view.shared), choices=choices, errors=errors)
 
 
@@ -149,6 +178,8 @@ def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str
             lasting[:, :, k] = effects(error, boxes)
     of_lasting = np.array([error.sd**2 for error in view.lasting])
     variances = variances + (lasting**2 @ of_lasting if len(of_lasting) else 0.0)
+    whole = variances[:, :, None] * np.eye(4) + cut_covariance(camera, boxes)
+    precision = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     feet = camera.ground_points(np.column_stack([boxes[:, 0], boxes[:, 1] + boxes[:, 3] / 2]))
     prior = np.array([0.0 if one is None else one[1] ** -2 for one in (None, None, *sizes)])
     usual = np.array([0.0, 0.0, *(1.0 if one is None else one[0] for one in sizes)])
@@ -158,12 +189,12 @@ def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str
         for k in (2, 3):
             if sizes[k - 2] is None:
                 states[:, k] *= boxes[:, k] / first[:, k]
-        information, pull = _normal(camera, states, boxes, variances, prior, usual)
+        information, pull = _normal(camera, states, boxes, precision, prior, usual)
         for _ in range(STEPS):
             step = _solve(information, pull)
             states[:, :2] += step[:, :2]
             states[:, 2:] = np.maximum(states[:, 2:] + step[:, 2:], states[:, 2:] / 4)  # sizes stay positive
-            information, pull = _normal(camera, states, boxes, variances, prior, usual)
+            information, pull = _normal(camera, states, boxes, precision, prior, usual)
             if not (np.abs(step) > CLOSE).any():
                 break
         covariances = _inverse(information)
@@ -171,7 +202,7 @@ def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str
         usable = done & np.isfinite(states).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
         usable &= np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]) < FARTHEST
     which = np.flatnonzero(usable)
-    weighted = np.swapaxes(camera.jacobian(states[which]) / variances[which][:, :, None], 1, 2)
+    weighted = np.swapaxes(camera.jacobian(states[which]), 1, 2) @ precision[which]
     cross = -covariances[which] @ weighted @ lasting[which] * of_lasting
     return Placed(which, states[which], covariances[which], cross)
 
@@ -181,11 +212,11 @@ FARTHEST = 25.0
 
 
 def _normal(
-    camera: GroundView, states: Floats, boxes: Floats, variances: Floats, prior: Floats, usual: Floats
+    camera: GroundView, states: Floats, boxes: Floats, precision: Floats, prior: Floats, usual: Floats
 ) -> tuple[Floats, Floats]:
     """(N, 4, 4) information, and (N, 4) slopes of the log density."""
     slopes = camera.jacobian(states)
-    weighted = np.swapaxes(slopes / variances[:, :, None], 1, 2)
+    weighted = np.swapaxes(slopes, 1, 2) @ precision
     away = boxes - camera.boxes(states)
     pull = (weighted @ away[:, :, None])[:, :, 0] + prior * (usual - states)
     return weighted @ slopes + np.diag(prior), pull

@@ -272,3 +272,27 @@ def test_slow_errors_of_a_detector_stay_in_the_interval(tmp_path):
         (target,) = tracker.targets
         sds[slow] = target.state["x_m_sd"]
     assert sds[0.05] > 1.5 * sds[0.0]
+
+
+def test_the_cut_edge_of_a_box_is_no_measurement(tmp_path):
+    """Somebody stands so near that the image ends at the knees: the place is where the head says."""
+    place = np.array([0.0, 4.8])
+    (box,) = boxes_of(place[None])
+    low, high = box[1] - box[3] / 2, box[1] + box[3] / 2
+    assert high > 479.5 + 20  # the feet are below the image
+    cut = box.copy()
+    cut[1], cut[3] = (low + 479.5) / 2, 479.5 - low
+    tracker = DetectionsTracker(write_graph(tmp_path, associate="marginal"), fps=FPS)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        seen = noisy(cut[None], rng)
+        top = seen[0, 1] - seen[0, 3] / 2
+        seen[0, 1], seen[0, 3] = (top + 479.5) / 2, 479.5 - top
+        tracker.update(detections_of(seen))
+    (target,) = tracker.targets
+    state = target.state
+    away = np.array([state["x_m"], state["y_m"]]) - place
+    sds = np.array([state["x_m_sd"], state["y_m_sd"]])
+    assert (np.abs(away) < 3.0 * sds).all(), (away, sds)
+    assert np.abs(away[1]) < 0.6
+    assert sds[1] > 0.1  # as uncertain as the height, 0.1 m, leaves it

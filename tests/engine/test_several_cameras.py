@@ -311,7 +311,9 @@ def test_a_standing_target_is_as_uncertain_as_the_biases_of_its_cameras(tmp_path
         (target,) = tracker.targets
         sds[len(cameras)] = np.array([target.state["x_m_sd"], target.state["y_m_sd"]])
     for name in ("south", "east"):
-        slopes = CAMERAS[name].jacobian(state)[0][:2]  # the sides of boxes have no bias, and noise averages out
+        slopes = CAMERAS[name].jacobian(state)[0][
+            :2
+        ]  # the sides of boxes have no bias, and noise averages out
         information += slopes.T @ slopes / bias_px**2
     least = np.sqrt(np.diag(np.linalg.inv(information[:2, :2])))
     assert (sds[2] > 0.9 * least).all()

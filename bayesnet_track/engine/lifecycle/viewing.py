@@ -20,7 +20,7 @@ from bayesnet_track.engine.lifecycle.measuring import (
 )
 from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.inference.views import UNSEEN, View, Views, place
+from bayesnet_track.inference.views import UNSEEN, View, Views, cut_covariance, place
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile, symmetric
 from bayesnet_track.observation.cue import AssociationRule
@@ -85,7 +85,7 @@ class ViewSensor:
         if not len(rows):
             return
         expected = self.expect(mean[rows], covariance[rows])
-        variances = self.association.variances(found.values)
+        noise = self._noise(found)
         first = mean.shape[1] - len(self.views.lasting)
         shared = [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]
         for at, row in enumerate(rows.tolist()):
@@ -94,7 +94,7 @@ class ViewSensor:
             own = slice(mixed.starts[row], mixed.starts[row + 1])
             columns, shares = mixed.columns[own], mixed.weights[own]
             cross = expected.cross[at]
-            spread = expected.spread[at] + variances[columns][:, :, None] * np.eye(WIDTH)
+            spread = expected.spread[at] + noise[columns]
             gains = np.swapaxes(
                 np.linalg.solve(spread, np.broadcast_to(cross.T, (len(columns), *cross.T.shape))), 1, 2
             )
@@ -146,13 +146,17 @@ class ViewSensor:
     def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where the camera sees nothing."""
         expected = self.expect(mean, covariance)
-        noise = self.association.variances(found.values)[:, :, None] * np.eye(WIDTH)
-        lower = np.linalg.cholesky(expected.spread[:, None] + noise)
+        lower = np.linalg.cholesky(expected.spread[:, None] + self._noise(found))
         away = found.values[None] - expected.values[:, None]
         scaled = np.linalg.solve(lower, away[..., None])[..., 0]
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
         half = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
         return d2, -0.5 * d2 - half
+
+    def _noise(self, found: Found) -> Floats:
+        """(N, 4, 4) of the errors of detections that differ from frame to frame, cut edges included."""
+        own = self.association.variances(found.values)[:, :, None] * np.eye(WIDTH)
+        return own + cut_covariance(self.view.camera, found.values)
 
     def _of(self, states: Floats) -> Floats:
         return self.view.boxes(self.views.named(states), self.agent)
