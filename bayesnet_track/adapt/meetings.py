@@ -46,6 +46,8 @@ MISSED = 0
 """In place of the number of a detection: there was none."""
 GAPS = (1, 2, 4, 8)
 """Classes of frames since a target's last detection: from so many frames on."""
+LAPSE = 0.01
+"""Share of meetings in which what happened is nothing that the motion expects: nobody is surer than that."""
 NEW = "new"
 """Identity of what is none of those that are known."""
 SHARED_SD = 0.3
@@ -389,6 +391,9 @@ def place_tracks(meeting: Meeting, tracks: Sequence[str], mean: Floats, covarian
     log = log - np.logaddexp.reduce(log, axis=0) + meeting.log_weight
     probability = np.exp(log).sum(axis=1)
     looks = (np.exp(log) @ meeting.looks) / np.maximum(probability, 1e-300)
+    left_out = (choices == count).sum(axis=1)
+    alike = left_out == left_out[np.argmax(probability)]
+    probability = (1.0 - LAPSE) * probability + LAPSE * alike / alike.sum()
     order = np.argsort(-probability, kind="stable")
     order = order[probability[order] > LEAST]
     share = probability[order] / probability[order].sum()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import yaml
 
-from bayesnet_track import DetectionsTracker, load_graph
+from bayesnet_track import DetectionsTracker, load_graph, track
 from bayesnet_track.engine.compiled import compile_graph
 from bayesnet_track.engine.step import compile_stages
 from bayesnet_track.graph.checked import CheckedGraph
@@ -123,3 +126,29 @@ def test_a_graph_that_cannot_be_asked_is_refused(name: str, found: str) -> None:
     with pytest.raises(GraphError) as error:
         with_identity(name)
     assert found in str(error.value)
+
+
+def test_the_table_of_tracks_has_the_two_most_probable_identities(tmp_path: Path) -> None:
+    frames, source = ways((24, 36), 1.0), tmp_path / "images"
+    source.mkdir()
+    rows = [
+        f"{step + 1},-1,{x - w / 2:.2f},{y - h / 2:.2f},{w:.2f},{h:.2f},0.9"
+        for step, boxes in enumerate(frames)
+        for x, y, w, h in boxes
+    ]
+    detections = tmp_path / "det.txt"
+    detections.write_text("\n".join(rows), encoding="utf-8")
+    for step in range(len(frames)):
+        cv2.imwrite(str(source / f"{step:06}.png"), np.full((480, 640), 90 + step, np.uint8))
+    out = tmp_path / "run"
+    for _ in track(with_identity(), source, detections=detections, out=out):
+        pass
+    with (out / "tracks.csv").open(encoding="utf-8") as file:
+        table = [*csv.DictReader(file)]
+    doubtful = [row for row in table if row["identity"]]
+    assert table[-1] in doubtful and len(doubtful) < len(table)
+    assert {table[-1]["identity"], table[-1]["other_identity"]} == {"1", "2"}
+    assert float(table[-1]["identity_p"]) + float(table[-1]["other_identity_p"]) == pytest.approx(
+        1.0, abs=0.01
+    )
+    assert '"identity_doubtful"' in (out / "journal.jsonl").read_text(encoding="utf-8")

@@ -15,6 +15,7 @@ import numpy as np
 from bayesnet_track.adapt.identities import Entangled, PlateIdentities, compose, keep_live
 from bayesnet_track.adapt.meetings import (
     FAR_D2,
+    LAPSE,
     MOST_DETECTIONS,
     MOST_MEMBERS,
     Meeting,
@@ -173,7 +174,7 @@ class Identifying:
             meeting = self._advanced(_predicted(meeting, expecting), expected, seen, rates)
             placing = self._placed(meeting, after, meetings)
             apart = frame - meeting.last_near
-            is_plain = apart >= 2 and placing is not None and placing.probability[0] >= PLAIN
+            is_plain = apart >= 2 and placing is not None and placing.probability[0] >= PLAIN - LAPSE
             if placing is None:
                 continue
             if is_plain or apart >= self.rule.settle or frame - meeting.since >= LONGEST:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.journal.frame_columns import columns_of, narrowed, strings
 from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
-from bayesnet_track.runtime.recording.tracks import Tracked
+from bayesnet_track.runtime.recording.tracks import Tracked, identity_cells
 
 FEW = 8
 """Hypotheses are written by default in frames of so many targets at most."""
@@ -42,5 +42,10 @@ def measured(
         columns["score"].tolist(),
         columns["ud_px2"].tolist(),
         [name.decode() for name in columns["active"].tolist()],
-        [numbers_of(lines.answers, target) for target in lines.ids] if lines.answers else (),
+        [
+            {**numbers_of(lines.answers, target), **identity_cells(lines.identities.get(target, {}))}
+            for target in lines.ids
+        ]
+        if lines.answers or lines.identities
+        else (),
     )

@@ -37,12 +37,14 @@ def has_csv(graph: GraphSpec) -> bool:
 
 
 def number_columns(graph: GraphSpec) -> tuple[str, ...]:
-    """The columns of ``tracks.csv`` besides `CSV_COLUMNS`: states on the ground, categories, queries."""
+    """The columns of ``tracks.csv`` besides `CSV_COLUMNS`: ground states, categories, queries, identities."""
     fields = dict.fromkeys(
         name for plate in graph.targets.values() if plate.is_ground for name in ground_fields(plate)
     )
     own = (*fields, *(f"{name}_sd" for name in fields), *(("xy_corr",) if fields else ()))
-    return (*own, *category_columns(graph), *query_columns(graph.queries))
+    doubtful = any(plate.identity is not None for plate in graph.targets.values())
+    identities = IDENTITY_COLUMNS if doubtful else ()
+    return (*own, *category_columns(graph), *query_columns(graph.queries), *identities)
 
 
 def category_columns(graph: GraphSpec) -> tuple[str, ...]:
@@ -51,6 +53,21 @@ def category_columns(graph: GraphSpec) -> tuple[str, ...]:
     written = (root.category for root in roots if root is not None and root.category is not None)
     keys = (key_of(name, value) for own in written for name, one in own.items() for value in one.values)
     return tuple(dict.fromkeys(keys))
+
+
+IDENTITY_COLUMNS = ("identity", "identity_p", "other_identity", "other_identity_p")
+"""The two most probable identities of a target; empty while it is not doubtful."""
+
+
+def identity_cells(identities: Mapping[str, float]) -> dict[str, str | float]:
+    """The cells of `IDENTITY_COLUMNS` of a target.
+
+    >>> identity_cells({"4": 0.71, "9": 0.22, "new": 0.07})
+    {'identity': '4', 'identity_p': 0.71, 'other_identity': '9', 'other_identity_p': 0.22}
+    """
+    ranked = sorted(identities.items(), key=lambda item: -item[1])[:2]
+    cells = (cell for item in ranked for cell in item)
+    return dict(zip(IDENTITY_COLUMNS, cells, strict=False))
 
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
@@ -87,7 +104,7 @@ class Tracked:
     scores: Sequence[float]
     uds: Sequence[float]
     actives: Sequence[str]
-    answers: Sequence[Mapping[str, float]] = ()
+    answers: Sequence[Mapping[str, str | float]] = ()
 
     @classmethod
     def of(cls, lines: Sequence[FrameMetrics]) -> Self:
@@ -101,7 +118,10 @@ class Tracked:
             [line.score for line in lines],
             [line.ud_px2 for line in lines],
             [" ".join(line.active) for line in lines],
-            [{**line.state, **line.category, **line.queries} for line in lines],
+            [
+                {**line.state, **line.category, **line.queries, **identity_cells(line.identities)}
+                for line in lines
+            ],
         )
 
     @cached_property
@@ -218,8 +238,10 @@ def _cell(text: str) -> str:
     return cells[0][: -len(",0")]
 
 
-def _number_cell(value: float | None) -> str:
-    """A number with six digits, without a sign where it is 0; empty for none."""
+def _number_cell(value: str | float | None) -> str:
+    """A number with six digits, without a sign where it is 0, or a text; empty for none."""
+    if isinstance(value, str):
+        return _cell(value)
     if value is None or math.isnan(value):
         return ""
     text = f"{value:.6g}"
