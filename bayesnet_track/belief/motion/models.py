@@ -126,6 +126,8 @@ def steps(dynamics: Rows, diffusion: float, dt: float) -> tuple[Floats, Floats]:
         transition = transition + term
         covariance = covariance + rate
         rate = (matrix @ rate + rate @ matrix.T) * (h / (k + 1))
+        if not (term.any() or rate.any()):  # the powers of A that are left are 0
+            break
     for _ in range(doublings):
         covariance = covariance + transition @ covariance @ transition.T
         transition = transition @ transition

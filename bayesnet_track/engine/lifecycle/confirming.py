@@ -16,7 +16,7 @@ from bayesnet_track.belief.motion.modes import mode_probabilities, moments_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.initiating import initiate, velocity
+from bayesnet_track.engine.lifecycle.initiating import initiate, velocities
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
 from bayesnet_track.engine.lifecycle.sensing import Found
@@ -28,7 +28,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.lives import BirthsRefused, CandidateConfirmed, Continued, Returned
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import OBSERVED
 from bayesnet_track.observation.planes import Frame
@@ -69,6 +69,8 @@ class Births:
 
 def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> list[Candidate]:
     """Confirmed candidates become targets, the best first, while there is room; those that are done with."""
+    if not ready:
+        return []
     tracks, most = now.tracks, now.birth.max_targets
     dead = [one for one in tracks.history.dead if one.template == now.plate]
     boxes = np.array([one.box for one in ready[:TESTED]]).reshape(-1, 4)
@@ -77,6 +79,7 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
     refused: list[Floats] = []
     compiled = now.work.engine.plates[now.plate]
     live, places, count = len(tracks.of_plate(now.plate)), *_with_room(now, len(ready))
+    unseen = _unseen(now)
     for number, waiting in enumerate(ready):
         candidate = initiate(compiled, waiting)
         if candidate.is_far and candidate.mean is None:
@@ -84,8 +87,9 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
         place = _place(compiled, candidate)
         if _is_one_of(now, place, places[:count]):
             done.append(waiting)
-        elif _continue(now, candidate):
+        elif (target := _continue(now, candidate, unseen)) is not None:
             done.append(waiting)
+            unseen = None if unseen is None else unseen.without(target)
             places, count = _with_room(now, len(ready))
         elif live >= most:
             if not _is_one_of(now, place, np.array(refused).reshape(-1, 4)):
@@ -125,16 +129,21 @@ def _with_room(now: Births, more: int) -> tuple[Floats, int]:
     return np.concatenate([places, np.empty((more, 4))]), len(places)
 
 
-def _continue(now: Births, candidate: Candidate) -> bool:
-    """Let a live target go on with a candidate's detections if it lost its own when these began."""
-    compiled, tracks, frame = now.work.engine.plates[now.plate], now.tracks, now.frame
-    rules = compiled.association_rules
+def _unseen(now: Births) -> Unseen | None:
+    """The targets that a candidate may turn out to be; None where none goes on with its detections."""
+    rules = now.work.engine.plates[now.plate].association_rules
+    if max((rule.continue_box for rule in rules.values()), default=0.0) <= 0.0:
+        return None
+    return Unseen.of(now.tracks, now.plate, now.work.engine.plates[now.plate].motion)
+
+
+def _continue(now: Births, candidate: Candidate, unseen: Unseen | None) -> str | None:
+    """The live target that goes on with a candidate's detections: it lost its own when these began."""
+    tracks, frame, rules = now.tracks, now.frame, now.work.engine.plates[now.plate].association_rules
     reach_box = max((rule.continue_box for rule in rules.values()), default=0.0)
-    if reach_box <= 0.0:
-        return False
-    same = find_continuation(tracks, now.plate, candidate, frame.time, (compiled.motion, reach_box))
+    same = None if unseen is None else find_continuation(tracks, unseen, candidate, frame.time, reach_box)
     if same is None:
-        return False
+        return None
     target, box = same.target, candidate.box
     state = restart(now.work, target, now.plate, box, tracks.state(target))
     state = _as_known(compiled, with_belief(state, candidate, rules), candidate, None)
@@ -142,7 +151,7 @@ def _continue(now: Births, candidate: Candidate) -> bool:
     tracks.decide(Continued(frame.index, target, box_of(box), *numbers))
     since = tracks.record(target).since
     tracks.put_back(target, state, start_record(state, since, frame))
-    return True
+    return target
 
 
 def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMetrics:
@@ -261,7 +270,7 @@ def match_known(
 ) -> tuple[Match, ...]:
     """Which of the boxes (M, 4) are which of the known targets."""
     reidentify = now.rule.reidentify
-    if reidentify is None:
+    if reidentify is None or not known or not len(boxes):
         return ()
     others = np.concatenate([now.tracks.boxes(now.tracks.held(now.plate)), detections[:TESTED]])
     compared = compare(now.work, now.plate, reidentify, boxes, others, known)
@@ -293,36 +302,69 @@ class Continuation:
     distance_box: float
 
 
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """U live targets of a plate without a detection of their own.
+
+    Attributes:
+        plate: the plate.
+        ids: target ids.
+        frames: (U,) for how many frames.
+        boxes: (U, 4) means of their boxes.
+        steps: (U, 2) means of their velocities, px a frame interval.
+    """
+
+    plate: str
+    ids: Sequence[str]
+    frames: Ints
+    boxes: Floats
+    steps: Floats
+
+    @classmethod
+    def of(cls, tracks: LiveTable, plate: str, motion: MotionModel) -> Unseen:
+        """Find them in the table of the living; they move by `motion`."""
+        ids, frames, means = tracks.unseen(plate, len(motion.fields))
+        return cls(plate, ids, frames, means[:, :4], velocities(motion, means))
+
+    def without(self, target: str) -> Unseen:
+        """All but one."""
+        rows = np.array([one != target for one in self.ids], dtype=np.bool_)
+        ids = [one for one in self.ids if one != target]
+        return Unseen(self.plate, ids, self.frames[rows], self.boxes[rows], self.steps[rows])
+
+
 def find_continuation(
-    tracks: LiveTable, plate: str, candidate: Candidate, now: float, rule: tuple[MotionModel, float]
+    tracks: LiveTable, unseen: Unseen, candidate: Candidate, now: float, reach_box: float
 ) -> Continuation | None:
-    """The nearest live target of a plate that lost its detections when the candidate's began.
+    """The nearest live target that lost its detections when the candidate's began.
 
     In the frame of its last detection the candidate had none, for else they are two objects; and no other
-    target covers it, for that would be why it is missed. `now` is the time, frame intervals; the `rule` says
-    how targets move, and how far off they may be, in box sides.
+    target covers it, for that would be why it is missed. `now` is the time, frame intervals; `reach_box` says
+    how far off a target may be, in box sides.
     """
-    (motion, reach_box), targets = rule, tracks.unseen(plate)
-    places = []
-    for target, unseen in targets.items():
-        if len(candidate.looks) > unseen and candidate.looks[-1 - unseen] is not None:
-            continue
-        last = now - unseen
-        later = [(time, box) for time, box in candidate.track if time > last + 0.5]
-        if later and later[0][0] - last <= MAX_GAP:
-            (time, box), mean, most = later[0], tracks.mean(target), MAX_RATIO**unseen
-            if not 1.0 / most <= box[2] * box[3] / max(mean[2] * mean[3], 1e-12) <= most:
-                continue
-            moved = velocity(motion, mean)
-            seen = mean[:2] - moved * unseen
-            away = min(_sides_between(mean, at, box) for at in (seen, seen + moved * (time - last)))
-            if (distance_box := away / max(time - last, 1.0)) <= reach_box:
-                places.append((Continuation(target, distance_box), mean))
-    if not places:
+    if not len(unseen.ids) or not candidate.track:
         return None
-    others = tracks.boxes([one for one in tracks.held(plate) if one not in targets])
-    free = (same for same, mean in places if not _is_covered(mean, others))
-    return min(free, key=lambda one: one.distance_box, default=None)
+    looks, frames = np.array([look is not None for look in candidate.looks[::-1]]), unseen.frames
+    had_own = (frames < len(looks)) & looks[np.minimum(frames, len(looks) - 1)]
+    times = np.array([time for time, _ in candidate.track])
+    boxes, ends = np.array([box for _, box in candidate.track]), now - frames
+    first = np.searchsorted(times, ends + 0.5, side="right")
+    later = np.minimum(first, len(times) - 1)
+    gaps, places, sizes = times[later] - ends, boxes[later], unseen.boxes[:, 2] * unseen.boxes[:, 3]
+    ratios, limits = boxes[later, 2] * boxes[later, 3] / np.maximum(sizes, 1e-12), MAX_RATIO**frames
+    fits = ~had_own & (first < len(times)) & (gaps <= MAX_GAP) & (1.0 / limits <= ratios) & (ratios <= limits)
+    steps = unseen.steps
+    begins = unseen.boxes[:, :2] - steps * frames[:, None]
+    ways = [places[:, :2] - begins, places[:, :2] - (begins + steps * gaps[:, None])]
+    distances = np.minimum(*(np.hypot(*way.T) / np.sqrt(sizes) for way in ways)) / np.maximum(gaps, 1.0)
+    rows = np.flatnonzero(fits & (distances <= reach_box))
+    if not len(rows):
+        return None
+    neighbours = tracks.boxes(sorted({*tracks.held(unseen.plate)}.difference(unseen.ids)))
+    for row in rows[np.argsort(distances[rows], kind="stable")].tolist():
+        if not _is_covered(unseen.boxes[row], neighbours):
+            return Continuation(unseen.ids[row], float(distances[row]))
+    return None
 
 
 def _is_covered(mean: Floats, others: Floats) -> bool:
@@ -331,8 +373,3 @@ def _is_covered(mean: Floats, others: Floats) -> bool:
     high = np.minimum(mean[:2] + mean[2:4] / 2, others[:, :2] + others[:, 2:4] / 2)
     shared = np.maximum(high - low, 0.0).prod(axis=1)
     return bool((shared >= COVERED * mean[2] * mean[3]).any())
-
-
-def _sides_between(mean: Floats, place: Floats, box: Floats) -> float:
-    """From a place (2,) of a target to a box, in its sides."""
-    return float(np.hypot(*(box[:2] - place)) / np.sqrt(mean[2] * mean[3]))

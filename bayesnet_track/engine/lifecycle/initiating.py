@@ -8,13 +8,14 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import FOLLOW_BOX, Candidate
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.gaussian.belief import predict
+from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.compiled import plain
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule
+from bayesnet_track.observation.planes import for_reading
 
 VELOCITY = ("vx", "vy")
 
@@ -85,18 +86,16 @@ def follow(
     that had no errors.
     """
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.row_kernels import correct_row
+    from bayesnet_track.numerics.kernels.row_kernels import follow_row
 
-    mean, covariance = (np.array(one) for one in moments)
-    size, largest = len(mean), 0.0
-    covariance[range(4), range(4)] += rule.variances(candidate.track[0][1])
-    for (before, _), (time, box) in pairwise(candidate.track):
-        moved = predict(mean, covariance, motion, time - before, Gaussian(filter="extended"))
-        mean, covariance = (np.ascontiguousarray(one) for one in moved)
-        work = np.empty((3, size, size))
-        away, variances = box - mean[:4], rule.variances(box)
-        spread = covariance[:4, :4] + np.diag(variances)
-        largest = max(largest, float(away @ np.linalg.solve(spread, away)))
-        correct_row(mean, covariance, away, variances, work)
-        np.maximum(mean[2:4], 1.0, out=mean[2:4])
+    mean, covariance, largest = *(np.array(part) for part in moments), 0.0
+    boxes = np.array([box for _, box in candidate.track])
+    variances, shift = np.ascontiguousarray(rule.variances(boxes)), np.zeros(len(mean))
+    covariance[range(4), range(4)] += variances[0]
+    for row, ((start, _), (end, _)) in enumerate(pairwise(candidate.track), 1):
+        transition, noise = motion.linearise(mean, end - start)
+        if not isinstance(motion, KinematicMotion):
+            shift = motion.drift(mean[None], end - start)[0] - transition @ mean
+        move = for_reading(transition), plain(noise), shift
+        largest = max(largest, follow_row(mean, covariance, move, boxes[row], variances[row]))
     return mean, covariance, largest

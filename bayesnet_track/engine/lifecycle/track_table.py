@@ -24,7 +24,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
@@ -150,17 +150,25 @@ class LiveTable:
         rows = self._table_of(target)
         return rows.remembered(rows.index[target])
 
-    def unseen(self, plate: str) -> dict[str, int]:
-        """Live targets of a plate without a detection of their own, and for how many frames."""
-        unseen = []
+    def unseen(self, plate: str, width: int) -> tuple[list[str], Ints, Floats]:
+        """Live targets of a plate without a detection of their own: (U,) for how many frames, means (U, D).
+
+        A state has `width` fields, D.
+        """
+        ids, frames, means = list[str](), list[int](), list[Floats]()
         if plate in self.tables:
             rows = self.tables[plate]
-            frames = rows.columns.unseen_frames
-            at = np.flatnonzero(frames > 0).tolist()
-            unseen = [(rows.ids[row], int(frames[row])) for row in at if rows.ids[row] not in self.gone]
-        others = (target for target in self.states if self.net.targets[target].template == plate)
-        counted = ((target, self.records[target].unseen_frames) for target in others)
-        return dict([*unseen, *((target, frames) for target, frames in counted if frames > 0)])
+            places = np.flatnonzero(rows.columns.unseen_frames > 0).tolist()
+            places = [row for row in places if rows.ids[row] not in self.gone] if self.gone else places
+            ids, frames = [rows.ids[row] for row in places], rows.columns.unseen_frames[places].tolist()
+            means = [*rows.columns.mean[places]]
+        for target in self.states:
+            is_own = self.net.targets[target].template == plate
+            if is_own and self.records[target].unseen_frames > 0:
+                ids.append(target)
+                frames.append(self.records[target].unseen_frames)
+                means.append(self.mean(target))
+        return ids, np.array(frames, dtype=np.int64), np.array(means) if ids else np.empty((0, width))
 
     def _table_of(self, target: str) -> Rows:
         return next(rows for rows in self.tables.values() if target in rows.index)

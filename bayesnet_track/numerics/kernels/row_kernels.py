@@ -27,7 +27,7 @@ from bayesnet_track.numerics.arrays import (
     Ints,
 )
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.gaussian import factor, root_of
+from bayesnet_track.numerics.gaussian import carry, factor, root_of
 
 
 @compiled
@@ -150,6 +150,36 @@ def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Float
             both = 0.5 * (value + other) + noise
             covariance[i, k], covariance[k, i] = both, both
     return 0.5 * log_noise - half_log - 0.5 * d2
+
+
+@compiled
+def follow_row(
+    mean: Floats, covariance: Floats, move: tuple[Floats, Floats, Floats], box: Floats, variances: Floats
+) -> float:
+    """Predict a row and correct it by a box (4,), in place; the squared distance of box and prediction.
+
+    It moves by F (D, D), Q (D, D) and b (D,): m = F m + b, P = F P F' + Q. Sizes stay at 1 px or more.
+    """
+    size = mean.shape[0]
+    predicted, spread, offset, work = (
+        np.empty(size),
+        np.empty((size, size)),
+        np.empty(4),
+        np.empty((3, size, size)),
+    )
+    transition, noise, shift = move
+    carry(transition, noise, mean, covariance, predicted, spread)
+    for i in range(size):
+        mean[i] = predicted[i] + shift[i]
+        for k in range(size):
+            covariance[i, k] = spread[i, k]
+    for i in range(4):
+        offset[i] = box[i] - mean[i]
+    d2 = innovation_d2(covariance, offset, variances)
+    correct_row(mean, covariance, offset, variances, work)
+    for i in range(2, 4):
+        mean[i] = max(mean[i], 1.0)
+    return d2
 
 
 @compiled
