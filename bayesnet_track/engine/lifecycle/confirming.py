@@ -139,7 +139,8 @@ def _unseen(now: Births) -> Unseen | None:
 
 def _continue(now: Births, candidate: Candidate, unseen: Unseen | None) -> str | None:
     """The live target that goes on with a candidate's detections: it lost its own when these began."""
-    tracks, frame, rules = now.tracks, now.frame, now.work.engine.plates[now.plate].association_rules
+    compiled, tracks, frame = now.work.engine.plates[now.plate], now.tracks, now.frame
+    rules = compiled.association_rules
     reach_box = max((rule.continue_box for rule in rules.values()), default=0.0)
     same = None if unseen is None else find_continuation(tracks, unseen, candidate, frame.time, reach_box)
     if same is None:

@@ -57,13 +57,8 @@ def is_moving(motion: MotionModel) -> bool:
     return all(name in motion.fields for name in VELOCITY)
 
 
-def velocity(motion: MotionModel, mean: Floats) -> Floats:
-    """(2,) velocity of a state (D,), px a frame interval; 0 of a motion without one."""
-    return np.asarray(velocities(motion, mean[None])[0])
-
-
 def velocities(motion: MotionModel, means: Floats) -> Floats:
-    """(T, 2) velocities of states (T, D), as `velocity`."""
+    """(T, 2) velocities of states (T, D), px a frame interval; 0 of a motion without one."""
     if not is_moving(motion):
         return np.zeros((len(means), 2))
     return means[:, [motion.fields.index(name) for name in VELOCITY]]

@@ -5,7 +5,6 @@ Of each such target, the first detection beside it since its last one is kept, o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -31,6 +30,8 @@ BESIDE_BOX = 3.0
 """A detection is beside a target within so many box sides of where the target is expected."""
 NEARER = 0.5
 """A later detection takes the place of an earlier one within this share of its distance."""
+ROUNDING_PX = 0.05
+"""By so much less than their distance two boxes may be apart in a refusal, which rounds them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,51 +143,82 @@ def _refuse(
 
     Only what is new; of a target with None in `earlier`, nothing.
     """
-    refused: dict[str, Refusal] = {}
     is_beside = distances(unmatched.mean[:, :4], unmatched.boxes) <= BESIDE_BOX
+    offsets = np.hypot(*(unmatched.mean[:, None, k] - unmatched.boxes[:, k] for k in (0, 1)))
+    nearest_px = np.where(is_beside, offsets, np.inf).min(axis=1) - ROUNDING_PX
     for row in np.flatnonzero(is_beside.any(axis=1)).tolist():
         target = unmatched.names[row]
         refusal = earlier.get(target)
-        if target in earlier and refusal is None:
-            continue
-        columns = np.flatnonzero(is_beside[row]).tolist()
-        candidates = [_refusal(rule, agent, frame, unmatched, row, column) for column in columns]
-        nearest = min(candidates, key=lambda candidate: candidate.excess)
+        if target in earlier and (refusal is None or nearest_px[row] >= NEARER * refusal.distance_px):
+            is_beside[row] = False
+    refused: dict[str, Refusal] = {}
+    rows, columns = np.nonzero(is_beside)
+    if not len(rows):
+        return refused
+    candidates: dict[str, list[Refusal]] = {}
+    for row, candidate in zip(
+        rows.tolist(), _refusals(rule, agent, frame, unmatched, (rows, columns)), strict=True
+    ):
+        candidates.setdefault(unmatched.names[row], []).append(candidate)
+    for target, of_target in candidates.items():
+        nearest, refusal = min(of_target, key=lambda candidate: candidate.excess), earlier.get(target)
         if refusal is None or nearest.distance_px < NEARER * refusal.distance_px:
             refused[target] = nearest
     return refused
 
 
-def _refusal(
-    rule: AssociationRule, agent: str, frame: int, unmatched: Unmatched, row: int, column: int
-) -> Refusal:
-    box, mean, gap = unmatched.boxes[column], unmatched.mean[row], unmatched.gaps[row]
-    spread = unmatched.covariance[row, :4, :4] + np.diag(rule.variances(box))
-    offset = box - mean[:4]
-    has_gate = rule.similarity == "density"
-    d2 = float(offset @ np.linalg.solve(spread, offset)) if has_gate else None
-    steps = (offset[:2], offset[:2] + unmatched.velocity[row] * gap)
-    sides = math.sqrt(max(float(mean[2] * mean[3]), 1e-12))
-    return Refusal(
-        frame,
-        agent,
-        _box(box),
-        _box(mean),
-        gap,
-        d2,
-        float(offset[:2] @ np.linalg.solve(spread[:2, :2], offset[:2])),
-        chi_square_quantile(rule.gate, 4),
-        rule.gate,
-        float(overlap(box[None], mean[:4])[0]),
-        rule.min_overlap,
-        min(float(np.hypot(*step)) for step in steps) / sides / gap,
-        rule.continue_box,
-        unmatched.is_shared,
+def _refusals(
+    rule: AssociationRule, agent: str, frame: int, unmatched: Unmatched, pairs: tuple[Ints, Ints]
+) -> list[Refusal]:
+    """The refusals of pairs of a target and a detection, rows and columns (P,)."""
+    rows, columns = pairs
+    boxes, means, gaps = unmatched.boxes[columns], unmatched.mean[rows], np.array(unmatched.gaps)[rows]
+    spreads = unmatched.covariance[rows, :4, :4] + rule.variances(boxes)[:, :, None] * np.eye(4)
+    offsets, sides = boxes - means[:, :4], np.sqrt(np.maximum(means[:, 2] * means[:, 3], 1e-12))
+    ways = (offsets[:, :2], offsets[:, :2] + unmatched.velocity[rows] * gaps[:, None])
+    reach = np.minimum(*(np.hypot(*way.T) for way in ways)) / sides / gaps
+    d2s: list[float | None] = [None] * len(rows)
+    if rule.similarity == "density":
+        d2s = [*_squared_distances(offsets, spreads).tolist()]
+    numbers = zip(
+        boxes,
+        means,
+        gaps.tolist(),
+        d2s,
+        _squared_distances(offsets[:, :2], spreads[:, :2, :2]).tolist(),
+        overlap(boxes, means[:, :4]).tolist(),
+        reach.tolist(),
+        strict=True,
     )
+    limit = chi_square_quantile(rule.gate, 4)
+    return [
+        Refusal(
+            frame,
+            agent,
+            _box(box),
+            _box(mean),
+            gap,
+            d2,
+            place_d2,
+            limit,
+            rule.gate,
+            shared,
+            rule.min_overlap,
+            distance,
+            rule.continue_box,
+            unmatched.is_shared,
+        )
+        for box, mean, gap, d2, place_d2, shared, distance in numbers
+    ]
+
+
+def _squared_distances(offsets: Floats, spreads: Floats) -> Floats:
+    """(P,) Mahalanobis distances squared of offsets (P, K) with covariances (P, K, K)."""
+    return np.asarray(np.einsum("pk,pk->p", offsets, np.linalg.solve(spreads, offsets[..., None])[..., 0]))
 
 
 def _box(values: Floats) -> tuple[float, float, float, float]:
-    x, y, w, h = (round(float(value), 2) for value in values[:4])
+    x, y, w, h = (round(value, 2) for value in values[:4].tolist())
     return x, y, w, h
 
 

@@ -14,7 +14,7 @@ from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_moves
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.lifecycle.initiating import fast_covariance, is_moving, velocity
+from bayesnet_track.engine.lifecycle.initiating import fast_covariance, is_moving, velocities
 from bayesnet_track.engine.lifecycle.sensing import Found, Mixed, Sensor
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.graph.spec import Gaussian
@@ -103,7 +103,7 @@ def _candidate(
     seen, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
     mean, born = unconfirmed.mean[row], float(unconfirmed.born[row])
     first = mean.copy()
-    first[:2] -= velocity(rule.motion, mean) * (time - born)
+    first[:2] -= velocities(rule.motion, mean[None])[0] * (time - born)
     box, first_box = rule.sensor.boxes(np.array([mean, first]))
     scores = (float(unconfirmed.score[row]) / seen,) * seen
     return Candidate(
