@@ -298,13 +298,7 @@ def _compile_plate(
     reidentify = "never" if is_point or views else kind.reidentify
     merge = "never" if views else kind.merge_duplicates
     life = life_rules(kind.birth, merge, kind.death, reidentify, kind.existence)
-    if own is None:
-        lasting = lasting_of(plate.lasting)
-        further: tuple[Deviation | Lasting, ...] = (*deviations_of(kind.nodes), *lasting)
-        motion = make_plate_motion(root, constants, further, kind.state)
-        motion = with_past(motion, plate.measures.values())
-    else:
-        motion = Nested(own, lasting_of(plate.lasting)) if plate.lasting else own
+    motion = _motion_of(plate, own, constants)
     modes = None if own is not None else modes_of(root)
     rules = {agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection}
     rules = {agent: with_labels(rule, plate.parameters[agent], modes) for agent, rule in rules.items()}
@@ -342,6 +336,17 @@ def _compile_plate(
         verifiers={} if root.score is None else make_verifiers(root.score.settings.verifiers, declarations),
         views=views,
     )
+
+
+def _motion_of(plate: CheckedTarget, own: MotionModel | None, constants: Mapping[str, float]) -> MotionModel:
+    """The motion of a plate, with what cameras keep of it and the past that late sensors measure."""
+    lasting = lasting_of(plate.lasting)
+    if own is not None:
+        return Nested(own, lasting) if plate.lasting else own
+    kind = plate.spec
+    further: tuple[Deviation | Lasting, ...] = (*deviations_of(kind.nodes), *lasting)
+    motion = make_plate_motion(plate.inference(plate.root), constants, further, kind.state)
+    return with_past(motion, plate.measures.values())
 
 
 def make_plate_motion(
