@@ -76,6 +76,7 @@ class DecodedFrame(Frame):
             depth=None,
             stride=stride,
             inputs={},
+            cameras={},
         )
         frame.__dict__["_decoded"] = decoded
         return frame

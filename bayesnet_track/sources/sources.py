@@ -157,7 +157,10 @@ def _without_images(text: str) -> Reader:
         is_of_sensors = text.lower().endswith(SUFFIX) and not names_boxes(text)
         return ScanReader(text) if is_of_sensors else BoxReader(text)
     except (OSError, ValueError) as error:
-        raise SourceError(text, str(error), KINDS, "mend the file") from error
+        if text.lower().endswith(SUFFIX):
+            raise SourceError(text, str(error), KINDS, "mend the file") from error
+        reason = f"it is no video, and as a file of boxes: {error}"
+        raise SourceError(text, reason, KINDS, "give a video, or mend the file") from error
 
 
 def _of_network(text: str, live: bool | None, value_range: ValueRange | None) -> Reader:

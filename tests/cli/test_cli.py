@@ -565,8 +565,8 @@ MISTAKES = {
     ),
     "run general --init 1,2,3,4 --out {out}": (
         2,
-        "bayesnet-track run: no source: a video, a folder of images; without one, detections of quantities "
-        "for a graph with sensors, whose times then stand for frames",
+        "bayesnet-track run: no source: a video, a folder of images; without one, a file of detections, "
+        "whose times then stand for frames",
     ),
     "run kalman_detections --source {images} --out {out} --detections {wrong}/none": (
         2,
@@ -660,7 +660,7 @@ MISTAKES = {
     "demo --graph {wrong}/bad.yaml": (
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
-        "state, birth, merge_duplicates, death, reidentify, existence, associate, nodes\n"
+        "state, birth, merge_duplicates, death, reidentify, existence, identity, associate, nodes\n"
         "  1 | bayesnet: 1\n    | ^\n"
         "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, constants, "
         "inputs, cameras, targets, joins, queries; nearest: targets\n  3 | targts: {{}}\n    | ^",
@@ -673,9 +673,11 @@ MISTAKES = {
     ),
     "run general --source {wrong}/words.txt --out {out} --init 1,2,3,4": (
         4,
-        "bayesnet-track run: source '{wrong}/words.txt': not a readable video: Invalid data found when "
-        "processing input; allowed: videos that FFmpeg reads and that stand on their own (MP4, MKV, AVI, TS, "
-        "...); check that the file is whole; an MP4 whose writing was cut short has lost its index",
+        "bayesnet-track run: source '{wrong}/words.txt': it is no video, and as a file of boxes: "
+        "{wrong}/words.txt:1: a header line (no,boxes,in,here) in which no column is called left, top, width "
+        "or right, height or bottom; rename the columns (frame,id,left,top,width,height,confidence,class, or "
+        "x1,y1,x2,y2 for corners), or remove the line; allowed: a video file, a folder of images, a glob of "
+        "images, a camera index such as 0, an http or rtsp URL; give a video, or mend the file",
     ),
     "run general --source http://localhost/x.mp4 --out {out} --init 1,2,3,4": (
         4,

@@ -92,6 +92,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
         "beliefs.jsonl",
         "forecasts.jsonl",
         "queries.csv",
+        "cameras.csv",
         "tracks.csv",
         "manifest.json",
         "inputs.jsonl",

@@ -20,6 +20,7 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.arguments import (
     held_files,
     make_checkpointer,
@@ -146,7 +147,7 @@ def resume(
         if graph.several_cameras:
             raise ResumeError(
                 f"{path}: a run of several cameras ({', '.join(graph.several_cameras)}) cannot go on where "
-                "it was broken off; run it again with --overwrite"
+                f"it was broken off; run it again with {setting('--overwrite')}"
             )
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, say)
