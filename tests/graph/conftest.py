@@ -328,6 +328,7 @@ def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy
         "death": _mapping({}, {"lost_frames": frames, "unseen_frames": frames}),
         "reidentify": _mapping({}, {"frames": frames, "min_probability": share, "lost": st.booleans()}),
         "existence": _mapping({}, {"covered": st.floats(0.1, 0.9), "births": positive, "clutter": positive}),
+        "identity": _mapping({}, {"settle": st.integers(1, 9), "report_above": st.floats(0.1, 0.9)}),
         "associate": st.sampled_from(["assignment", "marginal"]),
     }
 
@@ -470,6 +471,7 @@ def everything() -> dict[str, Any]:
         "death": {"unseen_frames": 9},
         "reidentify": {"lost": False},
         "existence": {"confirm": 0.8},
+        "identity": {"settle": 4},
         "associate": "marginal",
     }
     return {
@@ -477,7 +479,7 @@ def everything() -> dict[str, Any]:
         "constants": {"slope": 0.32},
         "about": "two\nlines: \u00e9 # \U0001f600",
         "inputs": {"pan": {"file": "camera.csv"}},
-        "cameras": {"north": {"calibration": "north.yaml", "name": "back"}},
+        "cameras": {"north": {"calibration": "north.yaml", "name": "back", "bias_px": {"sd": 3.0}}},
         "targets": {
             "t": {"nodes": nodes, **life},
             "walker": {
