@@ -31,4 +31,4 @@ def test_measurement_functions_are_read_with_the_constants_that_they_use():
     found = load_graph("radar_ball").targets["ball"].measures["radar"]
     assert set(found.terms) == {"range", "bearing"}
     assert found.constants == {"radar_x": 160.0, "radar_y": 480.0}
-    assert len(MEASURE_CHECKS) == 3
+    assert len(MEASURE_CHECKS) == 4

@@ -10,9 +10,8 @@ from bayesnet_track.inference.joint import joint_marginals
 from bayesnet_track.inference.joint_members import Edge, Member
 from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.observation.planes import Frame
 
-FRAME = Frame(0, 0.0, np.zeros((240, 320, 3), np.uint8))
+FRAME = {"frame_width": 320.0, "frame_height": 240.0}
 SPRING = Join.model_validate({"between": ["s", "t"], "factor": "normal(b.x - a.x, rest, 6)"})
 
 

@@ -86,7 +86,7 @@ class Lasting:
         """Share and sd as of a `Deviation`.
 
         >>> [round(value, 6) for value in Lasting("view.x", 5.0, 2.0, True).over(2.0)]
-        [0.367879, 4.649363]
+        [0.367879, 4.649367]
         """
         kept = math.exp(-dt / self.time)
         return kept, self.sd * math.sqrt(-math.expm1(-2.0 * dt / self.time))
