@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
+from tests.engine.test_several_cameras import write_graph
 
 ROOT = Path(__file__).parents[2]
 FRAMES = 125
@@ -87,6 +88,7 @@ def stocked(tmp_path_factory):
     for name in ("graph.yaml", "many.yaml"):
         shutil.copy(ROOT / "graphs" / "people_detections.yaml", folder / name)
     shutil.copy(ROOT / "graphs" / "kalman_ball.yaml", folder / "my_graph.yaml")
+    write_graph(folder, ("north", "south"))
     return folder, images
 
 

@@ -37,6 +37,7 @@ NOT_RUN = (
     (r"pip install|-m venv", "installs packages; CI does so by the README's commands"),
     (r"^python benchmarks/|^docs/.*benchmarks/", MEASURES),
     (r"--source 0\b|rtsp:", "needs a camera"),
+    (r"--source north=", "needs the videos of two cameras; tests/runtime makes some"),
     (r"--view\b|wait_for_page|annotate (?!.*--no-view)", "waits for a browser; tests/browser has one"),
     (r"\bonnx\b|my_deep", "needs a network, and none is shipped; tests/vision makes one"),
     (r"^bayesnet-track calibrate (?!ground)", "needs pictures of a chessboard; tests/vision makes some"),

@@ -30,6 +30,7 @@ CAMERAS = {
     "south": camera_at(0.0, 0.0, 0.0),
     "east": camera_at(10.0, 10.0, 90.0, (800, 480)),
     "west": camera_at(-10.0, 10.0, -90.0),
+    "north": camera_at(0.0, 20.0, 180.0),
 }
 
 
