@@ -135,7 +135,7 @@ class DetectionsTracker(Storable):
 
     @property
     def looks_next(self) -> bool:
-        """Whether detections of the next frame are used: a detector need not run where `every` skips it."""
+        """Whether detections of the next frame are used; a detector need not run where `every` skips it."""
         ordinal = 0 if self._now is None else self._now.clock.index + 1
         return any(
             compiled.plate.inverses or ((birth := compiled.plate.spec.birth) and ordinal % birth.every == 0)

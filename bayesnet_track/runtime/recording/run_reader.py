@@ -181,7 +181,7 @@ class Run:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """The columns of its table: `tables.TRACK_COLUMNS`, velocities, own fields, categories, queries."""
+        """`tables.TRACK_COLUMNS`, then velocities, own fields, categories and queries, as in its table."""
         measured = dict.fromkeys(name for line in self.metrics for name in (*line.state, *line.category))
         fields = (name for name in measured if name not in TRACK_COLUMNS)
         asks = "\nqueries:" in self.graph_text
