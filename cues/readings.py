@@ -58,7 +58,7 @@ class ReadingsParameters(CueParameters):
         default=0.0,
         ge=0,
         le=16,
-        description="How late the sensor tells: frame intervals from a reading to its frame.",
+        description="Frame intervals from the frame that a reading is of to the frame in which it arrives.",
     )
 
 

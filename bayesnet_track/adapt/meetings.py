@@ -51,7 +51,7 @@ LAPSE = 0.01
 NEW = "new"
 """Identity of what is none of those that are known."""
 SHARED_SD = 0.3
-"""Sd of what a box around two targets tells of each, in its sides."""
+"""Sd of the place of each of two targets in one box around both, in sides of the box."""
 
 
 @dataclass(frozen=True, eq=False)

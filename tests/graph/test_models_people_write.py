@@ -39,7 +39,7 @@ RUNS = {
         "sd: {vx: 0.3, vy: 0.3, rate: 0.02}}}}}}",
         SEEN,
     ),
-    "a sensor that tells late": model(
+    "a sensor whose readings come late": model(
         f"{{belief: {{gaussian: {{filter: extended}}}}, {CV}, fuse: product}}",
         SEEN,
         "l: {parent: a, agent: {readings: {file: FILE, sd: {u: 2}, delay: 2}}, measures: {u: x}}",

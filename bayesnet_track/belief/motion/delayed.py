@@ -1,4 +1,4 @@
-"""The past of some fields as further columns of the state: what a sensor measured that tells late."""
+"""Earlier values of some fields as further columns of the state, for sensors whose readings come late."""
 
 from __future__ import annotations
 

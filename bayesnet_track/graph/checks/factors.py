@@ -295,7 +295,7 @@ def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
 
 
 def delay_of(node: AgentNode) -> float:
-    """How many frame intervals late an agent tells what it measured."""
+    """Delay of what an agent measures, in frame intervals."""
     written = node.agent.parameters.get("delay", 0.0)
     return float(written) if isinstance(written, int | float) else 0.0
 

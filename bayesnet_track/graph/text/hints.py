@@ -283,8 +283,7 @@ OTHER_FORMS: Sequence[Rule] = (
     (
         r"^unknown key 'delay'",
         _always(
-            "delay is of readings, whose sensor tells late: agent: {readings: {file: FILE.csv, sd: {u: 3}, "
-            "delay: 2}}"
+            "delay is of readings that come late: agent: {readings: {file: FILE.csv, sd: {u: 3}, delay: 2}}"
         ),
     ),
     (
