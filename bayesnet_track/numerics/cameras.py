@@ -129,12 +129,23 @@ class Camera:
         """Pixels (N, 2) of points (N, 3) in m, as `cv2.projectPoints`; nan where they cannot be seen."""
         return self._pixels(_divided(points @ self.rotation.T + self.translation))[0]
 
+    @cached_property
+    def _straight(self) -> tuple[Floats, Floats] | None:
+        """Axes (3, 3) and origin (3,) in homogeneous pixels; None where the lens bends lines."""
+        if self.fisheye or self.distortion.any():
+            return None
+        return self.matrix @ self.rotation, self.matrix @ self.translation
+
     def boxes(self, ground: Floats) -> Floats:
         """Boxes (N, 4) in px, centre first, of targets (N, 4) in m."""
+        if self._straight is not None:
+            return outlines.straight(*self._straight, ground)[0]
         return outlines.boxes(outlines.tangents(self._pixels, self.rotation, self.translation, ground))
 
     def jacobian(self, ground: Floats) -> Floats:
         """Derivatives (N, 4, 4) of `boxes`: d box_i / d ground_j."""
+        if self._straight is not None:
+            return outlines.straight(*self._straight, ground)[1]
         return outlines.jacobian(
             outlines.tangents(self._pixels, self.rotation, self.translation, ground), ground
         )
@@ -197,9 +208,6 @@ class GroundHomography:
         upwards = _upwards(self._signed, self.size, self.focal_px)
         return np.column_stack([self._signed[:, :2], upwards, self._signed[:, 2]])
 
-    def _pixels(self, ideal: Floats) -> tuple[Floats, Floats]:
-        return ideal, np.broadcast_to(np.eye(2), (*ideal.shape, 2))
-
     def project(self, points: Floats) -> Floats:
         """Pixels (N, 2) of points (N, 3) in m; those above the ground need `size`."""
         if not points[:, 2].any():
@@ -208,14 +216,11 @@ class GroundHomography:
 
     def boxes(self, ground: Floats) -> Floats:
         """Boxes (N, 4) in px, centre first, of targets (N, 4) in m; they need `size`."""
-        return outlines.boxes(
-            outlines.tangents(self._pixels, self.projection[:, :3], self.projection[:, 3], ground)
-        )
+        return outlines.straight(self.projection[:, :3], self.projection[:, 3], ground)[0]
 
     def jacobian(self, ground: Floats) -> Floats:
         """Derivatives (N, 4, 4) of `boxes`: d box_i / d ground_j."""
-        tangents = outlines.tangents(self._pixels, self.projection[:, :3], self.projection[:, 3], ground)
-        return outlines.jacobian(tangents, ground)
+        return outlines.straight(self.projection[:, :3], self.projection[:, 3], ground)[1]
 
     def ground_points(self, pixels: Floats) -> Floats:
         """Points (N, 2) of the ground, m, that are seen in pixels (N, 2)."""

@@ -211,3 +211,22 @@ def test_homographies_that_map_the_ground_onto_a_line_are_refused() -> None:
         GroundHomography(np.array([[1.0, 2, 3], [2, 4, 6], [0, 0, 1]]))
     with pytest.raises(CameraError, match="dependent"):
         camera_of_projection(np.zeros((3, 4)))
+
+
+def test_a_lens_that_bends_nothing_gives_the_same_boxes_and_derivatives():
+    """A compiled closed form serves without distortion; with a vanishing one tangents are iterated."""
+    rng = np.random.default_rng(5)
+    turn, down = np.radians(20.0), np.radians(25.0)
+    ahead = np.array([np.sin(turn) * np.cos(down), np.cos(turn) * np.cos(down), -np.sin(down)])
+    right = np.array([np.cos(turn), -np.sin(turn), 0.0])
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    matrix = np.array([[900.0, 3.0, 640.0], [0.0, 850.0, 360.0], [0.0, 0.0, 1.0]])
+    given = matrix, rotation, -rotation @ np.array([1.0, -2.0, 5.0]), (1280, 720)
+    straight, bent = (Camera(given[0], np.array(lens), *given[1:]) for lens in ([], [1e-13, 0.0, 0.0, 0.0]))
+    ground = np.column_stack(
+        [rng.uniform(-15, 15, (400, 2)), rng.uniform(0.2, 2, 400), rng.uniform(0.5, 3, 400)]
+    )
+    boxes = straight.boxes(ground)
+    assert 0.2 < np.isnan(boxes[:, 0]).mean() < 0.8
+    np.testing.assert_allclose(boxes, bent.boxes(ground), rtol=1e-7)
+    np.testing.assert_allclose(straight.jacobian(ground), bent.jacobian(ground), rtol=1e-5, atol=1e-6)
