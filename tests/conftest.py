@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -28,6 +29,9 @@ from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import METHODS, Hypotheses, Measurement, Reference, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
+
+# Without bytecode on disk every worker and every process that a test starts compiles all that it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # No property depends on how fast the machine is. Those that say no number of examples take more of them with
 # `pytest -m hypothesis --hypothesis-profile thorough`.
@@ -119,6 +123,24 @@ def _nothing_said_of_compiling() -> Iterator[None]:
     """What a command prints here is the same whether kernels come from the cache or not."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bayesnet_track.cli.main.notice_compiling", lambda options: lambda: None)
+        yield
+
+
+class Everything(set[object]):
+    """A set in which everything is."""
+
+    def __contains__(self, item: object) -> bool:
+        return True
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _nothing_rehearsed() -> Iterator[None]:
+    """Trackers take every graph for rehearsed: made-up frames change no result and take as long as a test.
+
+    `tests/runtime/test_rehearsal.py` has what the rehearsal does, and that results are the same without it.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesnet_track.runtime.frame_clock._done", Everything())
         yield
 
 

@@ -51,6 +51,8 @@ class Module(NamedTuple):
     file: str
     room: str
     tree: ast.Module
+    nodes: tuple[ast.AST, ...]
+    """Every node of the tree, found once for all measures."""
 
 
 @cache
@@ -63,7 +65,7 @@ def modules() -> dict[str, Module]:
         name = ".".join(parts).removesuffix(".__init__")
         room = parts[1] if len(parts) > 2 or (ROOT / PACKAGE / parts[1]).is_dir() else PACKAGE
         tree = ast.parse(path.read_text("utf-8"))
-        found[name] = Module(name, str(path.relative_to(ROOT)), room, tree)
+        found[name] = Module(name, str(path.relative_to(ROOT)), room, tree, tuple(ast.walk(tree)))
     return found
 
 
@@ -73,9 +75,9 @@ def files() -> Iterator[Place]:
         yield Place(module.room, module.file, 1, "")
 
 
-def bound_names(tree: ast.Module) -> Iterator[tuple[str, int]]:
+def bound_names(module: Module) -> Iterator[tuple[str, int]]:
     """Names that a module gives to variables, parameters, functions and classes, with their lines."""
-    for node in ast.walk(tree):
+    for node in module.nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id, node.lineno
         elif isinstance(node, ast.arg):
@@ -90,7 +92,7 @@ def models() -> frozenset[str]:
     bases = {
         node.name: {base.id for base in node.bases if isinstance(base, ast.Name)}
         for module in modules().values()
-        for node in ast.walk(module.tree)
+        for node in module.nodes
         if isinstance(node, ast.ClassDef)
     }
     known = {"BaseModel"}
@@ -99,11 +101,11 @@ def models() -> frozenset[str]:
     return frozenset(known)
 
 
-def keys_of_the_language(tree: ast.Module) -> set[tuple[str, int]]:
+def keys_of_the_language(module: Module) -> set[tuple[str, int]]:
     """Fields of pydantic models with their lines: a graph file names them so."""
     return {
         (line.target.id, line.lineno)
-        for node in ast.walk(tree)
+        for node in module.nodes
         if isinstance(node, ast.ClassDef) and node.name in models()
         for line in node.body
         if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
@@ -116,8 +118,8 @@ def vague_names() -> Iterator[Place]:
     `left` is a side in a module that has other sides.
     """
     for module in modules().values():
-        keys = keys_of_the_language(module.tree)
-        names = [bound for bound in bound_names(module.tree) if bound not in keys]
+        keys = keys_of_the_language(module)
+        names = [bound for bound in bound_names(module) if bound not in keys]
         has_sides = any(name in SIDES for name, _ in names)
         for name, line in names:
             if name.strip("_") in VAGUE and not (name == "left" and has_sides):
@@ -127,7 +129,7 @@ def vague_names() -> Iterator[Place]:
 def relative_docstrings() -> Iterator[Place]:
     """Docstrings of functions and classes that open with a relative word, neither with a noun nor a verb."""
     for module in modules().values():
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                 text = (ast.get_docstring(node) or " ").split(maxsplit=1)
                 if text and text[0].rstrip(",:;") in RELATIVE:
@@ -145,7 +147,7 @@ def public_functions(module: Module) -> dict[str, int]:
 def used_elsewhere(module: Module) -> set[tuple[str, str]]:
     """(module, name) of what a module uses of others, at its top or in a function."""
     used, whole = set(), {}
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
@@ -153,7 +155,7 @@ def used_elsewhere(module: Module) -> set[tuple[str, str]]:
                     whole[alias.asname or alias.name] = inner
                 else:
                     used.add((node.module, alias.name))
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in whole:
             used.add((whole[node.value.id], node.attr))
     return used
@@ -167,9 +169,7 @@ def functions_of_one_caller() -> Iterator[Place]:
             callers[name].add(module.name)
     for module in modules().values():
         within = {
-            node.id
-            for node in ast.walk(module.tree)
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
+            node.id for node in module.nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
         }
         for name, line in public_functions(module).items():
             others = callers[module.name, name]

@@ -220,58 +220,19 @@ def test_targets_are_as_in_the_joint_gaussian_of_camera_and_targets(tmp_path):
     assert np.linalg.svd(between, compute_uv=False)[0] > 1e-3
 
 
-@pytest.mark.parametrize("associate", ["assignment", "marginal"])
-def test_a_standing_target_stays_as_uncertain_as_its_camera(tmp_path, associate):
+def test_a_standing_target_stays_as_uncertain_as_its_camera(tmp_path):
     """The sd of the foot point along x cannot fall below that of the bias, for however long it stands."""
     (box,) = boxes_of(np.array([[0.5, 10.0]]))
     rng, sds = np.random.default_rng(0), {}
     for bias in (None, {"sd": BIAS}):
-        tracker = DetectionsTracker(write_graph(tmp_path, bias, associate=associate), fps=FPS)
-        for _ in range(300):
+        tracker = DetectionsTracker(write_graph(tmp_path, bias, associate="marginal"), fps=FPS)
+        for _ in range(60):
             tracker.update(detections_of(noisy(box[None], rng)))
         (target,) = tracker.targets
         sds[bias is None] = target.state["x_m_sd"]
     metres = BIAS / CAMERA.jacobian(np.array([[0.5, 10.0, *WIDTH[:1], *HEIGHT[:1]]]))[0][0, 0]
     assert sds[False] > 0.95 * metres
     assert sds[False] ** 2 == pytest.approx(sds[True] ** 2 + metres**2, rel=0.15)
-
-
-def test_intervals_hold_what_a_biased_camera_sees(tmp_path):
-    """90 % ellipses of twelve cameras, each off by another bias: held with `bias_px`, not without."""
-    rng = np.random.default_rng(1)
-    held = {True: [], False: []}
-    for _ in range(12):
-        off = np.array([*rng.normal(0.0, BIAS, 2), 0.0, 0.0])
-        way = np.array([-3.0, 9.0]) + np.arange(25)[:, None] / FPS * np.array([1.4, 0.4])
-        boxes = noisy(boxes_of(way) + off, rng)
-        for is_known in (True, False):
-            path = write_graph(tmp_path, {"sd": BIAS} if is_known else None, associate="marginal")
-            tracker = DetectionsTracker(path, fps=FPS)
-            for box in boxes:
-                tracker.update(detections_of(box[None]))
-            (target,) = tracker.targets
-            state = target.state
-            away = np.array([state["x_m"], state["y_m"]]) - way[-1]
-            sds = np.array([state["x_m_sd"], state["y_m_sd"]])
-            both = state["xy_corr"] * sds.prod()
-            covariance = np.array([[sds[0] ** 2, both], [both, sds[1] ** 2]])
-            held[is_known].append(away @ np.linalg.solve(covariance, away) < 4.605)
-    assert sum(held[True]) >= 9
-    assert sum(held[False]) <= 7
-
-
-def test_slow_errors_of_a_detector_stay_in_the_interval(tmp_path):
-    """A detector that is off by the same share of the box for 3 s is not taken for one that averages out."""
-    (box,) = boxes_of(np.array([[0.5, 10.0]]))
-    rng, sds = np.random.default_rng(0), {}
-    for slow in (0.0, 0.05):
-        path = write_graph(tmp_path, seen={"sd_place_slow": slow, "slow_over_s": 3.0})
-        tracker = DetectionsTracker(path, fps=FPS)
-        for _ in range(60):
-            tracker.update(detections_of(noisy(box[None], rng)))
-        (target,) = tracker.targets
-        sds[slow] = target.state["x_m_sd"]
-    assert sds[0.05] > 1.5 * sds[0.0]
 
 
 def test_the_cut_edge_of_a_box_is_no_measurement(tmp_path):
