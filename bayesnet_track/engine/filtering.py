@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -21,6 +21,7 @@ from bayesnet_track.belief.contract import (
     Stream,
     hypotheses_of,
 )
+from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
@@ -30,17 +31,20 @@ from bayesnet_track.engine.moving.elsewhere import look_elsewhere
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.moving.sudden import search_around
 from bayesnet_track.engine.on_call import call_agents, plan_without_calls
+from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
-from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.compile import Observe, Plan, compile_plan
+from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.factors import Flaw
 from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.inference.observe import Answer
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
-from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue
+from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue, Hypotheses
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,60 +104,208 @@ class Filtered:
         return by_mode if self.join is None else max(self.join.hidden, by_mode)
 
 
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A target about to be filtered.
+
+    Attributes:
+        target: target id.
+        before: its state after the last frame, with the plan of the agents that look.
+        prior: its belief.
+        belief: how that is held.
+        moves: how the target is to move.
+        plan: the agents that look first.
+        stream: its random numbers.
+        is_carried: whether another target may carry it.
+    """
+
+    target: str
+    before: TargetState
+    prior: Posterior
+    belief: Belief[Any]
+    moves: PredictedMotion
+    plan: Plan
+    stream: Stream
+    is_carried: bool
+
+    @classmethod
+    def of(cls, work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Ready:
+        """A target with its motion in the frame and its agents."""
+        live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
+        before = with_agents(compiled, before, live.looking(frame.ordinal))
+        given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
+        dt = frame.time - before.time
+        moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
+        belief = within(compiled.belief, live.most_particles)
+        plan = plan_without_calls(work, target, before)
+        stream = work.stream(target, compiled.plate.root)
+        return cls(target, before, prior, belief, moves, plan, stream, ride is not None)
+
+
+Stepped = tuple[Observer, Step[Posterior]]
+"""The step of a target, and what asked its agents."""
+
+
+def filter_each(work: FrameContext, before: Mapping[str, TargetState]) -> dict[str, Filtered]:
+    """Predict the targets' beliefs and weigh them by what their active agents see.
+
+    Gaussian beliefs that move alike are stepped at once.
+    """
+    ready = [Ready.of(work, target, state) for target, state in before.items()]
+    groups: dict[Hashable, list[Ready]] = {}
+    for one in ready:
+        if isinstance(one.belief, GaussianFilter) and not work.availability.known:
+            plate, agents = work.net.targets[one.target].template, one.plan.active
+            key = (plate, agents, one.before.time, id(one.belief), id(one.moves.motion))
+            groups.setdefault(key, []).append(one)
+    steps: dict[str, Stepped] = {}
+    for group in groups.values():
+        if len(group) > 1:
+            steps |= _step_each(work, group)
+    return {one.target: _filter(work, one, steps.get(one.target)) for one in ready}
+
+
 def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
-    """Predict the target's belief and weigh it by what its active agents see.
+    """Predict the target's belief and weigh it by what its active agents see."""
+    return _filter(work, Ready.of(work, target, before, ride))
+
+
+def _filter(work: FrameContext, ready: Ready, stepped: Stepped | None = None) -> Filtered:
+    """The first half of a target's frame, whose belief was `stepped` already or is now.
 
     It is weighed anew, without them, when agents fail that have answered before in the same frame. Those that
     failed when they were asked about a group are not asked again.
     """
-    live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
-    before = with_agents(compiled, before, live.looking(frame.ordinal))
-    stream = work.stream(target, compiled.plate.root)
-    started = work.engine.clock()
-    dt = frame.time - before.time
-    given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
-    moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
-    belief = within(compiled.belief, live.most_particles)
+    target, before, prior, moves = ready.target, ready.before, ready.prior, ready.moves
+    compiled, belief, stream, frame = work.plate_of(target), ready.belief, ready.stream, work.frame
+    started, dt = work.engine.clock(), frame.time - before.time
     motion = confined(moves.motion, frame.width, frame.height, work.inputs)
     failed = dict(work.faults.get((target, "observing"), {}))
     while True:
-        observer = Observer(
-            work.cache,
-            compiled.cues,
-            before.references,
-            stream,
-            work.engine.clock,
-            work.seconds,
-            faults=failed,
-            availability=work.availability_of(target, "observing"),
-        )
+        observer = _observer(work, ready, failed) if stepped is None else stepped[0]
+        failed = observer.faults
         see = partial(_evaluation, work, compiled.modes, observer)
-        plan, call = plan_without_calls(work, target, before), None
-        stepped, moved = belief.step(prior, motion, dt, see(plan), stream), moves
+        plan, call, moved = ready.plan, None, moves
+        step = belief.step(prior, motion, dt, see(plan), stream) if stepped is None else stepped[1]
         if plan is not before.plan:
             by = partial(_step_by, work, belief, (prior, dt, stream, moves.motion), see)
-            plan, stepped, call = call_agents(work, target, before, observer, (plan, stepped, by))
-        if ride is None:
+            plan, step, call = call_agents(work, target, before, observer, (plan, step, by))
+        if not ready.is_carried:
             again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
-            moved, stepped = search_around(work, target, before, moves, (plan, stepped, again))
+            moved, step = search_around(work, target, before, moves, (plan, step, again))
             restart = partial(_step_from, work, belief, plan, (motion, dt, stream, compiled.modes, prior))
-            steps = plan, stepped, observer, restart
-            moved, stepped = look_elsewhere(work, target, before, moved, steps)
+            moved, step = look_elsewhere(work, target, before, moved, (plan, step, observer, restart))
         # With the answers of one that later gave none the belief would be neither with it nor without it.
         if not observer.broke_off:
             break
+        stepped = None
     work.charge("belief", started)
-    faults = tuple(quarantine(live, frame.index, target, agent, reason) for agent, reason in failed.items())
+    return _filtered(work, ready, (motion, moved, plan, step), observer, call)
+
+
+def _filtered(
+    work: FrameContext,
+    ready: Ready,
+    made: tuple[MotionModel, PredictedMotion, Plan, Step[Posterior]],
+    observer: Observer,
+    call: OnCallOutcome | None,
+) -> Filtered:
+    """The first half of a frame, with what became of the agents; `made` by a motion, moves and a plan."""
+    motion, moved, plan, step = made
+    target, before, failed = ready.target, ready.before, observer.faults
+    live, compiled, dt = work.net.targets[target], work.plate_of(target), work.frame.time - before.time
+    faults = tuple(
+        quarantine(live, work.frame.index, target, agent, reason) for agent, reason in failed.items()
+    )
     out = failed.keys() | observer.missed.keys()
     if out:
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
     undefined = {**undefined_in(motion), **observer.factors.undefined}
-    modes = None if compiled.modes is None else ModeState.of(compiled.modes, prior, stepped.posterior, dt)
-    found = Filtered(
-        target, before, stepped, faults, moved, plan, missed, flaws=flaws, undefined=undefined, call=call
+    modes = None
+    if compiled.modes is not None:
+        modes = ModeState.of(compiled.modes, ready.prior, step.posterior, dt)
+    return Filtered(
+        target,
+        before,
+        step,
+        faults,
+        moved,
+        plan,
+        missed,
+        flaws=flaws,
+        undefined=undefined,
+        modes=modes,
+        call=call,
     )
-    return found if modes is None else replace(found, modes=modes)
+
+
+def _observer(work: FrameContext, ready: Ready, failed: MutableMapping[str, str]) -> Observer:
+    """What asks a target's agents, without those that `failed`."""
+    return Observer(
+        work.cache,
+        work.plate_of(ready.target).cues,
+        ready.before.references,
+        ready.stream,
+        work.engine.clock,
+        work.seconds,
+        faults=failed,
+        availability=work.availability_of(ready.target, "observing"),
+    )
+
+
+def _step_each(work: FrameContext, group: Sequence[Ready]) -> dict[str, Stepped]:
+    """Target -> its step, of Gaussian beliefs that move alike and are asked about by the same agents."""
+    started, first, frame = work.engine.clock(), group[0], work.frame
+    belief, dt = first.belief, frame.time - first.before.time
+    assert isinstance(belief, GaussianFilter)
+    observers = [_observer(work, one, dict(work.faults.get((one.target, "observing"), {}))) for one in group]
+    motion = confined(first.moves.motion, frame.width, frame.height, work.inputs)
+    see = partial(_evaluate_each, work, group, observers)
+    steps = belief.step_each([one.prior for one in group], motion, dt, see, [one.stream for one in group])
+    work.charge("belief", started)
+    if undefined_in(motion):  # of which target is found out where each is stepped by itself
+        return {}
+    return dict(zip((one.target for one in group), zip(observers, steps, strict=True), strict=True))
+
+
+def _evaluate_each(
+    work: FrameContext,
+    group: Sequence[Ready],
+    observers: Sequence[Observer],
+    hypotheses: Sequence[Hypotheses],
+    log: Sequence[Floats],
+) -> list[Evidence]:
+    """What the net says of the hypotheses of each; agents that score many targets at once are asked once."""
+    plan, compiled = group[0].plan, work.plate_of(group[0].target)
+    references = {
+        one.agent: [other.references[one.agent] for other in observers]
+        for one in plan.observations
+        if one.at == plan.root and not one.measures and _scores_each(compiled.cues[one.agent])
+        if all(one.agent in other.references for other in observers)
+    }
+    ahead: list[dict[Observe, Answer]] = [{} for _ in group]
+    if references:
+        together = {
+            one: replace(one, temperature=1.0) for one in plan.observations if one.agent in references
+        }
+        asked = replace(plan, observations=tuple(together.values()))
+        boxes = np.concatenate([one.boxes for one in hypotheses])
+        fields = {
+            name: np.concatenate([one.fields[name] for one in hypotheses]) for name in hypotheses[0].fields
+        }
+        starts = np.cumsum([0, *map(len, hypotheses)])
+        answers, failed = ask_together(work, (compiled, asked, references), Hypotheses(boxes, fields), starts)
+        for t in range(len(group)):
+            if t not in failed:
+                its = slice(starts[t], starts[t + 1])
+                ahead[t] = {one: answers[one.agent][its] for one in together}
+    return [evaluate(plan, *of) for of in zip(observers, hypotheses, log, ahead, strict=True)]
+
+
+def _scores_each(cue: object) -> bool:
+    """True of a cue that scores hypotheses of many targets at once, and is at work here."""
+    return hasattr(cue, "log_likelihood_of_each") and not is_elsewhere(cue)
 
 
 def _step_again(

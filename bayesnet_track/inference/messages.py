@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
+from types import MappingProxyType
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from bayesnet_track.inference.factors import weigh
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.given import draw_given, log_given
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message, sum_kernel
-from bayesnet_track.inference.observe import Observer, Question, ask_each, known_answers, remember
+from bayesnet_track.inference.observe import Answer, Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import at_prediction, note_undefined, read_as
 from bayesnet_track.inference.views import through
@@ -39,8 +40,16 @@ INTEGRALS: Mapping[str, Integral] = {
 """How a latent node held by its draws makes a message of their log-likelihoods."""
 
 
-def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: Floats) -> Evidence:
+def evaluate(
+    plan: Plan,
+    observer: Observer,
+    hypotheses: Hypotheses,
+    prior_log: Floats,
+    ahead: Mapping[Observe, Answer] = MappingProxyType({}),
+) -> Evidence:
     """The evidence of the whole net for (N,) hypotheses with normalised prior log-weights.
+
+    Agents whose answers are known `ahead` are not asked.
 
     An agent that fails is left out as if it were switched off, and named by the observer: its planes or it
     raise, or it returns anything but N log-likelihoods of at most 0, one of them above -inf (for an agent
@@ -55,7 +64,7 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     constants: dict[str, float] = {}
     faults: dict[str, str] = {}
     question = Question(at, prior_log, _region(latent if plan.views else at))
-    answers = known_answers(plan.observations, observer)
+    answers = {**ahead, **known_answers(plan.observations, observer)}
     answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
     for step in plan.observations:
         answer = answers[step]

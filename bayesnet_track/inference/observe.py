@@ -259,13 +259,17 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
 def _check_covariance(measured: Measurement) -> str | None:
     covariance, variances = measured.covariance, measured.variances
     if variances is not None:  # independent errors need no solver
-        definite = min(variances) > 0.0
-        invertible = not definite or math.isfinite(1.0 / min(variances))
+        least = min(variances)
     else:
-        definite = np.allclose(covariance, covariance.T) and bool(np.linalg.eigvalsh(covariance)[0] > 0)
-        invertible = not definite or bool(np.isfinite(np.linalg.inv(covariance)).all())
-    if not definite:
+        away = abs(covariance - covariance.T)
+        is_symmetric = bool((away <= 1e-8 + 1e-5 * abs(covariance)).all())
+        try:
+            least = float(np.linalg.cholesky(covariance).diagonal().min()) ** 2 if is_symmetric else 0.0
+        except np.linalg.LinAlgError:
+            least = 0.0
+    if not least > 0.0:
         return "measured a covariance that is not symmetric and positive definite"
+    invertible = math.isfinite(1.0 / least)
     return None if invertible else "measured a covariance too small to be inverted"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import NormalDist
@@ -22,16 +22,15 @@ from bayesnet_track.belief.contract import (
     WeightedStates,
     hypotheses_of,
 )
+from bayesnet_track.belief.gaussian.rows import ask_each, take_each
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     MeasurementUpdate,
     SigmaPoints,
     allow_for,
-    ask,
     fit_moments,
     log_message,
     match_moments,
-    take,
 )
 from bayesnet_track.belief.motion.borders import Confined, Reflecting
 from bayesnet_track.belief.motion.composed import Nested, shared_columns
@@ -196,6 +195,10 @@ def draw_boxes(mean: Floats, lower: Floats, size: int, rng: np.random.Generator)
     return np.asarray(boxes)
 
 
+EvaluateEach = Callable[[Sequence[Hypotheses], Sequence[Floats]], list[Evidence]]
+"""`belief.contract.Evaluate` of several targets: the hypotheses and prior log-weights of each."""
+
+
 @dataclass(frozen=True)
 class GaussianFilter:
     """The Kalman family, as `settings` say."""
@@ -223,43 +226,91 @@ class GaussianFilter:
     def step(
         self, prior: GaussianPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[GaussianPosterior]:
-        """The belief after `dt` frame intervals and the evidence of a frame.
+        """The belief after `dt` frame intervals and the evidence of a frame."""
+
+        def evaluate_each(hypotheses: Sequence[Hypotheses], log: Sequence[Floats]) -> list[Evidence]:
+            return [evaluate(hypotheses[0], log[0])]
+
+        return self.step_each([prior], motion, dt, evaluate_each, [stream])[0]
+
+    def step_each(
+        self,
+        priors: Sequence[GaussianPosterior],
+        motion: MotionModel,
+        dt: float,
+        evaluate_each: EvaluateEach,
+        streams: Iterable[Stream],
+    ) -> list[Step[GaussianPosterior]]:
+        """The beliefs of several targets that move alike, after `dt` frame intervals and their evidence.
 
         Likelihoods first, then what was measured. The prediction stays where nothing was measured
         near it and no agent distinguishes hypotheses, or where the likelihoods leave none.
         """
         # Predict
-        mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
-        before = mean, covariance
-
-        predicted = (Predicted(1.0, mean, covariance),)
+        settings = self.settings
+        before = [predict(one.mean, one.covariance, motion, dt, settings) for one in priors]
 
         # Evaluate
-        asked = ask(mean, covariance, motion, self.settings, stream("samples"))
-        hypotheses = hypotheses_of(asked.states, prior.fields)
-        evidence = evaluate(hypotheses, asked.beta.log)
+        asked = ask_each(before, motion, settings, (stream("samples") for stream in streams))
+        hypotheses = [hypotheses_of(one.states, motion.fields) for one in asked]
+        evidence = evaluate_each(hypotheses, [one.beta.log for one in asked])
 
         # Update
-        sampled = evidence.log_likelihood if evidence.sampled is None else evidence.sampled
+        weighed = [self._weigh(*of, motion) for of in zip(before, asked, evidence, strict=True)]
+        moments = [(mean, covariance) for mean, covariance, _ in weighed]
+        measured = [
+            {} if isinstance(log, str) else own.gaussians
+            for own, (_, _, log) in zip(evidence, weighed, strict=True)
+        ]
+        after = take_each(moments, motion.fields, measured, settings.gate, settings.filter == "unscented")
+        return [
+            self._stepped(motion, log, *of)
+            for (_, _, log), *of in zip(weighed, before, asked, evidence, after, strict=True)
+        ]
+
+    def _weigh(
+        self, before: tuple[Floats, Floats], asked: SigmaPoints, evidence: Evidence, motion: MotionModel
+    ) -> tuple[Floats, Floats, float | str]:
+        """Mean, covariance and log-evidence by the likelihoods; why they cannot be used, if they cannot."""
+        update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
         try:
-            update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
-            mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
+            mean, covariance, log_evidence = update(*before, asked, sampled_of(evidence))
         except DegenerateWeights as fault:
-            posterior = _posterior(mean, covariance, prior.fields, len(asked.states), motion)
-            return evolve(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
+            return *before, str(fault)
         if shared := shared_columns(motion):
             mean, covariance = allow_for(shared, before, (mean, covariance))
-        by_points = self.settings.filter == "unscented"
-        after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
+        return mean, covariance, log_evidence
+
+    def _stepped(
+        self,
+        motion: MotionModel,
+        log_evidence: float | str,
+        before: tuple[Floats, Floats],
+        asked: SigmaPoints,
+        evidence: Evidence,
+        after: MeasurementUpdate,
+    ) -> Step[GaussianPosterior]:
+        """The step of one target; `log_evidence` is that of the likelihoods, or why there is none."""
+        fields = motion.fields
+        posterior = _posterior(after.mean, after.covariance, fields, len(asked.states), motion)
+        if isinstance(log_evidence, str):
+            return evolve(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=log_evidence)
         stepped = _step(
-            _posterior(after.mean, after.covariance, prior.fields, len(asked.states), motion),
+            posterior,
             log_evidence + after.log_evidence,
             asked,
-            _weights(asked, evidence, sampled, after, hypotheses, prior.fields),
+            _weights(asked, evidence, after, fields),
             evidence,
             tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
         )
-        return evolve(stepped, predicted=predicted, log_gated=log_floors(after.gated, evidence))
+        return evolve(
+            stepped, predicted=(Predicted(1.0, *before),), log_gated=log_floors(after.gated, evidence)
+        )
+
+
+def sampled_of(evidence: Evidence) -> Floats:
+    """(N,) the net's log-likelihood without Gaussian messages."""
+    return evidence.log_likelihood if evidence.sampled is None else evidence.sampled
 
 
 def log_floors(gated: Iterable[Gated], evidence: Evidence) -> float:
@@ -292,9 +343,7 @@ def _posterior(
 def _weights(
     asked: SigmaPoints,
     evidence: Evidence,
-    sampled: Floats,
     after: MeasurementUpdate,
-    hypotheses: Hypotheses,
     fields: tuple[str, ...],
 ) -> LogWeights:
     """The hypotheses' posterior weights: by the net's messages, without measurements that were not used.
@@ -304,7 +353,7 @@ def _weights(
     """
     if not after.gated:
         return asked.beta.times(evidence.log_likelihood)[0]
-    total = sampled
+    total, hypotheses = sampled_of(evidence), hypotheses_of(asked.states, fields)
     for one in after.used.values():
         total = total + log_message(one, hypotheses, fields)
     return asked.beta.times(total)[0]

@@ -31,10 +31,10 @@ from bayesnet_track.belief.gaussian.belief import (
     report_gated,
     require_linear,
 )
+from bayesnet_track.belief.gaussian.rows import ask_each
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     SigmaPoints,
-    ask,
     fit_moments,
     match_moments,
     take,
@@ -191,7 +191,7 @@ class ModalFilter:
         predicted = self.predict(prior, motion, dt, stream("predict"))
         motions = _motions(motion)
         asked = [
-            ask(part.mean, part.covariance, one, self.settings, stream(f"samples {number}"))
+            ask_each([(part.mean, part.covariance)], one, self.settings, [stream(f"samples {number}")])[0]
             for number, (part, one) in enumerate(zip(predicted.parts, motions, strict=True))
         ]
         together = _together(asked, predicted.mode_probabilities)

@@ -9,11 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.belief.contract import LEAST_SIDE_PX, MotionModel
 from bayesnet_track.belief.gaussian.error_update import update_by_errors
-from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.formulas import derivative, extended_update, unscented_update
-from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
     ALONE,
@@ -22,10 +19,8 @@ from bayesnet_track.numerics.gaussian import (
     chi_square_quantile,
     linear_update,
     root,
-    sigma_points,
     symmetric,
     update_by_fields,
-    whiten,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
@@ -87,55 +82,6 @@ class SigmaPoints:
     lower: Floats
     states: Floats
     beta: LogWeights
-
-
-def ask(
-    mean: Floats, covariance: Floats, motion: MotionModel, settings: spec.Gaussian, rng: np.random.Generator
-) -> SigmaPoints:
-    """Samples of N(mean, covariance), or sigma points at +-sqrt(K + 1) sds and the mean.
-
-    A hypothesis that would leave the image is moved to its border: what is said of it there is taken as the
-    likelihood outside, so that the moments stay exact.
-    """
-    if settings.likelihood == "samples":
-        return _draw(mean, covariance, motion, settings.samples, rng)
-    lower = root(covariance)
-    width = lower.shape[1]
-    unit = sigma_points(width, width + 1.0)
-    log_beta = np.full(len(unit), -np.log(2.0 * (width + 1.0)))
-    log_beta[0] = -np.log(width + 1.0)
-    return SigmaPoints(unit, lower, _placed(mean, lower, unit, motion), LogWeights.normalise(log_beta)[0])
-
-
-def _draw(
-    mean: Floats, covariance: Floats, motion: MotionModel, samples: int, rng: np.random.Generator
-) -> SigmaPoints:
-    """Samples, so many or as many as the rank of the covariance needs."""
-    # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.gaussian import stand_for
-
-    width, bounds = len(mean), (math.inf, math.inf, LEAST)
-    if isinstance(motion, Confined) and not motion.leaves_image:
-        bounds = float(motion.width), float(motion.height), LEAST
-    size = max(samples, 2 * (width + 1))
-    half = rng.standard_normal((size // 2, width))
-    is_in_pixels = getattr(motion, "least_side", LEAST_SIDE_PX) == LEAST_SIDE_PX
-    lower, unit, states = np.empty((width, width)), np.empty((size, width)), np.empty((size, width))
-    if not is_in_pixels or not stand_for(plain(mean), plain(covariance), half, bounds, unit, (lower, states)):
-        lower = root(covariance)
-        width = lower.shape[1]
-        size = max(samples, 2 * (width + 1))
-        half = half.ravel()[: (size // 2) * width].reshape(size // 2, width)  # as if only these were drawn
-        unit = whiten(half, size)
-        states = _placed(mean, lower, unit, motion)
-    return SigmaPoints(unit, lower, states, LogWeights.uniform(size))
-
-
-def _placed(mean: Floats, lower: Floats, unit: Floats, motion: MotionModel) -> Floats:
-    states = mean + unit @ lower.T
-    np.maximum(states[:, 2:4], getattr(motion, "least_side", LEAST_SIDE_PX), out=states[:, 2:4])
-    return motion.confine(states) if isinstance(motion, Confined) else states
 
 
 def is_flat(log_likelihood: Floats) -> bool:
