@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from bayesnet_track.belief.contract import (
     Stream,
     hypotheses_of,
 )
-from bayesnet_track.belief.gaussian.belief import GaussianFilter
+from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
@@ -133,9 +133,11 @@ class Ready:
         """A target with its motion in the frame and its agents."""
         live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
         before = with_agents(compiled, before, live.looking(frame.ordinal))
-        given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
+        ride_motion, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
         dt = frame.time - before.time
-        moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
+        moves = predict_motion(
+            compiled, ride_motion, before.motion_context, live.status == "lost", dt, work.cache
+        )
         belief = within(compiled.belief, live.most_particles)
         plan = plan_without_calls(work, target, before)
         stream = work.stream(target, compiled.plate.root)
@@ -153,16 +155,16 @@ def filter_each(work: FrameContext, before: Mapping[str, TargetState]) -> dict[s
     """
     ready = [Ready.of(work, target, state) for target, state in before.items()]
     groups: dict[Hashable, list[Ready]] = {}
-    for one in ready:
-        if isinstance(one.belief, GaussianFilter) and not work.availability.known:
-            plate, agents = work.net.targets[one.target].template, one.plan.active
-            key = (plate, agents, one.before.time, id(one.belief), id(one.moves.motion))
-            groups.setdefault(key, []).append(one)
+    for target in ready:
+        if isinstance(target.belief, GaussianFilter) and not work.availability.known:
+            plate, agents = work.net.targets[target.target].template, target.plan.active
+            key = (plate, agents, target.before.time, id(target.belief), id(target.moves.motion))
+            groups.setdefault(key, []).append(target)
     steps: dict[str, Stepped] = {}
     for group in groups.values():
         if len(group) > 1:
             steps |= _step_each(work, group)
-    return {one.target: _filter(work, one, steps.get(one.target)) for one in ready}
+    return {target.target: _filter(work, target, steps.get(target.target)) for target in ready}
 
 
 def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
@@ -180,7 +182,7 @@ def _filter(work: FrameContext, ready: Ready, stepped: Stepped | None = None) ->
     compiled, belief, stream, frame = work.plate_of(target), ready.belief, ready.stream, work.frame
     started, dt = work.engine.clock(), frame.time - before.time
     motion = confined(moves.motion, frame.width, frame.height, work.inputs)
-    failed = dict(work.faults.get((target, "observing"), {}))
+    failed: MutableMapping[str, str] = dict(work.faults.get((target, "observing"), {}))
     while True:
         observer = _observer(work, ready, failed) if stepped is None else stepped[0]
         failed = observer.faults
@@ -259,14 +261,17 @@ def _step_each(work: FrameContext, group: Sequence[Ready]) -> dict[str, Stepped]
     started, first, frame = work.engine.clock(), group[0], work.frame
     belief, dt = first.belief, frame.time - first.before.time
     assert isinstance(belief, GaussianFilter)
-    observers = [_observer(work, one, dict(work.faults.get((one.target, "observing"), {}))) for one in group]
+    observers = [
+        _observer(work, ready, dict(work.faults.get((ready.target, "observing"), {}))) for ready in group
+    ]
     motion = confined(first.moves.motion, frame.width, frame.height, work.inputs)
     see = partial(_evaluate_each, work, group, observers)
-    steps = belief.step_each([one.prior for one in group], motion, dt, see, [one.stream for one in group])
+    priors = [cast(GaussianPosterior, ready.prior) for ready in group]
+    steps = belief.step_each(priors, motion, dt, see, [ready.stream for ready in group])
     work.charge("belief", started)
     if undefined_in(motion):  # of which target is found out where each is stepped by itself
         return {}
-    return dict(zip((one.target for one in group), zip(observers, steps, strict=True), strict=True))
+    return dict(zip((ready.target for ready in group), zip(observers, steps, strict=True), strict=True))
 
 
 def _evaluate_each(
@@ -279,27 +284,30 @@ def _evaluate_each(
     """What the net says of the hypotheses of each; agents that score many targets at once are asked once."""
     plan, compiled = group[0].plan, work.plate_of(group[0].target)
     references = {
-        one.agent: [other.references[one.agent] for other in observers]
-        for one in plan.observations
-        if one.at == plan.root and not one.measures and _scores_each(compiled.cues[one.agent])
-        if all(one.agent in other.references for other in observers)
+        observe.agent: [observer.references[observe.agent] for observer in observers]
+        for observe in plan.observations
+        if observe.at == plan.root and not observe.measures and _scores_each(compiled.cues[observe.agent])
+        if all(observe.agent in observer.references for observer in observers)
     }
     ahead: list[dict[Observe, Answer]] = [{} for _ in group]
     if references:
         together = {
-            one: replace(one, temperature=1.0) for one in plan.observations if one.agent in references
+            observe: replace(observe, temperature=1.0)
+            for observe in plan.observations
+            if observe.agent in references
         }
         asked = replace(plan, observations=tuple(together.values()))
-        boxes = np.concatenate([one.boxes for one in hypotheses])
+        boxes = np.concatenate([cloud.boxes for cloud in hypotheses])
         fields = {
-            name: np.concatenate([one.fields[name] for one in hypotheses]) for name in hypotheses[0].fields
+            name: np.concatenate([cloud.fields[name] for cloud in hypotheses])
+            for name in hypotheses[0].fields
         }
         starts = np.cumsum([0, *map(len, hypotheses)])
         answers, failed = ask_together(work, (compiled, asked, references), Hypotheses(boxes, fields), starts)
         for t in range(len(group)):
             if t not in failed:
-                its = slice(starts[t], starts[t + 1])
-                ahead[t] = {one: answers[one.agent][its] for one in together}
+                rows = slice(starts[t], starts[t + 1])
+                ahead[t] = {observe: answers[observe.agent][rows] for observe in together}
     return [evaluate(plan, *of) for of in zip(observers, hypotheses, log, ahead, strict=True)]
 
 

@@ -248,24 +248,26 @@ class GaussianFilter:
         """
         # Predict
         settings = self.settings
-        before = [predict(one.mean, one.covariance, motion, dt, settings) for one in priors]
+        before = [predict(prior.mean, prior.covariance, motion, dt, settings) for prior in priors]
 
         # Evaluate
         asked = ask_each(before, motion, settings, (stream("samples") for stream in streams))
-        hypotheses = [hypotheses_of(one.states, motion.fields) for one in asked]
-        evidence = evaluate_each(hypotheses, [one.beta.log for one in asked])
+        hypotheses = [hypotheses_of(points.states, motion.fields) for points in asked]
+        evidence = evaluate_each(hypotheses, [points.beta.log for points in asked])
 
         # Update
         weighed = [self._weigh(*of, motion) for of in zip(before, asked, evidence, strict=True)]
         moments = [(mean, covariance) for mean, covariance, _ in weighed]
         measured = [
-            {} if isinstance(log, str) else own.gaussians
-            for own, (_, _, log) in zip(evidence, weighed, strict=True)
+            {} if isinstance(log, str) else evidence_of_target.gaussians
+            for evidence_of_target, (_, _, log) in zip(evidence, weighed, strict=True)
         ]
         after = take_each(moments, motion.fields, measured, settings.gate, settings.filter == "unscented")
         return [
-            self._stepped(motion, log, *of)
-            for (_, _, log), *of in zip(weighed, before, asked, evidence, after, strict=True)
+            self._stepped(motion, likelihood[2], start, points, evidence_of_target, end)
+            for likelihood, start, points, evidence_of_target, end in zip(
+                weighed, before, asked, evidence, after, strict=True
+            )
         ]
 
     def _weigh(

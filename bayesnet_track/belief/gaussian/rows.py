@@ -38,11 +38,11 @@ def ask_each(
 ) -> list[SigmaPoints]:
     """Hypotheses that stand for each Gaussian: samples, or sigma points at +-sqrt(K + 1) sds and the mean.
 
-    A hypothesis that would leave the image is moved to its border: what is said of it there is taken as the
+    A hypothesis that would leave the image is moved to drawn border: what is said of it there is taken as the
     likelihood outside, so that the moments stay exact.
     """
     if settings.likelihood == "sigma_points":
-        return [_sigma_points(*one, motion) for one in moments]
+        return [_sigma_points(*gaussian, motion) for gaussian in moments]
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.gaussian import stand_for
@@ -53,16 +53,16 @@ def ask_each(
     is_in_pixels = getattr(motion, "least_side", LEAST_SIDE_PX) == LEAST_SIDE_PX
     size = max(settings.samples, 2 * (width + 1))
     halves = [rng.standard_normal((size // 2, width)) for rng in draws]
-    points, others, beta = dict[int, SigmaPoints](), list[int](), LogWeights.uniform(size)
+    points, flat, beta = dict[int, SigmaPoints](), list[int](), LogWeights.uniform(size)
     for row, ((mean, covariance), half) in enumerate(zip(moments, halves, strict=True)):
         lower, unit, states = np.empty((width, width)), np.empty((size, width)), np.empty((size, width))
         is_full = is_in_pixels and bool((covariance.diagonal() > 0.0).all())
         if is_full and stand_for(plain(mean), plain(covariance), half, bounds, unit, (lower, states)):
             points[row] = SigmaPoints(unit, lower, states, beta)
         else:
-            others.append(row)
-    if others:
-        points |= _draw_flat(others, moments, motion, settings.samples, halves)
+            flat.append(row)
+    if flat:
+        points |= _draw_flat(flat, moments, motion, settings.samples, halves)
     return [points[row] for row in range(len(moments))]
 
 
@@ -86,7 +86,7 @@ def _placed(states: Floats, motion: MotionModel) -> Floats:
 def _draw_flat(
     rows: Sequence[int], moments: Sequence[Moments], motion: MotionModel, samples: int, halves: list[Floats]
 ) -> dict[int, SigmaPoints]:
-    """Row -> samples of its Gaussian, so many or as many as its rank needs, of those that may be flat."""
+    """Row -> samples of drawn Gaussian, so many or as many as drawn rank needs, of those that may be flat."""
     alike: dict[int, list[tuple[int, Floats]]] = {}
     for row, lower in zip(rows, roots(np.array([moments[row][1] for row in rows])), strict=True):
         alike.setdefault(lower.shape[1], []).append((row, lower))
@@ -102,8 +102,8 @@ def _draw_flat(
         states = means[:, None] + units @ lowers.swapaxes(1, 2)
         _placed(states.reshape(-1, states.shape[2]), motion)
         beta = LogWeights.uniform(size)
-        for (row, lower), unit, its in zip(group, units, states, strict=True):
-            points[row] = SigmaPoints(unit, lower, its, beta)
+        for (row, lower), unit, drawn in zip(group, units, states, strict=True):
+            points[row] = SigmaPoints(unit, lower, drawn, beta)
     return points
 
 
@@ -125,12 +125,12 @@ def take_each(
     """Kalman updates of each Gaussian by what its agents measured (`update.take`)."""
     alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     updates: dict[int, MeasurementUpdate] = {}
-    for row, (own, messages) in enumerate(zip(moments, measured, strict=True)):
+    for row, (gaussian, messages) in enumerate(zip(moments, measured, strict=True)):
         agent, message = next(iter(messages.items()), ("", None))
         if message is not None and len(messages) == 1 and _is_correlated(message):
             alike.setdefault((agent, message.fields), []).append(row)
         else:
-            updates[row] = take(*own, fields, messages, gate, is_unscented)
+            updates[row] = take(*gaussian, fields, messages, gate, is_unscented)
     for (agent, _), rows in alike.items():
         group = [measured[row][agent] for row in rows]
         for row, update in zip(
@@ -140,18 +140,23 @@ def take_each(
     return [updates[row] for row in range(len(moments))]
 
 
-def _is_correlated(one: Measurement) -> bool:
+def _is_correlated(message: Measurement) -> bool:
     """True of a place by fields of the state, whose Gaussian errors depend on each other."""
-    return not one.choices and one.errors is None and one.seen is None and one.variances is None
+    return (
+        not message.choices and message.errors is None and message.seen is None and message.variances is None
+    )
 
 
 def _update_each(
     agent: str, moments: Sequence[Moments], fields: tuple[str, ...], group: Sequence[Measurement], gate: float
 ) -> list[MeasurementUpdate]:
     """Updates of each Gaussian by a measurement of the same K fields (`numerics.gaussian.linear_update`)."""
-    means, covariances = np.array([mean for mean, _ in moments]), np.array([own for _, own in moments])
-    observe, noises = observe_fields(group[0], fields), np.array([one.covariance for one in group])
-    innovations = np.array([one.mean for one in group]) - means @ observe.T
+    means, covariances = (
+        np.array([mean for mean, _ in moments]),
+        np.array([covariance for _, covariance in moments]),
+    )
+    observe, noises = observe_fields(group[0], fields), np.array([message.covariance for message in group])
+    innovations = np.array([message.mean for message in group]) - means @ observe.T
     across = covariances @ observe.T
     expected = symmetric(observe @ across + noises)
     gains = np.linalg.solve(expected, across.swapaxes(1, 2)).swapaxes(1, 2)
