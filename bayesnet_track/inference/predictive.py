@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.belief.contract import Step
-from bayesnet_track.belief.gaussian.error_update import update_by_errors
+from bayesnet_track.belief.gaussian.update import update_by_errors
 from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.numerics.arrays import Floats
