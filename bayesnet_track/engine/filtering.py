@@ -243,7 +243,7 @@ def _filtered(
 
 
 def _observer(work: FrameContext, ready: Ready, failed: MutableMapping[str, str]) -> Observer:
-    """What asks a target's agents, without those that `failed`."""
+    """Observer of a target, without agents that `failed`."""
     return Observer(
         work.cache,
         work.plate_of(ready.target).cues,
@@ -281,7 +281,7 @@ def _evaluate_each(
     hypotheses: Sequence[Hypotheses],
     log: Sequence[Floats],
 ) -> list[Evidence]:
-    """What the net says of the hypotheses of each; agents that score many targets at once are asked once."""
+    """Evidence of the net about each one's hypotheses; agents that score many targets are asked once."""
     plan, compiled = group[0].plan, work.plate_of(group[0].target)
     references = {
         observe.agent: [observer.references[observe.agent] for observer in observers]

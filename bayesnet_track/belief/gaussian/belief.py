@@ -22,7 +22,7 @@ from bayesnet_track.belief.contract import (
     WeightedStates,
     hypotheses_of,
 )
-from bayesnet_track.belief.gaussian.rows import ask_each, take_each
+from bayesnet_track.belief.gaussian.rows import stand_for_each, take_each
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     MeasurementUpdate,
@@ -251,7 +251,7 @@ class GaussianFilter:
         before = [predict(prior.mean, prior.covariance, motion, dt, settings) for prior in priors]
 
         # Evaluate
-        asked = ask_each(before, motion, settings, (stream("samples") for stream in streams))
+        asked = stand_for_each(before, motion, settings, (stream("samples") for stream in streams))
         hypotheses = [hypotheses_of(points.states, motion.fields) for points in asked]
         evidence = evaluate_each(hypotheses, [points.beta.log for points in asked])
 

@@ -31,7 +31,7 @@ from bayesnet_track.belief.gaussian.belief import (
     report_gated,
     require_linear,
 )
-from bayesnet_track.belief.gaussian.rows import ask_each
+from bayesnet_track.belief.gaussian.rows import stand_for_each
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     SigmaPoints,
@@ -191,7 +191,9 @@ class ModalFilter:
         predicted = self.predict(prior, motion, dt, stream("predict"))
         motions = _motions(motion)
         asked = [
-            ask_each([(part.mean, part.covariance)], one, self.settings, [stream(f"samples {number}")])[0]
+            stand_for_each([(part.mean, part.covariance)], one, self.settings, [stream(f"samples {number}")])[
+                0
+            ]
             for number, (part, one) in enumerate(zip(predicted.parts, motions, strict=True))
         ]
         together = _together(asked, predicted.mode_probabilities)

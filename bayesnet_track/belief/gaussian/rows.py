@@ -30,7 +30,7 @@ Moments = tuple[Floats, Floats]
 """Mean (D,) and covariance (D, D)."""
 
 
-def ask_each(
+def stand_for_each(
     moments: Sequence[Moments],
     motion: MotionModel,
     settings: spec.Gaussian,

@@ -1,4 +1,4 @@
-"""Update of a Gaussian belief by moments of a likelihood, and by measurements of fields, quantities, or with errors of any distribution.
+"""Update of a Gaussian belief by moments of a likelihood, and by measurements with any errors.
 
 A quantity z = h(x) + e has one dimension: with s = h(x) linearised at the mean, s ~ N(h(m), S) before it, and
 the density of s given z is N(s) p(z - s) up to a constant. Its mean and variance are integrals over a line,
@@ -301,9 +301,9 @@ def take(
     3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
     belief before any of them, so that their order decides nothing. One with choices gives the mean and the
     covariance of the mixture of its updates; it is never left out, because its choices were gated when they
-    were made, nor is one whose errors are not Gaussian (`error_update`). Quantities that are functions of the
-    state are taken by their derivative at the mean, or at sigma points where `is_unscented`; without a value
-    there they are not used.
+    were made, nor is one whose errors are not Gaussian (`update_by_errors`). Quantities that are functions of
+    the state are taken by their derivative at the mean, or at sigma points where `is_unscented`; without a
+    value there they are not used.
     """
     used: dict[str, Measurement] = {}
     gated: list[Gated] = []

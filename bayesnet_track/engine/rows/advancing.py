@@ -15,7 +15,7 @@ from bayesnet_track.adapt.rule_columns import STATUSES
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes, report_gated
-from bayesnet_track.belief.gaussian.rows import ask_each
+from bayesnet_track.belief.gaussian.rows import stand_for_each
 from bayesnet_track.belief.gaussian.update import gated_of
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
@@ -367,5 +367,5 @@ def _draw(work: FrameContext, rows: Rows, moments: tuple[Floats, Floats]) -> Flo
         return np.empty((count, 0, 4))
     motion = confined(rule.motion, work.frame.width, work.frame.height)
     draws = work.engine.streams.of_each(work.births_of(rows.ids), rule.root, work.moment, "samples")
-    asked = ask_each([*zip(*moments, strict=True)], motion, settings, draws)
+    asked = stand_for_each([*zip(*moments, strict=True)], motion, settings, draws)
     return np.array([one.states[:, :4] for one in asked]).reshape(count, -1, 4)
