@@ -195,7 +195,7 @@ def _share(part: float, complement: float) -> float:
 
 
 THRESHOLD, PATIENCE = 0.8, 20
-"""Chosen on 13 videos: docs/annotate.md has the figures, and those of 12 others."""
+"""Chosen on 13 videos: docs/benchmarks/annotate.md has the figures, and those of 12 others."""
 
 
 @dataclass(frozen=True)
