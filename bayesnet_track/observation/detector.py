@@ -231,7 +231,7 @@ def detections_of(found: Any) -> Detections:
     corners = getattr(boxes, "xyxy", None)
     if corners is None:
         raise ValueError(f"{type(found).__name__} without xyxy; allowed: (N, 4) left, top, right, bottom, px")
-    corners = _array(corners).reshape(-1, 4) if np.size(corners) == 0 else _array(corners)
+    corners = fetched(corners).reshape(-1, 4) if np.size(corners) == 0 else fetched(corners)
     if corners.ndim != 2 or corners.shape[1] != 4:
         raise ValueError(f"xyxy of shape {corners.shape}; allowed: (N, 4)")
     scores = _of_each(boxes, ("confidence", "conf"), len(corners))
@@ -245,8 +245,8 @@ def detections_of(found: Any) -> Detections:
     return check_detections(Detections(centres[order], scores[order], tuple(labels[k] for k in order)))
 
 
-def _array(given: Any) -> Floats:
-    """Of an array, a list or a tensor on any device."""
+def fetched(given: Any) -> Floats:
+    """The values of an array, a list or a tensor on any device."""
     here = given.cpu() if hasattr(given, "cpu") else given
     return np.asarray(here, dtype=np.float64)
 
@@ -256,7 +256,7 @@ def _of_each(boxes: Any, names: tuple[str, ...], count: int) -> Floats | None:
     for name in names:
         value = getattr(boxes, name, None)
         if value is not None:
-            values = _array(value).reshape(-1)
+            values = fetched(value).reshape(-1)
             if len(values) != count:
                 raise ValueError(f"{name} of {len(values)} values for {count} boxes; allowed: one for each")
             return values

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from bayesnet_track.graph.expressions.periods import period_of
 from bayesnet_track.graph.expressions.terms import Call, Variable
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_xyxy, xyxy_from_centre
-from bayesnet_track.observation.detector import GIVEN, Detections, Scan
+from bayesnet_track.observation.detector import GIVEN, Detections, Scan, fetched
 from bayesnet_track.runtime.arguments import frames_of
 from bayesnet_track.runtime.frame_clock import image_users
 from bayesnet_track.runtime.results import FrameSource
@@ -292,13 +293,14 @@ def _advice(boxes: Floats) -> str:
 def read_given(detections: Any, graph: CheckedGraph, name: str = "detections") -> GivenDetections:
     """The usable rows of an object with `xyxy`, `confidence`, and `data`; a notice names the others.
 
-    Notices call the object by its `name`.
+    A `Results` of ultralytics is read by its `boxes` and `names`. Notices call the object by its `name`.
 
     Raises:
         TypeError: it has no `xyxy`.
         ValueError: boxes that are not (n, 4) numbers, confidences beyond 0..1, no class names for a graph
             with `labels`, or not one confidence or name for each box.
     """
+    detections = _with_corners(detections)
     corners = _corners(detections)
     count = len(corners)
     scores, labels = _scores(detections, count), _labels(detections, count, graph)
@@ -321,6 +323,16 @@ def read_given(detections: Any, graph: CheckedGraph, name: str = "detections") -
 def _left_out(name: str, fault: str, rows: Sequence[int], count: int, advice: str = "") -> str:
     noun, verb = ("box" if count == 1 else "boxes"), ("is" if len(rows) == 1 else "are")
     return f"{name}: {len(rows)} of {count} {noun} {verb} {fault} and left out: row {few(rows)}{advice}"
+
+
+def _with_corners(detections: Any) -> Any:
+    """The object itself, or the boxes of an ultralytics `Results` under the names that supervision has."""
+    boxes = None if hasattr(detections, "xyxy") else getattr(detections, "boxes", None)
+    if not all(hasattr(boxes, name) for name in ("xyxy", "conf", "cls")):
+        return detections
+    corners, scores, classes = (fetched(one) for one in (boxes.xyxy, boxes.conf, boxes.cls))
+    names = [str(detections.names.get(int(number), int(number))) for number in classes]
+    return SimpleNamespace(xyxy=corners, confidence=scores, data={"class_name": names})
 
 
 def _corners(detections: Any) -> Floats:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bayesnet_track import DetectionsTracker
 from bayesnet_track.observation.detector import detections_of
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import format_frame, parse_detections
@@ -51,6 +52,16 @@ def test_ultralytics_on_another_device():
     boxes = SimpleNamespace(xyxy=Tensor(CORNERS), conf=Tensor([0.9, 0.3]), cls=Tensor([0.0, 1.0]))
     found = detections_of(SimpleNamespace(boxes=boxes, names={0: "person", 1: "bicycle"}))
     assert found.labels == ("person", "bicycle") and found.boxes.shape == (2, 4)
+
+
+@pytest.mark.parametrize("names", [{0: "person", 1: "bicycle"}, {}])
+def test_results_of_ultralytics_are_tracked_as_they_are(names):
+    boxes = SimpleNamespace(xyxy=Tensor(CORNERS), conf=Tensor([0.9, 0.8]), cls=Tensor([0.0, 1.0]))
+    result, tracker = SimpleNamespace(boxes=boxes, names=names), DetectionsTracker(size=(200, 200))
+    for _ in range(4):
+        marked = tracker.update(result)
+    assert marked.tracker_id.tolist() == [1, 2] and marked.boxes is boxes
+    assert not hasattr(result, "tracker_id")
 
 
 def test_none_found_is_none():
