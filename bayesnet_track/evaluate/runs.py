@@ -12,12 +12,15 @@ from typing import TypeVar
 
 import numpy as np
 
+from bayesnet_track.evaluate.mot import MotScore, score_mot
 from bayesnet_track.evaluate.scores import Score, score
-from bayesnet_track.evaluate.truth import TruthForm, read_truth
+from bayesnet_track.evaluate.truth import Tracks, TruthForm, read_pair, read_truth
+from bayesnet_track.graph.text.load import read_graph
+from bayesnet_track.journal.blocks import boxes_of
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.reader import read_events, read_metrics
+from bayesnet_track.journal.reader import Measurements, read_events, read_metrics
 from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
@@ -84,6 +87,26 @@ def say_misplaced(run_directory: Path, truth_path: str | Path, boxes: Floats) ->
     if start is not None:
         for reason in explain_places(boxes, (start.width, start.height), "true boxes"):
             notice(f"{truth_path}: {reason}")
+
+
+def tracks_of_run(folder: Path) -> Path | Tracks:
+    """The boxes of a run: its ``tracks.txt``, or of a run without it those in its columns, as it has them."""
+    mot, frames = folder / "tracks.txt", folder / "frames.npy.gz"
+    if mot.exists() or not frames.is_file():
+        return mot
+    has_births = any(plate.birth for plate in read_graph(folder / "graph.yaml")[0].targets.values())
+    parts = [
+        (boxes.frames.astype(np.int32), boxes.ids, np.round(boxes.corners, 3).astype(np.float32))
+        for boxes in boxes_of(Measurements(frames, notice), lost=not has_births)
+    ]
+    if not parts:
+        return Tracks(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 4)))
+    return Tracks(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def score_several(folder: Path, truth: Path, form: TruthForm | None = None) -> MotScore:
+    """Scores of all targets of a run; raises OSError, ValueError as `read_pair`."""
+    return score_mot(*read_pair(tracks_of_run(folder), truth, *frames_of_run(folder), form))
 
 
 def frames_of_run(run_directory: Path) -> tuple[set[int] | None, range | None]:

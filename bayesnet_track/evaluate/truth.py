@@ -349,7 +349,7 @@ def read_mot_tracks(path: str | Path) -> Tracks:
 
 
 def read_pair(
-    tracks_path: str | Path,
+    tracks: str | Path | Tracks,
     truth_path: str | Path,
     frames: Collection[int] | None = None,
     ran: range | None = None,
@@ -358,7 +358,7 @@ def read_pair(
     """The true and the tracked boxes of two files; what shows that they do not go together is said.
 
     Args:
-        tracks_path: the tracks.
+        tracks: the file of the tracks, or what it would hold.
         truth_path: the ground truth.
         frames: frames that alone count, which are numbered from 0 without gaps; all where None.
         ran: the frames that were tracked in, where that is known.
@@ -368,7 +368,9 @@ def read_pair(
         OSError: a file cannot be read.
         ValueError: a malformed file; says file and line.
     """
-    truth, tracks = read_mot_truth(truth_path, form), read_mot_tracks(tracks_path)
+    truth = read_mot_truth(truth_path, form)
+    if not isinstance(tracks, Tracks):
+        tracks = read_mot_tracks(tracks)
     if frames is not None:
         return _renumbered(truth, frames), _renumbered(tracks, frames)
     for reason in explain_lengths(truth.frames, tracks.frames, ran):

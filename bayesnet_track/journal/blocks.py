@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bayesnet_track.journal.encoder import JournalError
 from bayesnet_track.journal.frame_columns import ABSENT, REGIONS, all_columns, region_of
 from bayesnet_track.journal.frame_file import FrameFile, Place, structured
-from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.metrics import NOT_SHOWN, FrameMetrics
 from bayesnet_track.journal.reader import MOST, Measurements
 from bayesnet_track.numerics.arrays import Floats
 
@@ -226,6 +226,38 @@ def spans(runs: Sequence[Blocks], end: int) -> Iterator[tuple[int, int]]:
             return
         yield start, min(start + step, end)
         start += step
+
+
+@dataclass(frozen=True, eq=False)
+class NumberedBoxes:
+    """Boxes of successive frames.
+
+    Attributes:
+        frames: (N,) frame of each.
+        ids: (N,) number of its target, from 1 in the order in which targets appear.
+        corners: (N, 4) left, top, width, height, px.
+        scores: (N,) 0..1.
+    """
+
+    frames: NDArray[np.int64]
+    ids: NDArray[np.int32]
+    corners: Floats
+    scores: Floats
+
+
+def boxes_of(metrics: Sequence[FrameMetrics], lost: bool) -> Iterator[NumberedBoxes]:
+    """All boxes that are measured, some frames at a time; without `lost` those of shown targets."""
+    blocks = Blocks(metrics, ("status", "box", "score"))
+    for block in blocks:
+        corners = np.array(block.numbers("box").T)
+        corners[:, :2] -= (corners[:, 2:] - 1.0) / 2.0
+        scores, ids = block.numbers("score"), block.codes("target") + np.int32(1)
+        gone = [code for code, text in enumerate(blocks.texts["status"].texts) if text in NOT_SHOWN]
+        if not lost and gone:
+            is_shown = ~np.isin(block.codes("status"), gone)
+            yield NumberedBoxes(block.frame[is_shown], ids[is_shown], corners[is_shown], scores[is_shown])
+        else:
+            yield NumberedBoxes(block.frame, ids, corners, scores)
 
 
 def targets_of(metrics: Sequence[FrameMetrics]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import itertools
+import shutil
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,9 @@ import pytest
 from bayesnet_track import open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.frame_file import FrameFile
-from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.checkpoints import standing
+from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
+from bayesnet_track.runtime.recording import record
 from bayesnet_track.runtime.recording.verify import verify
 
 PEOPLE, FRAMES = 12, 8
@@ -117,3 +120,76 @@ def test_score_of_a_csv_that_was_not_written_reads_the_same_boxes(
     said = capsys.readouterr()
     assert said.out == expected and "run --tracks-csv" in said.err and "tracks.txt" in said.err
     assert main(["score", str(tmp_path / "tracks.csv"), "--truth", truth]) != 0
+
+
+MOST = 40
+"""Boxes that are kept as text in these tests. The sixth frame has more; the first has none."""
+
+
+@pytest.fixture
+def short_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (record, standing):
+        monkeypatch.setattr(module, "MOST_BOXES", MOST)
+
+
+@pytest.mark.usefixtures("short_limit")
+def test_a_long_crowd_has_its_boxes_once_and_every_reader_finds_them(
+    crowd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.warns(UserWarning, match="more than 40 boxes .* --format mot` writes them"):
+        run = begun(crowd, tmp_path / "run")
+    assert not (run / "tracks.txt").exists() and verify(run).status == "verified"
+    monkeypatch.setattr(record, "MOST_BOXES", 10_000)
+    whole, truth = begun(crowd, tmp_path / "whole"), str(crowd / "people.txt")
+    assert main(["export", str(run), "--format", "mot"]) == 0
+    exported = [[float(word) for word in line.split(",")] for line in capsys.readouterr().out.splitlines()]
+    kept = [[float(word) for word in line.split(",")] for line in (whole / "tracks.txt").open()]
+    assert np.array(exported) == pytest.approx(np.array(kept), abs=1.1e-3) and len(kept) > MOST
+    told = []
+    for given in (whole, run, run / "tracks.txt", run / "tracks.csv"):
+        assert main(["score", str(given), "--truth", truth]) == 0
+        told.append(capsys.readouterr())
+    words = [[float(line.split()[1]) for line in one.out.splitlines()] for one in told]
+    assert len(words[0]) > 10 and all(one == pytest.approx(words[0], abs=2e-3) for one in words[1:])
+    assert "not written; read" in told[2].err and "not written; read" in told[3].err
+    assert main(["compare", str(run), str(whole), "--truth", truth]) == 0
+
+
+@pytest.mark.usefixtures("short_limit")
+@pytest.mark.filterwarnings("ignore:.*more than 40 boxes")
+def test_a_long_crowd_that_was_broken_off_anywhere_ends_with_the_same_files(
+    crowd: Path, tmp_path: Path
+) -> None:
+    whole = begun(crowd, tmp_path / "whole")
+    for frames in range(1, FRAMES):
+        run = begun(crowd, tmp_path / f"run{frames}", frames)
+        # A kill after the text was removed, and before the next checkpoint:
+        (run / "tracks.txt").unlink(missing_ok=frames > 5)
+        if frames <= 5:
+            with pytest.raises(ResumeError, match=r"tracks\.txt"):
+                list(resume(run))
+            continue
+        list(resume(run))
+        assert {path.name for path in run.iterdir()} == {path.name for path in whole.iterdir()}
+        for name in ("frames.npy.gz", "journal.jsonl"):
+            assert (run / name).read_bytes() == (whole / name).read_bytes(), name
+
+
+@pytest.mark.usefixtures("short_limit")
+@pytest.mark.filterwarnings("ignore:.*more than 40 boxes")
+def test_the_text_may_be_gone_where_a_checkpoint_still_counts_on_it(crowd: Path, tmp_path: Path) -> None:
+    run = begun(crowd, tmp_path / "run", 4)
+    checkpoint, early = (run / "checkpoint").read_bytes(), (run / "tracks.txt").read_bytes()
+    for _ in itertools.islice(resume(run), 3):
+        pass
+    assert early and not (run / "tracks.txt").exists()
+    (run / "checkpoint").write_bytes(checkpoint)
+    results = resume(run)
+    next(results)  # what follows the checkpoint is cut off, and the process is killed again
+    again = Path(shutil.copytree(run, tmp_path / "again", ignore=shutil.ignore_patterns(".lock")))
+    results.close()
+    assert len(FrameFile(again / "frames.npy.gz")) < 4
+    list(resume(again))
+    whole = begun(crowd, tmp_path / "whole")
+    assert not (again / "tracks.txt").exists()
+    assert (again / "frames.npy.gz").read_bytes() == (whole / "frames.npy.gz").read_bytes()

@@ -174,9 +174,8 @@ def _evidence_of(chosen: AgentChoice) -> tuple[str, Mapping[str, Any]]:
 
 def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Namespace) -> list[Total]:
     """Figures against the truth: of all targets where it is MOT, else of the first one."""
-    from bayesnet_track.evaluate.mot import score_mot
-    from bayesnet_track.evaluate.runs import frames_of_run, score_run
-    from bayesnet_track.evaluate.truth import is_mot, read_pair
+    from bayesnet_track.evaluate.runs import score_run, score_several
+    from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.journal.compare_measures import Total
 
     given, form = options.truth, options.truth_format
@@ -186,10 +185,7 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
     runs = (first, second)
     with users_mistake():
         if is_mot(truth, form):
-            mot = [
-                score_mot(*read_pair(run.directory.mot, truth, *frames_of_run(run.directory.path), form))
-                for run in runs
-            ]
+            mot = [score_several(run.directory.path, truth, form) for run in runs]
             return [
                 Total("MOTA", mot[0].mota, mot[1].mota, False),
                 Total("IDF1", mot[0].idf1, mot[1].idf1, False),

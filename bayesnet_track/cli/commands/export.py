@@ -196,13 +196,14 @@ def export(options: argparse.Namespace) -> int:
         run = _judged(run)
     lost = options.lost or (options.format in WITH_LOST and not options.no_lost)
     text = FORMATS[options.format](run, lost)
+    parts = [text] if isinstance(text, str) else text
     if options.out is None:
-        sys.stdout.write(text)
+        sys.stdout.writelines(parts)
         return OK
     out = Path(options.out)
     check_free(out, options.overwrite)
-    with writing(out):
-        out.write_text(text, encoding="utf-8", newline="\n")
+    with writing(out), out.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(parts)
     complain(f"wrote {out}")
     return OK
 

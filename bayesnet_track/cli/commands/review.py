@@ -27,6 +27,7 @@ from bayesnet_track.cli.arguments import (
 from bayesnet_track.sources.entrances.notices import notice
 
 if TYPE_CHECKING:
+    from bayesnet_track.evaluate.truth import Tracks
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.journal.metrics import FrameMetrics
     from bayesnet_track.runtime.recording.rundir import RunDirectory
@@ -168,19 +169,12 @@ def _check_node(directory: RunDirectory, node: str | None) -> None:
 
 def score(options: argparse.Namespace) -> int:
     """Score a run, or a file of tracks, against ground truth."""
-    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.evaluate.runs import score_run, tracks_of_run
     from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.evaluate.world import is_world_truth
-    from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
-    given = Path(options.run)
-    if given.name == FILES["csv"] and not given.exists() and (given.parent / FILES["journal"]).is_file():
-        boxes = given.with_name(FILES["mot"])
-        notice(
-            f"{given}: not written (`run --tracks-csv`, or `export {given.parent} --format csv`); "
-            f"read {boxes}, which has the same boxes"
-        )
-        given = boxes
+    given = _written(Path(options.run))
     if os.path.isfile(given):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)
         if not options.truth:
             raise UsageError(f"{given}: a file of tracks brings no ground truth; name one with --truth FILE")
@@ -195,7 +189,7 @@ def score(options: argparse.Namespace) -> int:
         return _score_world(directory.csv, truth, options, directory)
     with users_mistake():
         if is_mot(truth, options.truth_format):
-            return _score_several(directory.mot, truth, options, directory)
+            return _score_several(tracks_of_run(directory.path), truth, options, directory)
         for option in ("--cutoff", "--trajectories", "--class"):
             if getattr(options, option[2:].replace("class", "classes")):
                 raise UsageError(
@@ -206,8 +200,27 @@ def score(options: argparse.Namespace) -> int:
     return OK
 
 
+def _written(path: Path) -> Path:
+    """The file that has the boxes of a file of a run that was not written, or the run."""
+    from bayesnet_track.runtime.recording.rundir import FILES
+
+    run, boxes = path.parent, path.with_name(FILES["mot"])
+    if path.name not in (FILES["csv"], FILES["mot"]) or path.exists():
+        return path
+    if not (run / FILES["journal"]).is_file():
+        return path
+    if not boxes.exists():
+        notice(f"{path}: not written; read {run / FILES['frames']}, which has the same boxes")
+        return run
+    notice(
+        f"{path}: not written (`run --tracks-csv`, or `export {run} --format csv`); "
+        f"read {boxes}, which has the same boxes"
+    )
+    return boxes
+
+
 def _score_several(
-    tracks: Path, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
+    tracks: Path | Tracks, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
 ) -> int:
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
     from bayesnet_track.evaluate.mot import class_names, class_table, of_classes, score_classes, score_mot

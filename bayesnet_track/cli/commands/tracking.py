@@ -179,16 +179,14 @@ def row_of_run(graph: str, seed: int, out: str, truth: str | None, form: TruthFo
     """What was measured of a run; raises OSError, ValueError where a file cannot be read."""
     from bayesnet_track.cli.batch.jobs import Job, Video
     from bayesnet_track.cli.batch.work import row_of
-    from bayesnet_track.evaluate.mot import score_mot
-    from bayesnet_track.evaluate.runs import frames_of_run
-    from bayesnet_track.evaluate.truth import is_mot, read_pair
-    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.evaluate.runs import score_several
+    from bayesnet_track.evaluate.truth import is_mot
 
     has_targets = truth is not None and is_mot(truth, form)
     video = Video(out, "", truth=None if has_targets else truth)
     row = row_of(Job(graph, video, seed, out, truth_format=form))
     if has_targets and truth is not None:
-        scores = score_mot(*read_pair(RunDirectory(Path(out)).mot, truth, *frames_of_run(Path(out)), form))
+        scores = score_several(Path(out), Path(truth), form)
         row |= {"mota": scores.mota, "idf1": scores.idf1, "hota": scores.hota}
     return row
 

@@ -36,6 +36,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
     drop_damaged,
     newest_checkpoint,
     remove,
+    write_checkpoint,
 )
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, steady
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
@@ -57,7 +58,7 @@ from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish, tidy
-from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.record import FilePositions, Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
@@ -178,6 +179,8 @@ def resume(
         # From here on files are changed.
         keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
+        if checkpoint is not None and "mot" in checkpoint.written.positions and not directory.mot.exists():
+            checkpoint = _without_mot(directory, checkpoint)
         own = held_files(directory, getattr(opened, "truth_text", None))
         recorder = stack.enter_context(
             Recorder(
@@ -291,6 +294,18 @@ def _skip(
 def _external_inputs(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
     """External inputs of the frames that had them, then those that come `later`."""
     return lambda frame: before[frame] if frame in before else later(frame)
+
+
+def _without_mot(directory: RunDirectory, checkpoint: Checkpoint) -> Checkpoint:
+    """The checkpoint of a run that has no ``tracks.txt`` any more, a long run of a crowd; raises OutputError.
+
+    It takes the place of both that are there, before the records are cut off by which it is known.
+    """
+    positions = {key: place for key, place in checkpoint.written.positions.items() if key != "mot"}
+    without = replace(checkpoint, written=FilePositions(positions))
+    for _ in range(2):
+        write_checkpoint(directory, without)
+    return without
 
 
 def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:

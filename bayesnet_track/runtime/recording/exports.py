@@ -6,14 +6,17 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from bayesnet_track.journal.blocks import NumberedBoxes, boxes_of
 from bayesnet_track.journal.codec import JournalError, to_json
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
 from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS, Row, track_rows
-from bayesnet_track.runtime.recording.tracks import mot_line
+from bayesnet_track.runtime.recording.tracks import LEAST_LENGTH, LEAST_SCORE, MOT_LINE
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.paths import SourceError, image_names
 
@@ -21,10 +24,20 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.run_reader import Run
 
 
-def as_mot(run: Run, lost: bool = False) -> str:
-    """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``, frames and ids from 1."""
-    numbers = _numbers(run)
-    return "".join(f"{mot_line(line, numbers[line.target])}\n" for line in _lines(run, lost))
+def as_mot(run: Run, lost: bool = False) -> Iterator[str]:
+    """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``, frames and ids from 1.
+
+    A long run is read and written some frames at a time.
+    """
+    return (_mot_text(boxes) for boxes in boxes_of(run.metrics, lost))
+
+
+def _mot_text(boxes: NumberedBoxes) -> str:
+    """Lines ``frame, id, left, top, width, height, score, -1, -1, -1``, frames from 1."""
+    corners = np.where(np.abs(boxes.corners) < LEAST_LENGTH, 0.0, boxes.corners)
+    scores = np.where(np.abs(boxes.scores) < LEAST_SCORE, 0.0, boxes.scores)
+    rows = np.column_stack([boxes.frames + 1, boxes.ids, corners, scores])
+    return f"{MOT_LINE}\n" * len(rows) % tuple(rows.ravel().tolist())
 
 
 def as_csv(run: Run, lost: bool = True) -> str:
@@ -133,7 +146,7 @@ def as_world(run: Run, lost: bool = False) -> str:
     return text.getvalue()
 
 
-FORMATS: Mapping[str, Callable[[Run, bool], str]] = {
+FORMATS: Mapping[str, Callable[[Run, bool], str | Iterator[str]]] = {
     "mot": as_mot,
     "coco": as_coco,
     "csv": as_csv,

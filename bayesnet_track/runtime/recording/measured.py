@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.journal.frame_columns import columns_of, narrowed, strings
+from bayesnet_track.journal.frame_file import FrameFile
 from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
 from bayesnet_track.runtime.recording.tracks import Tracked, identity_cells
 
 FEW = 8
 """Hypotheses are written by default in frames of so many targets at most."""
+MOST_BOXES = 50_000
+"""Boxes of a crowd that are kept as text, too: 1,000 frames of 50 targets."""
+
+
+def crowd_boxes(frames: Path) -> int:
+    """Boxes in those frames of a file that have more than `FEW` targets; raises OSError, JournalError."""
+    return sum(place.targets for place in FrameFile(frames).places if place.targets > FEW)
 
 
 def measured(

@@ -34,7 +34,12 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
 from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
-from bayesnet_track.runtime.recording.measured import measured
+from bayesnet_track.runtime.recording.measured import (
+    FEW,
+    MOST_BOXES,
+    crowd_boxes,
+    measured,
+)
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import (
     NO_IDS,
@@ -49,6 +54,7 @@ from bayesnet_track.runtime.recording.tracks import (
 )
 from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
 from bayesnet_track.runtime.results import Result
+from bayesnet_track.sources.entrances.notices import notice
 
 MOST_WAITING = 4
 """Frames that wait for the encoder; with more, tracking waits."""
@@ -124,8 +130,11 @@ class Recorder:
         with ExitStack() as files:
             self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
             self._frames = files.enter_context(FrameWriter(directory.frames, at.get("frames")))
-            mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids, self._points)
-            self._mot = files.enter_context(mot)
+            self._mot: MotWriter | None = None
+            if after is None or "mot" in at:
+                mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids, self._points)
+                self._mot = files.enter_context(mot)
+                self._boxes = 0 if after is None else crowd_boxes(directory.frames)
             self._csv: CsvWriter | None = None
             if self._has_csv or "csv" in at:
                 csv = CsvWriter(directory.csv, at.get("csv"), self._numbers, self._points)
@@ -163,7 +172,8 @@ class Recorder:
     def written(self) -> FilePositions:
         """How far the files are written, but for the video."""
         return FilePositions(
-            {name: file.position for name, file in self._lines().items()}, dict(self._mot.ids)
+            {name: file.position for name, file in self._lines().items()},
+            {} if self._mot is None else dict(self._mot.ids),
         )
 
     def sync(self) -> None:
@@ -204,9 +214,10 @@ class Recorder:
                 break
 
     def _lines(self) -> dict[str, LineFile]:
-        files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames, "mot": self._mot}
-        files["timings"] = self._timings
+        files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames}
         more = {
+            "mot": self._mot,
+            "timings": self._timings,
             "csv": self._csv,
             "cameras": self._cameras,
             "queries": self._queries,
@@ -236,7 +247,8 @@ class Recorder:
         if result.targets:
             columns, tracked = measured(result.targets, self._hypotheses)
             self._frames.write_columns(columns)
-            self._mot.write(tracked)
+            if self._mot is not None:
+                self._mot.write(tracked)
             if self._csv is not None:
                 self._csv.write(tracked)
             if self._cameras is not None:
@@ -257,9 +269,31 @@ class Recorder:
         self._timings.flush()
         for file in self._lines().values():
             file.flush()
+        self._count(len(result.targets))
         if self._kind in self._optional:
             # As the file has them, so that a run that goes on can draw the same again.
             self._draw(result.frame, list(lines_of(columns)) if result.targets else [])
+
+    def _count(self, targets: int) -> None:
+        """Leave ``tracks.txt`` out of a long run of a crowd.
+
+        A run that goes on from before that needs no such file: there are records of `MOST_BOXES` then, which
+        the disk has before the text is removed.
+        """
+        if self._mot is None or self._points or targets <= FEW:
+            return
+        self._boxes += targets
+        if self._boxes - targets <= MOST_BOXES < self._boxes:
+            self._frames.sync()
+            self._mot.close()
+            with writing(self._directory.mot):
+                disk.unlink(self._directory.mot)
+            self._mot = None
+            notice(
+                f"{self._directory.mot}: removed, since the run has more than {MOST_BOXES:,} boxes in frames "
+                f"of more than {FEW} targets: they are in {self._directory.frames.name}, and `bayesnet-track "
+                f"export {self._directory.path} --format mot` writes them as text"
+            )
 
     def _take(self, external_inputs: tuple[Input, ...]) -> None:
         if self._inputs is None:

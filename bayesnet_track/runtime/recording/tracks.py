@@ -74,12 +74,6 @@ NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
 
 
-def mot_line(metrics: FrameMetrics, number: int) -> str:
-    """``frame, id, left, top, width, height, score, -1, -1, -1`` of a target with that number."""
-    box = ",".join(_corner(metrics))
-    return f"{metrics.frame + 1},{number},{box},{_fix(metrics.score, 6)},-1,-1,-1"
-
-
 @dataclass(frozen=True, eq=False)
 class Tracked:
     """The boxes of one frame.
@@ -129,7 +123,7 @@ class Tracked:
         """Left, top, width, height of each box; what would be written as -0.000 is 0."""
         boxes = np.array(self.boxes, dtype=np.float64)
         boxes[:, :2] -= (boxes[:, 2:] - 1.0) / 2.0
-        boxes[np.abs(boxes) < 0.0005] = 0.0
+        boxes[np.abs(boxes) < LEAST_LENGTH] = 0.0
         rows: list[list[float]] = boxes.tolist()
         return rows
 
@@ -166,9 +160,9 @@ class MotWriter(LineFile):
         for target, status, corner, score in rows:
             identity = self.ids.setdefault(target, len(self.ids) + 1)
             if self._lost or status not in NOT_SHOWN:
-                cells += (number, identity, *corner, score if abs(score) >= _NO_SCORE else 0.0)
+                cells += (number, identity, *corner, score if abs(score) >= LEAST_SCORE else 0.0)
         if cells:
-            self.append("\n".join([_MOT] * (len(cells) // 7)) % tuple(cells))
+            self.append("\n".join([MOT_LINE] * (len(cells) // 7)) % tuple(cells))
 
 
 @dataclass(frozen=True)
@@ -209,7 +203,7 @@ class CsvWriter(LineFile):
             strict=True,
         )
         for target, corner, status, score, ud, active, end in rows:
-            score, ud = score if abs(score) >= _NO_SCORE else 0.0, ud if abs(ud) >= 0.0005 else 0.0
+            score, ud = score if abs(score) >= LEAST_SCORE else 0.0, ud if abs(ud) >= 0.0005 else 0.0
             place = corner[:2] if self._points else corner
             cells += (*first, _cell(target), *place, _cell(status), score, ud, _cell(active) + end)
         line = _CSV_OF_POINTS if self._points else _CSV
@@ -223,11 +217,11 @@ class CsvWriter(LineFile):
         return ["".join(f",{_number_cell(row.get(name))}" for name in self._queries) for row in rows]
 
 
-_MOT = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.6f,-1,-1,-1"
+MOT_LINE = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.6f,-1,-1,-1"
 _CSV = "%d,%s,%s,%.3f,%.3f,%.3f,%.3f,%s,%.6f,%.3f,%s"
 _CSV_OF_POINTS = "%d,%s,%s,%.3f,%.3f,,,%s,%.6f,%.3f,%s"
-_NO_SCORE = 0.0000005
-"""A score below it is written as 0, without a sign."""
+LEAST_LENGTH, LEAST_SCORE = 0.0005, 0.0000005
+"""A length, or a score, below it is written as 0, without a sign."""
 
 
 @lru_cache(maxsize=4096)
@@ -246,11 +240,6 @@ def _number_cell(value: str | float | None) -> str:
         return ""
     text = f"{value:.6g}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text
-
-
-def _corner(metrics: FrameMetrics) -> list[str]:
-    x, y, w, h = metrics.centre_box
-    return [_fix(value, 3) for value in (x - (w - 1.0) / 2.0, y - (h - 1.0) / 2.0, w, h)]
 
 
 def _fix(value: float, digits: int) -> str:
