@@ -8,6 +8,7 @@ import pickle
 import subprocess
 import sys
 import zlib
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -94,8 +95,10 @@ def image(frame):
     return np.random.default_rng(frame).integers(0, 255, (420, 700, 3), np.uint8)
 
 
-@pytest.mark.parametrize("name", OF_DETECTIONS)
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [*((name, "file") for name in OF_DETECTIONS), *(("jpda", way) for way in WAYS if way != "file")],
+)
 def test_a_crowd_goes_on(name, way, tmp_path):
     looks = name == "people_detections"
     straight = DetectionsTracker(name, size=(700, 420), seed=2, fps=25)
@@ -114,41 +117,36 @@ def test_a_crowd_goes_on(name, way, tmp_path):
 
 IN_ANOTHER_PROCESS = """
 import pickle, sys
-from types import SimpleNamespace
-import numpy as np
 sys.path.insert(0, {tests!r})
 from test_storing import SCENE, crowd, lines
-from bayesnet_track import DetectionsTracker, Tracker
-kind = Tracker if {of_images} else DetectionsTracker
-with open({path!r}, "rb") as file:
-    tracker = pickle.load(file) if {pickled} else kind.load({path!r})
+from bayesnet_track import DetectionsTracker
+with open("pickled", "rb") as file:
+    of_images = pickle.load(file)
+of_detections = DetectionsTracker.load("saved")
 for frame in range(5, 9):
-    tracker.update(SCENE.frames[frame] if {of_images} else crowd(frame))
-print("\\n".join(lines(tracker)))
+    of_images.update(SCENE.frames[frame])
+    of_detections.update(crowd(frame))
+print("\\n".join((*lines(of_images), *lines(of_detections))))
 """
 
 
-@pytest.mark.parametrize("kind", [Tracker, DetectionsTracker])
-def test_it_goes_on_in_another_process(kind, tmp_path):
-    tracker = kind("two_squares", 1) if kind is Tracker else kind("jpda", size=(700, 420))
-    for frame in range(5):
-        if kind is DetectionsTracker:
-            tracker.update(crowd(frame))
-        elif frame == 0:
-            tracker.init(SCENE.frames[0], SCENE.start_box)
-        else:
-            tracker.update(SCENE.frames[frame])
-    pickled = kind is Tracker
-    path = tmp_path / "stored"
-    path.write_bytes(pickle.dumps(tracker)) if pickled else tracker.save(path)
-    code = IN_ANOTHER_PROCESS.format(
-        tests=str(__file__).rsplit("/", 1)[0], path=str(path), pickled=pickled, of_images=kind is Tracker
+def test_they_go_on_in_another_process(tmp_path):
+    """One that was pickled, and one that was saved."""
+    of_images, of_detections = Tracker("two_squares", 1), DetectionsTracker("jpda", size=(700, 420))
+    of_images.init(SCENE.frames[0], SCENE.start_box)
+    for frame in range(9):
+        if frame == 5:
+            (tmp_path / "pickled").write_bytes(pickle.dumps(of_images))
+            of_detections.save(tmp_path / "saved")
+        if frame:
+            of_images.update(SCENE.frames[frame])
+        of_detections.update(crowd(frame))
+    code = IN_ANOTHER_PROCESS.format(tests=str(Path(__file__).parent))
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
-    for frame in range(5, 9):
-        tracker.update(SCENE.frames[frame] if kind is Tracker else crowd(frame))
-    assert ran.stdout.splitlines() == lines(tracker)
+    assert ran.stdout.splitlines() == [*lines(of_images), *lines(of_detections)]
 
 
 def test_copies_go_on_by_themselves():

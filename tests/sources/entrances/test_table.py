@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -117,6 +118,9 @@ NO_FILES = {"RunDirectory", "webbrowser", "Image"}
 """What has an `open` that reads nothing, or reads by other functions that are found."""
 
 
+MAY_READ = {"open", *READS, *(name for names in READS_OF.values() for name in names)}
+
+
 def calls_of(function: ast.AST) -> Iterator[str]:
     """The calls in a function that read a file."""
     for node in ast.walk(function):
@@ -124,6 +128,8 @@ def calls_of(function: ast.AST) -> Iterator[str]:
             continue
         called = node.func
         name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+        if name not in MAY_READ:
+            continue
         of = ast.unparse(called.value) if isinstance(called, ast.Attribute) else ""
         if name in READS or name in READS_OF.get(of, ()) or (name == "open" and opens_to_read(node, of)):
             yield ast.unparse(node)
@@ -153,6 +159,7 @@ def readers_in(module: str, source: str) -> dict[str, list[str]]:
     return found
 
 
+@cache
 def all_readers() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for path in (*(ROOT / PACKAGE).rglob("*.py"), *(ROOT / "cues").glob("*.py")):
