@@ -1,12 +1,13 @@
-"""Compile a checked net with its active agents into a plan: ordered steps and the planes that they read.
+"""Compile a checked net with its active agents into a plan: ordered steps, the planes that they read, and those in words.
 
 A pure function, called again at every reconfiguration.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.latent import Form, form_of, is_latent
@@ -14,7 +15,6 @@ from bayesnet_track.graph.expressions.parse import text_of
 from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
-from bayesnet_track.inference.plane_words import plane_words
 from bayesnet_track.inference.views import View, views_below
 from bayesnet_track.observation.cue import AnyCue, MeasuringCue
 from bayesnet_track.observation.planes import Plane
@@ -303,3 +303,35 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
         names = ", ".join(map(plane_words, planes))
         lines.append(f"  idle     {agent}: {names} only for a due reference update, on the estimate's crop")
     return "\n".join(lines)
+
+
+_CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
+UNITS = {"px": " px", "px2": " px²", "m": " m", "deg": "°", "gray": " gray levels", "ms": " ms"}
+"""Ends of a setting's name that say its unit, and how it is written behind the number."""
+
+
+def plane_words(plane: object) -> str:
+    """Name and settings of a plane, or its own words where it has any.
+
+    >>> from bayesnet_track.vision.planes import Hue
+    >>> plane_words(Hue(min_chroma=30, median_px=3))
+    'hue (min chroma 30, median 3 px)'
+    """
+    if not is_dataclass(plane) or type(plane).__str__ is not object.__str__:
+        return str(plane)
+    name = _CAPITAL.sub(" ", type(plane).__name__).lower().removesuffix(" plane")
+    settings = [_setting(one.name, getattr(plane, one.name)) for one in fields(plane) if one.repr]
+    said = ", ".join(one for one in settings if one)
+    return f"{name} ({said})" if said else name
+
+
+def _setting(name: str, value: object) -> str:
+    words = name.replace("_", " ")
+    if isinstance(value, bool):
+        return words if value else ""
+    if is_dataclass(value):
+        return plane_words(value)
+    stem, _, unit = name.rpartition("_")
+    if isinstance(value, int | float):
+        return f"{stem.replace('_', ' ')} {value:g}{UNITS[unit]}" if unit in UNITS else f"{words} {value:g}"
+    return f"{words} {value}"
