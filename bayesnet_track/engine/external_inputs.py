@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.inference.availability import Availability
+from bayesnet_track.inference.asking import Availability
 from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import InputRefused, LateFrame, Released, SpareTime, Toggled

@@ -22,9 +22,7 @@ from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import inside_frame
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.asking import Fault, fault_of, follow
-from bayesnet_track.inference.availability import Missing
-from bayesnet_track.inference.executor import is_elsewhere
+from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow, is_elsewhere
 from bayesnet_track.inference.guard import DriftCheck, SlowReferences, guard, judge, judge_nothing, watch
 from bayesnet_track.inference.learn import (
     LearningInputs,

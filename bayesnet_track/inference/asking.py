@@ -1,4 +1,8 @@
-"""Ask a cue about a group of targets: each by its own reference, its fault its own.
+"""Ask a cue about a group of targets: each by its own reference, its fault its own; agents elsewhere, and agents without an answer.
+
+The engine hands over work whose pieces do not depend on each other (the agents that observe, those that
+learn), so that where an agent runs changes no result. One piece is never split: an agent sees all its
+hypotheses at once.
 
 A cue is written for one target; `score` and `follow` lift it to T of them. Where it has a form for all at
 once (`GroupCue`) that is asked; if it fails, one target after the other, so that others keep their answers.
@@ -7,14 +11,16 @@ once (`GroupCue`) that is asked; if it fails, one target after the other, so tha
 from __future__ import annotations
 
 import cmath
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from operator import call
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.inference.availability import Missing
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.cue import (
     FAULTS,
@@ -27,6 +33,152 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.likelihoods import ReferenceRows
 from bayesnet_track.observation.planes import Planes, seal, shown
+
+Key = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Missing:
+    """No answer, and why."""
+
+    reason: str
+
+
+@dataclass(eq=False)
+class Availability:
+    """Who gives no answer in one frame.
+
+    An agent that was known to be missing is not asked, so that a run with the same inputs repeats.
+
+    Attributes:
+        frame: frame index.
+        known: (target, agent, what it was asked for) -> why it gives none.
+        reported: those of them that were to be asked, or were found out.
+    """
+
+    frame: int = 0
+    known: dict[Key, str] = field(default_factory=dict)
+    reported: dict[Key, str] = field(default_factory=dict)
+
+    @staticmethod
+    def of(frame: int, missed: Iterable[AgentMissed]) -> Availability:
+        """Those that are known to be missing in `frame`."""
+        return Availability(frame, {(one.target, one.node, one.during): one.reason for one in missed})
+
+    def misses(self, target: str, agent: str, during: str) -> Missing | None:
+        """Why the agent cannot be asked; None when it can."""
+        key = (target, agent, during)
+        if key not in self.known:
+            return None
+        self.reported[key] = self.known[key]
+        return Missing(self.known[key])
+
+    def note(self, target: str, agent: str, during: str, reason: str) -> None:
+        """The agent was asked and gave no answer."""
+        self.known[target, agent, during] = self.reported[target, agent, during] = reason
+
+    def of_target(self, target: str, during: str) -> TargetAvailability:
+        """Those of one target, asked for one thing."""
+        return TargetAvailability(self, target, during)
+
+    @property
+    def events(self) -> tuple[AgentMissed, ...]:
+        """Those that were missed, in an order that does not depend on when they were found out."""
+        if not self.reported:
+            return ()
+        return tuple(
+            AgentMissed(self.frame, target, agent, reason, during)
+            for (target, agent, during), reason in sorted(self.reported.items())
+        )
+
+
+@dataclass(frozen=True)
+class TargetAvailability:
+    """Who of one target's agents gives no answer, asked for one thing."""
+
+    availability: Availability = field(default_factory=Availability)
+    target: str = ""
+    during: str = ""
+
+    def misses(self, agent: str) -> Missing | None:
+        """Why the agent cannot be asked; None when it can."""
+        return self.availability.misses(self.target, agent, self.during)
+
+    @property
+    def missed(self) -> dict[str, str]:
+        """Those that were to be asked, or were found out -> the reason."""
+        asked = (self.target, self.during)
+        return {
+            agent: reason
+            for (target, agent, during), reason in self.availability.reported.items()
+            if (target, during) == asked
+        }
+
+    def note(self, agent: str, missing: Missing) -> None:
+        """The agent was asked and gave no answer."""
+        self.availability.note(self.target, agent, self.during, missing.reason)
+
+
+Piece = TypeVar("Piece")
+Made = TypeVar("Made")
+Wait = Callable[[], Made]
+"""Waits for an answer that was asked for, and returns it."""
+
+
+class AgentUnavailable(Exception):
+    """An agent gave no answer for a reason outside of it: its process died, hangs, or is late.
+
+    Its answer is missing in one frame; other than a fault of the cue it says nothing about the next one, and
+    does not repeat when the run does.
+    """
+
+
+def is_elsewhere(cue: Any) -> bool:
+    """True if a cue is at work in another process, and can be asked now and answer later (`ask_ahead`)."""
+    return hasattr(cue, "ask_ahead")
+
+
+def each_at_once(
+    ask_ahead: Callable[[Piece], Wait[Made] | None],
+    work: Callable[[Piece], Made],
+    pieces: Iterable[Piece],
+) -> Iterator[tuple[Piece, Made]]:
+    """Every piece with what was made of it: first those that `work` makes here, then those from elsewhere.
+
+    `ask_ahead` asks who is elsewhere and returns what waits for the answer; None for a piece to be done here.
+    All are asked before anything is done here, and their answers collected after it. The work is done as
+    pairs are collected, in the caller's frame, so that a stack shows who asks and who answers, and nothing
+    between.
+
+    >>> dict(each_at_once(lambda n: (lambda: -n) if n > 1 else None, lambda n: n, [1, 2, 0]))
+    {1: 1, 0: 0, 2: -2}
+    """
+    waits: dict[Piece, Wait[Made]] = {}
+    here: list[Piece] = []
+    for piece in pieces:
+        wait = ask_ahead(piece)
+        if wait is None:
+            here.append(piece)
+        else:
+            waits[piece] = wait
+    return chain(
+        zip(here, map(work, here), strict=True),
+        zip(waits, map(call, waits.values()), strict=True),
+    )
+
+
+def defer_faults(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException], ...]) -> Wait[Made]:
+    """What `ask` returns; where it raises one of `faults`, what raises it when it is waited for."""
+    try:
+        return ask()
+    except faults as error:
+        found = error
+
+    def raised() -> Made:
+        raise found
+
+    return raised
+
 
 Fault = str | Missing
 """What is wrong with an answer, or why there is none."""

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.availability import Missing
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable, Missing
 from bayesnet_track.inference.learn import LearningInputs, blend_reference
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.switches import ReferenceGuarded

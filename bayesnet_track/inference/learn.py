@@ -10,13 +10,16 @@ from typing import Any
 
 from bayesnet_track.adapt.rule_inputs import scale_of
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.asking import check_reference, fault_of
-from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability
-from bayesnet_track.inference.executor import (
+from bayesnet_track.inference.asking import (
     AgentUnavailable,
+    Availability,
+    Missing,
+    TargetAvailability,
     Wait,
+    check_reference,
     defer_faults,
     each_at_once,
+    fault_of,
     is_elsewhere,
 )
 from bayesnet_track.numerics.arrays import Floats

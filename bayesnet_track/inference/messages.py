@@ -13,7 +13,7 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
-from bayesnet_track.inference.availability import Missing
+from bayesnet_track.inference.asking import Missing
 from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.factors import weigh
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power

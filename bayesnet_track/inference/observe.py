@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
-from bayesnet_track.inference.asking import check_log_likelihood, fault_of, score
-from bayesnet_track.inference.availability import Missing, TargetAvailability
-from bayesnet_track.inference.compile import Observe
-from bayesnet_track.inference.executor import (
+from bayesnet_track.inference.asking import (
+    Missing,
+    TargetAvailability,
     Wait,
+    check_log_likelihood,
     defer_faults,
     each_at_once,
+    fault_of,
     is_elsewhere,
+    score,
 )
+from bayesnet_track.inference.compile import Observe
 from bayesnet_track.inference.factors import Factors
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import (

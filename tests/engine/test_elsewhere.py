@@ -12,7 +12,7 @@ from bayesnet_track.engine.moving.elsewhere import APART_BOX, pick_place
 from bayesnet_track.engine.scoring.score import log_odds
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined
 from bayesnet_track.observation.cue import Measurement

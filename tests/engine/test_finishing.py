@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.inference.availability import Availability
+from bayesnet_track.inference.asking import Availability
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 NODES = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a": "root", "b": "root"}

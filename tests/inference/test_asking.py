@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.inference.asking import follow, score
-from bayesnet_track.inference.availability import Missing
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable, Missing, follow, score
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.likelihoods import ReferenceRows
 

@@ -8,7 +8,7 @@ import pytest
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.step import step
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.net.net import Net

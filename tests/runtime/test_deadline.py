@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from bayesnet_track import track
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, SpareTime
 from bayesnet_track.journal.net.net import Net

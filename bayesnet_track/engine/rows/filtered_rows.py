@@ -25,8 +25,8 @@ from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
+from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure import columns_of, measure
 from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows, uncertainties
 from bayesnet_track.journal.events.event import Event

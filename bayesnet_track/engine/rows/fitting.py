@@ -22,8 +22,8 @@ from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost
+from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan, compile_plan
-from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.gaussian import chi_square_quantile

@@ -31,8 +31,8 @@ from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.engine.targets import Targets
+from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.measure import fit_of
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.numerics.arrays import Floats, Ints

@@ -11,7 +11,7 @@ from functools import partial
 from threading import RLock
 from typing import Any
 
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.observation.cue import Making
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame

@@ -17,7 +17,7 @@ from threading import Lock
 from types import MappingProxyType
 from typing import IO, Any
 
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.observation.cue_files import pack
 from bayesnet_track.observation.settings import setting

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.reader import read_inputs

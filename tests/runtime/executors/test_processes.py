@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.runtime.executors.workers import Limits, Worker
 
 TWO = {"a": ("placed", {}), "b": ("placed_measurer", {})}
