@@ -12,7 +12,7 @@ from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.settings.joins import Join
-from bayesnet_track.inference.joint_members import Factor
+from bayesnet_track.inference.joint import Factor
 from bayesnet_track.numerics.arrays import Floats
 
 

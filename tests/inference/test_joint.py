@@ -10,9 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from bayesnet_track.inference.joint import Marginal, joint_marginals
-from bayesnet_track.inference.joint_members import Crowd, Edge, Member, bad_shares
-from bayesnet_track.inference.joint_messages import PairBatch
+from bayesnet_track.inference.joint import (
+    Crowd,
+    Edge,
+    Marginal,
+    Member,
+    PairBatch,
+    bad_shares,
+    joint_marginals,
+)
 from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of, pick_in_strata
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import shuffled_of_each
