@@ -1,20 +1,40 @@
-"""Weigh hypotheses by the graph's factors: expressions of their states instead of what agents see."""
+"""Expressions of a graph at hypotheses: factors of one and of pairs, latent states given their parents, measurements h(x).
+
+p(c | h) = p(x | h) p(y | h, x) p(w | h, x, y) p(height | h, x, y, w): each field of the node's own box c is
+drawn from a distribution, or has a value, by the parent's box h and the fields of c before it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.motion.formulas import Undefined
-from bayesnet_track.graph.expressions.evaluate import log_values
-from bayesnet_track.graph.expressions.terms import MASK, PARENT, Term
+from bayesnet_track.belief.motion.modes import FIELD
+from bayesnet_track.graph.checked import PAST, Conditional, MeasuredAs
+from bayesnet_track.graph.expressions.distributions import (
+    Names,
+    distribution_of,
+    draw,
+    median,
+    moments,
+    parameters_of,
+)
+from bayesnet_track.graph.expressions.evaluate import log_values, values_of
+from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.periods import period_of
+from bayesnet_track.graph.expressions.terms import DRAWN, MASK, PARENT, Term, Variable
+from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.inference.joint import Factor
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.observation.protocols import BOX, Errors, Seen
 
 Value = Floats | float
 
@@ -128,3 +148,267 @@ def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -
         **step.constants,
         **({} if step.mask is None else {MASK: step.mask}),
     }
+
+
+@dataclass(eq=False)
+class PairFlaw:
+    """What was wrong with the factor of a pair in one frame; filled in when it is evaluated.
+
+    Attributes:
+        undefined: pairs of hypotheses of which it has no value; they count as impossible.
+        pairs: how many there were.
+        ignored: for the hypotheses of one of the targets no pair was possible: it was left out there.
+    """
+
+    undefined: int = 0
+    pairs: int = 0
+    ignored: bool = False
+
+    def __bool__(self) -> bool:
+        """True if anything was wrong."""
+        return self.undefined > 0 or self.ignored
+
+
+def pair_factor(
+    rule: Join, constants: Mapping[str, float], frame: Mapping[str, float], found: PairFlaw | None = None
+) -> Factor | None:
+    """The factor of a join in a frame; None of one without. Pairs of which it has no value are impossible.
+
+    `frame` has the values of names that are the same of all states in it. What is wrong with the factor's
+    values is written into `found`.
+    """
+    if rule.factor is None:
+        return None
+    term = _term(rule.factor)
+    fixed = {**frame, **constants}
+
+    def log_density(first: Mapping[str, Floats], second: Mapping[str, Floats]) -> Floats:
+        names = {f"a.{name}": values for name, values in first.items()}
+        names |= {f"b.{name}": values for name, values in second.items()}
+        log = np.asarray(log_values(term, {**names, **fixed}), dtype=np.float64)
+        shape = np.broadcast_shapes(*(values.shape for values in names.values()))
+        undefined = np.broadcast_to(np.isnan(log), shape)
+        known = np.broadcast_to(np.where(undefined, -np.inf, log), shape)
+        if found is not None:
+            found.undefined += int(undefined.sum())
+            found.pairs += int(undefined.size)
+            found.ignored |= not (known > -np.inf).any()
+        return known
+
+    return log_density
+
+
+@lru_cache(maxsize=64)
+def _term(text: str) -> Term:
+    return parse(text)
+
+
+STEP = 1e-3
+"""Of numerical derivatives, px."""
+
+LEAST_SIDE = 1.0
+"""Sides of boxes are at least so long, px."""
+
+
+def draw_given(
+    given: Conditional,
+    above: Floats,
+    rng: np.random.Generator,
+    undefined: MutableMapping[str, Undefined] | None = None,
+) -> Floats:
+    """(N, 4) own boxes, one drawn for each of the parent's (N, 4).
+
+    Where an expression has no value, or its distribution has none, the field is the parent's; `undefined`
+    then says so by field.
+    """
+    boxes = above.copy()
+    for column, name, term in _fields(given):
+        parameters = parameters_of(term, _latent_names(given, above, boxes), len(above))
+        values = draw(distribution_of(term), parameters, rng)
+        known = np.isfinite(values)
+        boxes[:, column] = np.where(known, values, above[:, column])
+        if undefined is not None and not known.all():
+            undefined.setdefault(name, Undefined(int((~known).sum()), len(known)))
+        if column >= 2:
+            np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
+    return boxes
+
+
+def usual_boxes(given: Conditional, above: Floats) -> Floats:
+    """(N, 4) own boxes with the median of each field, for parents (N, 4)."""
+    boxes = above.copy()
+    for column, _, term in _fields(given):
+        parameters = parameters_of(term, _latent_names(given, above, boxes), len(above))
+        middle = median(distribution_of(term), parameters)
+        boxes[:, column] = np.where(np.isfinite(middle), middle, above[:, column])
+        if column >= 2:
+            np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
+    return boxes
+
+
+def linearise_given(given: Conditional, parent: Floats) -> tuple[Floats, Floats, Floats]:
+    """Own box (4,) at the parent's mean box (4,), its Jacobian (4, 4) by that box, and covariance (4, 4).
+
+    c = own + A (h - parent) + noise, by numerical derivatives: exact where means are linear and sds constant.
+    What is drawn is normal. A field without a value is the parent's, as in `draw_given`.
+    """
+    own, by_parent, noise = parent.copy(), np.eye(4), np.zeros((4, 4))
+    moves = np.concatenate([np.zeros((1, 8)), STEP * np.eye(8), -STEP * np.eye(8)])
+    for column, _, term in _fields(given):
+        above, mine = parent + moves[:, :4], own + moves[:, 4:]
+        parameters = parameters_of(term, _latent_names(given, above, mine), len(moves))
+        sd = float(parameters[1, 0]) if distribution_of(term) else 0.0
+        slopes = (parameters[0, 1:9] - parameters[0, 9:]) / (2.0 * STEP)
+        if not (
+            np.isfinite(parameters[0]).all() and np.isfinite(sd) and (sd > 0 or not distribution_of(term))
+        ):
+            continue
+        own[column] = max(parameters[0, 0], LEAST_SIDE) if column >= 2 else parameters[0, 0]
+        before = slopes[4 : 4 + column]
+        by_parent[column] = slopes[:4] + before @ by_parent[:column]
+        noise[column] = before @ noise[:column]
+        noise[column, column] += sd
+    return own, by_parent, noise @ noise.T
+
+
+def log_given(given: Conditional, above: Floats, own: Floats) -> Floats:
+    """(N, M) log p(c_j | h_i) of own boxes (M, 4), for parents (N, 4), over the fields that are drawn.
+
+    -inf where a field that has a value, or is the parent's, differs from it.
+    """
+    log = np.zeros((len(above), len(own)))
+    written = {column: term for column, _, term in _fields(given)}
+    columns = {name: own[None, :, k] for k, name in enumerate(BOX_FIELDS)}
+    names = {**_of_parents(above[:, :, None]), **columns, **given.constants}
+    for column in range(len(BOX_FIELDS)):
+        term = written.get(column)
+        if term is None:
+            values = above[:, column, None]
+        elif distribution_of(term):
+            log = log + log_values(term, {**names, DRAWN: own[None, :, column]})
+            continue
+        else:
+            values = np.broadcast_to(values_of(term, names), log.shape)
+            values = np.where(np.isfinite(values), values, above[:, column, None])
+            values = np.maximum(values, LEAST_SIDE) if column >= 2 else values
+        if np.ptp(values) > 0:
+            log = np.where(
+                np.abs(values - own[None, :, column]) > 1e-9 * (1.0 + np.abs(values)), -np.inf, log
+            )
+    return np.where(np.isnan(log), -np.inf, log)
+
+
+def _fields(given: Conditional) -> list[tuple[int, str, Term]]:
+    return [(k, name, given.fields[name]) for k, name in enumerate(BOX_FIELDS) if name in given.fields]
+
+
+def _latent_names(given: Conditional, above: Floats, own: Floats) -> Names:
+    mine = {name: own[:, k] for k, name in enumerate(BOX_FIELDS)}
+    return {**_of_parents(above), **mine, **given.constants}
+
+
+def _of_parents(above: Floats) -> dict[str, Floats]:
+    return {PARENT + name: above[:, k] for k, name in enumerate(BOX_FIELDS)}
+
+
+def read_as(measured: Measurement, functions: MeasuredAs, frames: FramePair) -> Measurement:
+    """The measurement with h: what its quantities would be of states in these frames."""
+    seen = seen_by(measured.fields, functions, frames)
+    choices = tuple((weight, replace(one, seen=seen)) for weight, one in measured.choices)
+    errors = None if not functions.errors else errors_by(measured.fields, functions, frames)
+    return replace(measured, seen=seen, choices=choices, errors=errors)
+
+
+def errors_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Errors:
+    """The distributions of errors in these frames, by states."""
+    fixed = _fixed(functions, frames)
+    terms = [functions.errors[name] for name in quantities]
+
+    def densities(states: Mapping[str, Floats], away: Floats) -> Floats:
+        names = {**in_modes(at_delay(states, functions), functions), **fixed}
+        columns = [log_values(term, {**names, DRAWN: away[:, k]}) for k, term in enumerate(terms)]
+        return np.stack([np.broadcast_to(column, (len(away),)) for column in columns], axis=1)
+
+    return Errors(densities, all(distribution_of(term) == "normal" for term in terms))
+
+
+def at_prediction(
+    measured: Measurement, functions: MeasuredAs, states: Mapping[str, float], frames: FramePair
+) -> tuple[Floats, float]:
+    """Covariance (K, K) of the errors at a state, and the log density of an error of 0 there.
+
+    Where a distribution has no variance its squared scale stands for it; where there is none, 1.
+    """
+    fields: dict[str, Floats] = {name: np.array([value]) for name, value in states.items()}
+    names: dict[str, Floats | float] = {**fields, **_fixed(functions, frames)}
+    variances = []
+    for name in measured.fields:
+        term = functions.errors[name]
+        function, parameters = distribution_of(term), parameters_of(term, names, 1)
+        variance = float(moments(function, parameters)[1][0])
+        spread = variance if np.isfinite(variance) else float(parameters[1, 0]) ** 2
+        variances.append(spread if np.isfinite(spread) and spread > 0 else 1.0)
+    assert measured.errors is not None
+    log = float(measured.errors.log_density(fields, np.zeros((1, len(variances)))).sum())
+    return np.diag(variances), log if np.isfinite(log) else 0.0
+
+
+def _fixed(functions: MeasuredAs, frames: FramePair) -> dict[str, float]:
+    return {**frames.names, **functions.constants}
+
+
+def at_delay(states: Mapping[str, Floats], functions: MeasuredAs) -> Mapping[str, Floats]:
+    """The states as they were when the agent measured: between two frame intervals they change evenly."""
+    if not functions.delay:
+        return states
+    whole, share = int(functions.delay), functions.delay % 1.0
+
+    def before(name: str, lag: int) -> Floats:
+        return states[f"{name}{PAST}{lag}"] if lag else states[name]
+
+    late = {name: before(name, whole) for name in functions.late}
+    if share:
+        late = {name: (1.0 - share) * now + share * before(name, whole + 1) for name, now in late.items()}
+    return {**states, **late}
+
+
+def in_modes(states: Mapping[str, Floats], functions: MeasuredAs) -> Mapping[str, Floats]:
+    """The states with what their combination of mode and values is, where they have the combination alone."""
+    if FIELD not in states or all(name in states for name in functions.discrete):
+        return states
+    combination = states[FIELD].astype(np.intp)
+    numbers = {name: np.array(own, dtype=np.float64) for name, own in functions.discrete.items()}
+    return {**states, **{name: own[combination] for name, own in numbers.items()}}
+
+
+def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Seen:
+    """h: what quantities would be of states in these frames."""
+    fixed = _fixed(functions, frames)
+    terms = [functions.terms.get(name, Variable(name)) for name in quantities]
+
+    def values(states: Mapping[str, Floats]) -> Floats:
+        names = {**in_modes(at_delay(states, functions), functions), **fixed}
+        size = len(next(iter(states.values())))
+        return np.stack([np.broadcast_to(values_of(term, names), (size,)) for term in terms], axis=1)
+
+    return Seen(values, np.array([period_of(term, functions.constants) for term in terms]))
+
+
+def note_undefined(
+    agent: str, measured: Measurement, hypotheses: Hypotheses, found: MutableMapping[str, Undefined]
+) -> None:
+    """Write down of which quantities hypotheses have no value."""
+    if measured.seen is None:
+        return
+    states = {**{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX)}, **hypotheses.fields}
+    values = measured.seen.function(states)
+    unknown = (~np.isfinite(values)).sum(axis=0)
+    for name, count in zip(measured.fields, unknown.tolist(), strict=True):
+        if count:
+            found.setdefault(f"measures {agent}.{name}", Undefined(count, len(hypotheses)))
+    if measured.errors is None:
+        return
+    without = (~np.isfinite(measured.errors.log_density(states, np.zeros_like(values)))).sum(axis=0)
+    for name, count in zip(measured.fields, without.tolist(), strict=True):
+        if count:
+            found.setdefault(f"sd {agent}.{name}", Undefined(count, len(hypotheses)))

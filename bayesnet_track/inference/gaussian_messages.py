@@ -17,7 +17,7 @@ from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.spec import Given
-from bayesnet_track.inference.given import linearise_given
+from bayesnet_track.inference.factors import linearise_given
 from bayesnet_track.inference.parts import part_matrix
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

@@ -15,13 +15,18 @@ from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.asking import Missing
 from bayesnet_track.inference.compile import Observe, Plan
-from bayesnet_track.inference.factors import weigh
+from bayesnet_track.inference.factors import (
+    at_prediction,
+    draw_given,
+    log_given,
+    note_undefined,
+    read_as,
+    weigh,
+)
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
-from bayesnet_track.inference.given import draw_given, log_given
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message, sum_kernel
 from bayesnet_track.inference.observe import Answer, Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
-from bayesnet_track.inference.readings import at_prediction, note_undefined, read_as
 from bayesnet_track.inference.views import through
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociatingCue, Hypotheses, Measurement

@@ -27,7 +27,7 @@ from bayesnet_track.belief.motion.composed import field_of
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan
-from bayesnet_track.inference.given import usual_boxes
+from bayesnet_track.inference.factors import usual_boxes
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 

@@ -10,7 +10,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.update import take
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.inference.given import draw_given, linearise_given, log_given, usual_boxes
+from bayesnet_track.inference.factors import draw_given, linearise_given, log_given, usual_boxes
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.faults import FlawEnded, MotionFlawed
 from bayesnet_track.observation.cue import Measurement

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.spec import Join
+from bayesnet_track.inference.factors import pair_factor
 from bayesnet_track.inference.joint import Edge, Member, joint_marginals
-from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.numerics.log_weights import LogWeights
 
 FRAME = {"frame_width": 320.0, "frame_height": 240.0}

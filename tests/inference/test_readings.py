@@ -11,8 +11,8 @@ from bayesnet_track.belief.motion.modes import mode_probabilities
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checked import MeasuredAs
 from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.inference.factors import read_as
 from bayesnet_track.inference.gaussian_messages import measurement_message
-from bayesnet_track.inference.readings import read_as
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 FIELDS = ("x", "y", "w", "h", "vx", "vy")

@@ -21,7 +21,7 @@ from bayesnet_track.belief.motion.start_prior import start_moments_of_each
 from bayesnet_track.engine.lifecycle.sensing import LOG_TURN, Begun, BoxSensor, Found, Mixed, Sensor
 from bayesnet_track.graph.checked import ANCHORED, CheckedTarget, Inverse, MeasuredAs
 from bayesnet_track.graph.expressions.evaluate import values_of
-from bayesnet_track.inference.readings import seen_by
+from bayesnet_track.inference.factors import seen_by
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile, root, sigma_points, symmetric
 from bayesnet_track.numerics.inversion import derivatives, follow
