@@ -34,8 +34,8 @@ from bayesnet_track.engine.on_call import call_agents, plan_without_calls
 from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
+from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Observe, Plan, compile_plan
-from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.inference.factors import Flaw
 from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import Observer, evaluate

@@ -23,8 +23,14 @@ from bayesnet_track.inference.factors import (
     read_as,
     weigh,
 )
-from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
-from bayesnet_track.inference.latent_messages import grid_message, kernel_message, sum_kernel
+from bayesnet_track.inference.gaussian_messages import (
+    grid_message,
+    kernel_message,
+    latent_gaussian,
+    measurement_message,
+    sum_kernel,
+    to_power,
+)
 from bayesnet_track.inference.observe import Answer, Observer, Question, ask_each, known_answers, remember
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.views import through

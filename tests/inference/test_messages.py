@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.compile import compile_plan
-from bayesnet_track.inference.latent_messages import grid_message, kernel_message
+from bayesnet_track.inference.gaussian_messages import grid_message, kernel_message
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
