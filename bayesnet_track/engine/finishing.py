@@ -37,7 +37,7 @@ from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.inference.guard import changes
+from bayesnet_track.inference.learn import changes
 from bayesnet_track.inference.measure_rows import StepArrays
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event

@@ -23,15 +23,20 @@ from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import inside_frame
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow, is_elsewhere
-from bayesnet_track.inference.guard import DriftCheck, SlowReferences, guard, judge, judge_nothing, watch
 from bayesnet_track.inference.learn import (
+    DriftCheck,
     LearningInputs,
+    SlowReferences,
     adapt_reference,
     blend_ahead,
     frames_between,
+    guard,
+    judge,
+    judge_nothing,
     largest_rate,
     learning_rate,
     over_frames,
+    watch,
 )
 from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.switches import LocallyAdapted

@@ -25,8 +25,7 @@ from bayesnet_track.engine.scoring.rivals import first_references, without_motio
 from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState, inside_frame, plan_for
 from bayesnet_track.graph.checked import LastingError
-from bayesnet_track.inference.guard import watch
-from bayesnet_track.inference.learn import LearningInputs, learn_first
+from bayesnet_track.inference.learn import LearningInputs, learn_first, watch
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.inference.views import Placed
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted

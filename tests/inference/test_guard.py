@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.guard import SlowReferences, changes, guard, judge, watch
-from bayesnet_track.inference.learn import LearningInputs
+from bayesnet_track.inference.learn import LearningInputs, SlowReferences, changes, guard, judge, watch
 from bayesnet_track.observation.cue import Hypotheses, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.guard import SlowReferences, judge
-from bayesnet_track.inference.learn import LearningInputs
+from bayesnet_track.inference.learn import LearningInputs, SlowReferences, judge
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated

@@ -7,8 +7,7 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.guard import judge, watch
-from bayesnet_track.inference.learn import LearningInputs
+from bayesnet_track.inference.learn import LearningInputs, judge, watch
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import (

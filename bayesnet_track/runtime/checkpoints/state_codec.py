@@ -37,7 +37,7 @@ from bayesnet_track.engine.scoring.score import Agreement, Encounter, Place, Sco
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.crossings import Trail
-from bayesnet_track.inference.guard import SlowReferences
+from bayesnet_track.inference.learn import SlowReferences
 from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.joins import Joined
 from bayesnet_track.journal.events.refused import Refusal
