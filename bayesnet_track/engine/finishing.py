@@ -38,7 +38,7 @@ from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.learn import changes
-from bayesnet_track.inference.measure_rows import StepArrays
+from bayesnet_track.inference.measure import StepArrays
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, MotionFlawed

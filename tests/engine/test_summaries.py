@@ -13,8 +13,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.metrics import find_covariances, find_summaries, summarise_one
 from bayesnet_track.engine.step import State, make_engine, start_target
-from bayesnet_track.inference.measure import measure
-from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows
+from bayesnet_track.inference.measure import StepArrays, is_flat, measure, measure_rows
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 MOTIONS = {

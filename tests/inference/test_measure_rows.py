@@ -3,7 +3,7 @@
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.inference.measure_rows import is_flat
+from bayesnet_track.inference.measure import is_flat
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure_rows import is_flat
+from bayesnet_track.inference.measure import is_flat
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile

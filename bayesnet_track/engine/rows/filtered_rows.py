@@ -27,8 +27,14 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure import columns_of, measure
-from bayesnet_track.inference.measure_rows import StepArrays, is_flat, measure_rows, uncertainties
+from bayesnet_track.inference.measure import (
+    StepArrays,
+    columns_of,
+    is_flat,
+    measure,
+    measure_rows,
+    uncertainties,
+)
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.journal.net.target_net import TargetNet
