@@ -38,7 +38,7 @@ from bayesnet_track.inference.learn import (
     over_frames,
     watch,
 )
-from bayesnet_track.inference.part_measures import part_rates
+from bayesnet_track.inference.parts import part_rates
 from bayesnet_track.journal.events.switches import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.arrays import Floats, Ints

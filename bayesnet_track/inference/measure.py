@@ -18,8 +18,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import join_plain, without
-from bayesnet_track.inference.part_measures import measure_parts
-from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
+from bayesnet_track.inference.parts import PartBelief, measure_parts, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import weighted_mass_in_disc
 from bayesnet_track.numerics.log_weights import divergences, select, tilt, uncertainty_deviation
