@@ -14,7 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.inversion import shorter_way
+from bayesnet_track.numerics.lenses import shorter_way
 from bayesnet_track.observation.labels import Label, LabelRule
 from bayesnet_track.observation.likelihoods import Reference, floored
 from bayesnet_track.observation.planes import Plane, Planes

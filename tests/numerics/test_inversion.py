@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.inversion import derivatives, follow, shorter_way, solutions
+from bayesnet_track.numerics.lenses import derivatives, follow, shorter_way, solutions
 
 PERIODS = np.array([np.inf, 2 * np.pi])
 LESS = shorter_way(PERIODS)

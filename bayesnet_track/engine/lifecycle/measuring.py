@@ -24,7 +24,7 @@ from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.inference.factors import seen_by
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile, root, sigma_points, symmetric
-from bayesnet_track.numerics.inversion import derivatives, follow
+from bayesnet_track.numerics.lenses import derivatives, follow
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.protocols import Seen

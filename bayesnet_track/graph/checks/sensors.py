@@ -20,7 +20,7 @@ from bayesnet_track.graph.expressions.terms import FRAME_NAMES, ExpressionError,
 from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.messages import GraphMessage, nearest
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.inversion import Less, shorter_way, solutions
+from bayesnet_track.numerics.lenses import Less, shorter_way, solutions
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.protocols import BOX
 
