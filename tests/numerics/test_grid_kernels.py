@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.kernels.grid_kernels import STRIP, spread_columns, spread_rows, turn
+from bayesnet_track.numerics.kernels.box_kernels import STRIP, spread_columns, spread_rows, turn
 
 
 @pytest.fixture

@@ -367,17 +367,17 @@ def _bound(
 
 def _turn(mass: Floats, down: Floats, across: Floats) -> Floats:
     """The masses after the velocities' step: new[a, b] = sum down[a, c] across[b, d] old[c, d]."""
-    from bayesnet_track.numerics.kernels import grid_kernels
+    from bayesnet_track.numerics.kernels import box_kernels
 
     vy, vx = mass.shape[:2]
     out = np.empty((vy, vx, mass[0, 0].size))
-    grid_kernels.turn(np.ascontiguousarray(mass).reshape(out.shape), down, across, out)
+    box_kernels.turn(np.ascontiguousarray(mass).reshape(out.shape), down, across, out)
     return out.reshape(mass.shape)
 
 
 def _spread(patch: Patch, axis: int, shifts: Floats, variance: float, lattice: Lattice) -> Patch:
     """The masses moved along X or Y by a shift (px) of each velocity and spread by noise (px^2)."""
-    from bayesnet_track.numerics.kernels import grid_kernels
+    from bayesnet_track.numerics.kernels import box_kernels
 
     if variance <= 0.0 and not shifts.any():
         return patch
@@ -391,7 +391,7 @@ def _spread(patch: Patch, axis: int, shifts: Floats, variance: float, lattice: L
     out = np.zeros(grown)
     mass = np.ascontiguousarray(patch.mass)
     if axis == X:
-        grid_kernels.spread_columns(mass, taps, first - low, out)
+        box_kernels.spread_columns(mass, taps, first - low, out)
         return Patch(out, patch.column + low, patch.row)
-    grid_kernels.spread_rows(mass, taps, first - low, out)
+    box_kernels.spread_rows(mass, taps, first - low, out)
     return Patch(out, patch.column, patch.row + low)
