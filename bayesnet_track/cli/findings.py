@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.courses import Course
+from bayesnet_track.journal.blocks import Course
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.numerics.arrays import Floats
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayesnet_track.cli.findings import Finding
 
 if TYPE_CHECKING:
-    from bayesnet_track.journal.courses import Course
+    from bayesnet_track.journal.blocks import Course
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.journal.events.refused import Refusal
 

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.settings.queries import Query
-from bayesnet_track.journal.blocks import CLOUD, Block, Blocks
-from bayesnet_track.journal.courses import Course, courses
+from bayesnet_track.journal.blocks import CLOUD, Block, Blocks, Course, courses
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted

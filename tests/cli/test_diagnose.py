@@ -16,7 +16,7 @@ from bayesnet_track.cli.findings import COLUMNS, FEW_FRAMES, REMEDIES, Finding, 
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
-from bayesnet_track.journal.courses import courses
+from bayesnet_track.journal.blocks import courses
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
     """The findings of one target, or of all."""
     from bayesnet_track.cli.findings import COLUMNS, find, find_failures, until_lost
-    from bayesnet_track.journal.courses import courses
+    from bayesnet_track.journal.blocks import courses
     from bayesnet_track.journal.events.faults import Quarantined
     from bayesnet_track.journal.net.net import Switch
 
@@ -44,7 +44,7 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
 def _identities(run: Run, target: str | None) -> Iterator[Finding]:
     """What stands out in how identities follow each other, plate by plate."""
     from bayesnet_track.cli.identities import find_identities, identities_of
-    from bayesnet_track.journal.courses import courses
+    from bayesnet_track.journal.blocks import courses
 
     types = _types(run.graph_text)
     if not any("birth" in plate for plate in types.values()):
@@ -228,7 +228,7 @@ def _try_all(options: argparse.Namespace, run: Run, findings: Sequence[Finding])
 def _count_identities(run: Run, plate: str) -> str:
     """`9 identities, 6 of which go on as another, 12 frames long (median)`."""
     from bayesnet_track.cli.identities import identities_of, successors_of
-    from bayesnet_track.journal.courses import courses
+    from bayesnet_track.journal.blocks import courses
     from bayesnet_track.journal.text.wording import plural
 
     identities = identities_of(run.events, courses(run.metrics, ("status", "box")))
