@@ -10,7 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair_up
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
-from bayesnet_track.journal.events.refused import Refusal
+from bayesnet_track.journal.events.joins import Refusal
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve

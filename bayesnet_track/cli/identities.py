@@ -14,7 +14,7 @@ from bayesnet_track.cli.findings import Finding
 if TYPE_CHECKING:
     from bayesnet_track.journal.blocks import Course
     from bayesnet_track.journal.events.event import Event
-    from bayesnet_track.journal.events.refused import Refusal
+    from bayesnet_track.journal.events.joins import Refusal
 
 REACH_BOX = 3.0
 """A new identity continues an earlier one within so many box sides of where that was or was going."""
@@ -78,8 +78,8 @@ def _sides(box: Sequence[float]) -> float:
 
 def identities_of(events: Sequence[Event], courses: Mapping[str, Course]) -> list[Identity]:
     """The targets of a run that were born of detections and shown in a frame at least; courses with `box`."""
+    from bayesnet_track.journal.events.joins import DetectionRefused
     from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied, TargetStarted
-    from bayesnet_track.journal.events.refused import DetectionRefused
 
     confirmed = {event.target: event for event in events if isinstance(event, CandidateConfirmed)}
     started = {event.target: event for event in events if isinstance(event, TargetStarted)}

@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track import DetectionsTracker, load_graph
 from bayesnet_track.graph.text.change import change_graph
-from bayesnet_track.journal.events.refused import DetectionRefused
+from bayesnet_track.journal.events.joins import DetectionRefused
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
 
 

@@ -32,9 +32,11 @@ from bayesnet_track.journal.events.faults import (
 )
 from bayesnet_track.journal.events.joins import (
     AttachmentChanged,
+    DetectionRefused,
     Joined,
     OcclusionChanged,
     Parted,
+    Refusal,
     RingChanged,
 )
 from bayesnet_track.journal.events.lives import (
@@ -58,7 +60,6 @@ from bayesnet_track.journal.events.load import (
     TakenBack,
     Toggled,
 )
-from bayesnet_track.journal.events.refused import DetectionRefused, Refusal
 from bayesnet_track.journal.events.runs import (
     FramesDropped,
     FrameSizeChanged,

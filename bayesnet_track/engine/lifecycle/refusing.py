@@ -16,8 +16,8 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.lifecycle.initiating import velocities
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.joins import DetectionRefused, Refusal
 from bayesnet_track.journal.events.lives import TargetDied
-from bayesnet_track.journal.events.refused import DetectionRefused, Refusal
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints

@@ -12,17 +12,7 @@ which the engine is given it, so that the same lines give the same run again.
 
 from __future__ import annotations
 
-from bayesnet_track.journal.events import (
-    beliefs,
-    faults,
-    joins,
-    lives,
-    load,
-    refused,
-    runs,
-    statuses,
-    switches,
-)
+from bayesnet_track.journal.events import beliefs, faults, joins, lives, load, runs, statuses, switches
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, Released, SpareTime, Toggled
 from bayesnet_track.journal.net.net import Decision
@@ -57,7 +47,7 @@ Event = (
     | statuses.Regained
     | lives.CandidateConfirmed
     | lives.BirthsRefused
-    | refused.DetectionRefused
+    | joins.DetectionRefused
     | lives.DetectorFailed
     | lives.DetectionsCut
     | faults.AgentMissed

@@ -11,6 +11,7 @@ from bayesnet_track.journal.events import statuses
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import VerifierFailed
+from bayesnet_track.journal.events.joins import DetectionRefused
 from bayesnet_track.journal.events.lives import (
     CandidateConfirmed,
     Continued,
@@ -20,7 +21,6 @@ from bayesnet_track.journal.events.lives import (
     TargetDied,
     TargetStarted,
 )
-from bayesnet_track.journal.events.refused import DetectionRefused
 from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
 from bayesnet_track.journal.events.switches import LocallyAdapted, Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics

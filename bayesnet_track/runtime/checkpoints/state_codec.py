@@ -39,8 +39,7 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.crossings import Trail
 from bayesnet_track.inference.learn import SlowReferences
 from bayesnet_track.inference.queries import QueryMemory
-from bayesnet_track.journal.events.joins import Joined
-from bayesnet_track.journal.events.refused import Refusal
+from bayesnet_track.journal.events.joins import Joined, Refusal
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import Fault, TargetNet, Turn
 from bayesnet_track.numerics.arrays import Array
