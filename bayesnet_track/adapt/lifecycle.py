@@ -11,7 +11,7 @@ from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.events.joins import Refusal
-from bayesnet_track.journal.net.target_net import Fault
+from bayesnet_track.journal.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference

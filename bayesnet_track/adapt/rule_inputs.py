@@ -13,7 +13,7 @@ from bayesnet_track.adapt.memory import RuleMemory, Streak
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.rules.agent_rule import AgentMeasure, AgentRule
 from bayesnet_track.graph.spec import Concentrated, Level
-from bayesnet_track.journal.net.target_net import Cause, Concentration, HiddenCause, RuleCause, TargetNet
+from bayesnet_track.journal.target_net import Cause, Concentration, HiddenCause, RuleCause, TargetNet
 from bayesnet_track.journal.text.wording import UNIT
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import vouched_share

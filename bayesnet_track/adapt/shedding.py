@@ -18,7 +18,7 @@ from bayesnet_track.adapt.status import on_call_rule
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 
 LATE, WITHIN = 3, 10
 """So many late frames among so many: time to shed."""

@@ -15,7 +15,7 @@ from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.journal.net.target_net import Cause, Fault, FitCause, ScoreCause, TargetNet
+from bayesnet_track.journal.target_net import Cause, Fault, FitCause, ScoreCause, TargetNet
 
 FIRST_WAIT = 10
 """Frames for which an agent is out at its first failure."""

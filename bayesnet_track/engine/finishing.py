@@ -45,7 +45,7 @@ from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, Motion
 from bayesnet_track.journal.events.statuses import DistractorSeen
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, apply_decisions
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.records import Found, evolve
 from bayesnet_track.observation.cue import Reference

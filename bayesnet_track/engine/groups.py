@@ -27,7 +27,7 @@ from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import StepArrays, is_flat, measure, measure_rows
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.observation.cue import OWN_DETECTION, Measurement, Reference
 

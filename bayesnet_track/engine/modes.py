@@ -12,7 +12,7 @@ from bayesnet_track.belief.motion.modes import FIELD, Modes, mode_probabilities
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.journal.events.beliefs import ModeChanged
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.target_net import HiddenCause
+from bayesnet_track.journal.target_net import HiddenCause
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.cue import AssociationRule, LabelRule
 

@@ -11,7 +11,7 @@ from bayesnet_track.adapt.lifecycle import TrackRecord
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 
 
 class Targets(Mapping[str, TargetState]):

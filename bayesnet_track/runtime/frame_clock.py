@@ -23,7 +23,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.metrics import Answers, FrameMetrics
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Cue, Hypotheses, Reference
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState, Scan

@@ -18,7 +18,7 @@ from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.lives import Recognition
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
-from bayesnet_track.journal.net.target_net import Cause, Concentration
+from bayesnet_track.journal.target_net import Cause, Concentration
 
 _FIELD = re.compile(r"^    (\w+): (.*)$")
 

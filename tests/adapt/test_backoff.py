@@ -6,7 +6,7 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.adapt.status import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
 from bayesnet_track.journal.events.faults import Readmitted
-from bayesnet_track.journal.net.target_net import Fault, TargetNet
+from bayesnet_track.journal.target_net import Fault, TargetNet
 
 OUT = TargetNet(
     "plate",

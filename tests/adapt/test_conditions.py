@@ -13,7 +13,7 @@ from scipy import stats
 from bayesnet_track.adapt.rule_inputs import Inside, apply_test
 from bayesnet_track.graph.spec import Concentrated
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.target_net import Concentration
+from bayesnet_track.journal.target_net import Concentration
 
 TEST = {"share": 0.9, "within_box": 0.5, "confidence": 0.95}
 SURE, UNSURE = Inside(0.97, 400.0, 10.0), Inside(0.6, 400.0, 10.0)

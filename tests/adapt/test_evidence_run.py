@@ -7,7 +7,7 @@ from itertools import islice
 from bayesnet_track import GraphSpec, Start, load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.target_net import Concentration
+from bayesnet_track.journal.target_net import Concentration
 from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes import two_squares
 from bayesnet_track.sources.scenes.library import SceneSource

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.memory import InformationRate, expected_per_ms, remembered_per_ms
 from bayesnet_track.graph.spec import Information
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 
 AGENTS = ("a", "b", "c")
 COSTS = {"a": 1.0, "b": 0.5, "c": 4.0}

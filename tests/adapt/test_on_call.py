@@ -7,7 +7,7 @@ import pytest
 from bayesnet_track.adapt.status import is_due
 from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
 from bayesnet_track.journal.net.net import Net, apply, replay
-from bayesnet_track.journal.net.target_net import TargetNet, Turn
+from bayesnet_track.journal.target_net import TargetNet, Turn
 from bayesnet_track.journal.text.sentences import explain
 
 ADAPT = {"agents": ["dear"], "on_call": {"every": 4, "agree": 0.6, "above": {"ud_px2": 60.0}}}

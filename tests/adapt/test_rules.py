@@ -15,7 +15,7 @@ from bayesnet_track.adapt.rule_inputs import read_level
 from bayesnet_track.graph.spec import Level
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
-from bayesnet_track.journal.net.target_net import Cause, FitCause, TargetNet
+from bayesnet_track.journal.target_net import Cause, FitCause, TargetNet
 from bayesnet_track.journal.text.sentences import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}

@@ -12,7 +12,7 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.shedding import CALM, Load, Running, balance
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
 from bayesnet_track.journal.net.net import Net, apply
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 
 ADAPT = {"activate": {"above": {"ud_px2": 200}}, "deactivate": {"below": {"ud_px2": 100}}}
 

@@ -10,7 +10,7 @@ import pytest
 from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.net.target_net import FitCause
+from bayesnet_track.journal.target_net import FitCause
 from bayesnet_track.sources.scenes.library import SceneSource
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net.net import apply
-from bayesnet_track.journal.net.target_net import Turn
+from bayesnet_track.journal.target_net import Turn
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
 

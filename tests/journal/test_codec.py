@@ -26,7 +26,7 @@ from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunSta
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 
 SIMPLE = {
     float: st.floats(),

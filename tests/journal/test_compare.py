@@ -10,7 +10,7 @@ from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetStarte
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.compare_text import compare_text
 
 BOX = (50.0, 40.0, 20.0, 10.0)

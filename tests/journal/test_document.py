@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.journal.codec import event_classes, event_name, type_hints
-from bayesnet_track.journal.net.target_net import Cause, Concentration
+from bayesnet_track.journal.target_net import Cause, Concentration
 from make_pages.journal import document_events, parts_of
 
 KINDS = [*event_classes().values(), Cause, Concentration]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.switches import Activated, Scheduled
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.story import CallsFolded, describe_life, fold, narrate_all
 from bayesnet_track.view.page_tables import event_rows

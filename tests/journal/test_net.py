@@ -14,7 +14,7 @@ from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
 from bayesnet_track.journal.net.net import Net, apply, replay
-from bayesnet_track.journal.net.target_net import Cause, Fault, TargetNet
+from bayesnet_track.journal.target_net import Cause, Fault, TargetNet
 
 CAUSE = Cause("ud_px2", 200.0, 212.0, 3, 210.0, 212.0, 1.0)
 BOX = (10.0, 20.0, 5.0, 6.0)

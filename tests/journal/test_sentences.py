@@ -91,7 +91,7 @@ from bayesnet_track.journal.events.switches import (
     SelfStopped,
 )
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.target_net import Cause, HiddenCause
+from bayesnet_track.journal.target_net import Cause, HiddenCause
 from bayesnet_track.journal.text.sentences import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)

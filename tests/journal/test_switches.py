@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.switches import Activated, Deactivated, ReferenceGuarded
-from bayesnet_track.journal.net.target_net import Concentration
+from bayesnet_track.journal.target_net import Concentration
 from bayesnet_track.journal.text.sentences import explain
 
 UNSURE = Concentration(0.9, 0.25, 0.95, 0.62, 214.3, 0.5628, 2, 0.5714, 10.24, 350.0)

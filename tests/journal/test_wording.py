@@ -18,8 +18,8 @@ from bayesnet_track.journal.events.statuses import (
     StatusChanged,
 )
 from bayesnet_track.journal.events.switches import Activated, LocallyAdapted
-from bayesnet_track.journal.net.target_net import Cause
 from bayesnet_track.journal.reader import MOST, check_line
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away

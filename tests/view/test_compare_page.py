@@ -11,7 +11,7 @@ from bayesnet_track.journal.compare import compare
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
 from bayesnet_track.view.compare_page import compare_page
 

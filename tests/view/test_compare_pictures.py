@@ -12,7 +12,7 @@ import pytest
 from bayesnet_track.journal.compare import compare
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.view.compare_charts import WIDEST, draw_pictures, telling_frames
 from bayesnet_track.view.compare_page import compare_page
 

@@ -20,7 +20,7 @@ from bayesnet_track.journal.events.load import Shed, TakenBack, Toggled
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
 from bayesnet_track.view.page_tables import event_row, event_rows, pack, plates, short_floats, unpack
 from bayesnet_track.view.run_page import Pictures, full_pictures, gather, one_file, with_folder

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed, TakenBack
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.view import notebook
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.view.timeline import BAR_COLOURS, LEFT, RIGHT, WIDTH, Axes, draw_timeline
 

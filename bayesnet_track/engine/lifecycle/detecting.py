@@ -12,7 +12,7 @@ from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, DetectorFailed
-from bayesnet_track.journal.net.target_net import Fault
+from bayesnet_track.journal.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import FAULTS, LabelRule, said

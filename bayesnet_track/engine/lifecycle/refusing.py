@@ -19,7 +19,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import DetectionRefused, Refusal
 from bayesnet_track.journal.events.lives import TargetDied
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.gaussian import chi_square_quantile

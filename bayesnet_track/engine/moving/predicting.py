@@ -18,7 +18,7 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.lives import DetectorFailed
-from bayesnet_track.journal.net.target_net import Fault
+from bayesnet_track.journal.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import FAULTS, said

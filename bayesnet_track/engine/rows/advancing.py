@@ -33,7 +33,7 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.journal.encoder import EncodedCloud, encode_clouds
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.frame_columns import ABSENT, texts
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import AREA, D2, FIT, HYPOTHESES, NATS, UD, Bools, Floats, Ints
 from bayesnet_track.numerics.distributions import p_after, p_beyond
 from bayesnet_track.numerics.gaussian import ALONE, roots

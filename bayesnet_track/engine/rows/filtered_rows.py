@@ -37,7 +37,7 @@ from bayesnet_track.inference.measure import (
 )
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights, effective, select
 from bayesnet_track.observation.cue import Hypotheses, Reference

@@ -14,7 +14,7 @@ from bayesnet_track.engine.rows.columns import Rows, make_rows
 from bayesnet_track.engine.rows.fitting import net_fits, row_rule, state_fits
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Records, Targets
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 
 
 def arrange(work: FrameContext, state: State) -> tuple[Targets, Mapping[str, TrackRecord]]:

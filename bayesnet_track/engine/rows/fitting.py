@@ -25,7 +25,7 @@ from bayesnet_track.graph.spec import InferenceNode, Lost
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.measure import is_flat
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule
 

@@ -14,7 +14,7 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Ints
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.records import evolve

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from bayesnet_track.journal.net.target_net import Fault, TargetNet
+from bayesnet_track.journal.target_net import Fault, TargetNet
 from bayesnet_track.journal.text.wording import plural
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bayesnet_track.journal.net.target_net import Cause, FitCause, HiddenCause, ScoreCause, TargetNet
+from bayesnet_track.journal.target_net import Cause, FitCause, HiddenCause, ScoreCause, TargetNet
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 from bayesnet_track.numerics.records import evolve
 

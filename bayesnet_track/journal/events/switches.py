@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from bayesnet_track.journal.net.target_net import Cause, Concentration, RuleCause, TargetNet, Turn
+from bayesnet_track.journal.target_net import Cause, Concentration, RuleCause, TargetNet, Turn
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 
 

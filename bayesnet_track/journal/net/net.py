@@ -14,7 +14,7 @@ from bayesnet_track.journal.events import faults, joins, lives, load, statuses, 
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.load import TakenBack, Toggled
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.target_net import TargetNet
 
 Switch = (
     switches.Activated

@@ -18,7 +18,7 @@ from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded, S
 from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled, SelfStopped
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
-from bayesnet_track.journal.net.target_net import Cause, Concentration, FitCause, RuleCause, ScoreCause
+from bayesnet_track.journal.target_net import Cause, Concentration, FitCause, RuleCause, ScoreCause
 from bayesnet_track.journal.text.wording import UNIT
 
 
@@ -29,7 +29,7 @@ def explain(event: Event, name_target: bool = False) -> str:
     the threshold, rounded away from the one that was set, at which the rule would not have fired.
     `name_target` says whose net it was, for runs of several targets.
 
-    >>> from bayesnet_track.journal.net.target_net import Cause
+    >>> from bayesnet_track.journal.target_net import Cause
     >>> from bayesnet_track.journal.events.switches import Activated
     >>> cause = Cause("ud_px2", 200.0, 212.4, 3, 212.4, 212.4, 1.0)
     >>> explain(Activated(29, "1", "motion", "square", cause))

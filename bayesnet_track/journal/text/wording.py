@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bayesnet_track.journal.net.target_net import Cause
+from bayesnet_track.journal.target_net import Cause
 
 UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_baseline": " × baseline"}
 """How a level's unit is written behind its number."""
