@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from bayesnet_track.graph.settings.joins import Join, join_of
+from bayesnet_track.graph.settings.lifecycle import Join, join_of
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats

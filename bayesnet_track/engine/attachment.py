@@ -15,7 +15,7 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.filtering import Filtered, Ride
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.graph.settings.joins import Attachment
+from bayesnet_track.graph.settings.lifecycle import Attachment
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import AttachmentChanged
 from bayesnet_track.journal.metrics import JoinMetrics

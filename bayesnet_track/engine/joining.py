@@ -29,7 +29,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.occlusion import is_degenerate, levels_after, levels_of, report_hidden
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.on_others import logs_on
-from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.graph.settings.lifecycle import Join
 from bayesnet_track.inference.factors import PairFlaw, log_prior_factor, log_seen, pair_factor
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.journal.events.event import Event

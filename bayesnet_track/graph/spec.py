@@ -48,19 +48,23 @@ from bayesnet_track.graph.settings.beliefs import (
     Unscented,
 )
 from bayesnet_track.graph.settings.cameras import CameraSource, Ground, WorldState
-from bayesnet_track.graph.settings.identity import Identity
 from bayesnet_track.graph.settings.inputs import MOST_INPUTS, FrameInput, Inputs
-from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
 from bayesnet_track.graph.settings.lifecycle import (
+    Attachment,
     Birth,
     Confirm,
     Death,
     DetectorChoice,
+    Exclusion,
     Existence,
+    Identity,
+    Join,
     MergeDuplicates,
     MergeOrNever,
+    Occlusion,
     Reidentify,
     ReidentifyOrNever,
+    Together,
 )
 from bayesnet_track.graph.settings.motion import (
     BoxSd,

@@ -39,7 +39,7 @@ from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.sharing import Predict, predictor
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.targets import Targets
-from bayesnet_track.graph.settings.identity import Identity
+from bayesnet_track.graph.settings.lifecycle import Identity
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired, Returned
 from bayesnet_track.journal.events.statuses import IdentityDoubtful

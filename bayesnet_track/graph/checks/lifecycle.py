@@ -9,8 +9,7 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.modes import modes_are_joined
 from bayesnet_track.graph.checks.plates import Check, Plate, is_seen
-from bayesnet_track.graph.settings.joins import join_of
-from bayesnet_track.graph.settings.lifecycle import Confirm
+from bayesnet_track.graph.settings.lifecycle import Confirm, join_of
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions

@@ -14,7 +14,7 @@ from fractions import Fraction
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.parse import latex_of, parse, text_of
-from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.graph.settings.lifecycle import Join
 from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import Given, Motion
 from bayesnet_track.graph.text.formula_parts import (
