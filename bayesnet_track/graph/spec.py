@@ -47,8 +47,14 @@ from bayesnet_track.graph.settings.beliefs import (
     Reset,
     Unscented,
 )
-from bayesnet_track.graph.settings.cameras import CameraSource, Ground, WorldState
-from bayesnet_track.graph.settings.inputs import MOST_INPUTS, FrameInput, Inputs
+from bayesnet_track.graph.settings.cameras import (
+    MOST_INPUTS,
+    CameraSource,
+    FrameInput,
+    Ground,
+    Inputs,
+    WorldState,
+)
 from bayesnet_track.graph.settings.lifecycle import (
     Attachment,
     Birth,
