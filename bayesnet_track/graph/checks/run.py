@@ -12,7 +12,9 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import Calibration, CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.adapt import ADAPT_CHECKS, SCORE_CHECKS
 from bayesnet_track.graph.checks.beliefs import (
+    NOISE_CHECKS,
     PLACE_CHECKS,
+    START_CHECKS,
     gaussian_settings_have_effect,
     grid_holds_the_motion,
     grid_resets_at_one_level,
@@ -50,12 +52,10 @@ from bayesnet_track.graph.checks.motion import (
     MOTION_CHECKS,
     gaussians_are_looked_for,
 )
-from bayesnet_track.graph.checks.noises import NOISE_CHECKS
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
 from bayesnet_track.graph.checks.sensors import SENSOR_CHECKS, read_inverses
 from bayesnet_track.graph.checks.several_cameras import per_camera
-from bayesnet_track.graph.checks.starts import START_CHECKS
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
