@@ -30,8 +30,13 @@ from bayesnet_track.graph.checks.cameras import (
     read_lasting,
     read_views,
 )
-from bayesnet_track.graph.checks.categories import CATEGORY_CHECKS, categories_have_evidence
-from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters, evidence_counts_once
+from bayesnet_track.graph.checks.cues import (
+    CATEGORY_CHECKS,
+    CUE_CHECKS,
+    categories_have_evidence,
+    cue_parameters,
+    evidence_counts_once,
+)
 from bayesnet_track.graph.checks.factors import (
     CONSTANT_CHECKS,
     FACTOR_CHECKS,
