@@ -39,8 +39,8 @@ from bayesnet_track.engine.scoring.rivals import VerifierAtWork, make_verifiers
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
+from bayesnet_track.graph.checks.queries import read_inputs
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn, Query, WorldState

@@ -18,7 +18,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
-from bayesnet_track.graph.checks.inputs import read_inputs
+from bayesnet_track.graph.checks.queries import read_inputs
 from bayesnet_track.journal.writer import LineFile, write_atomically, writing
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters

@@ -22,8 +22,8 @@ from bayesnet_track.engine.metrics import CLOUD_SIZE, state_numbers
 from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.checks.inputs import read_inputs
 from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
+from bayesnet_track.graph.checks.queries import read_inputs
 from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted

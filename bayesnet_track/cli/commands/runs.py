@@ -302,7 +302,7 @@ def simulate(options: argparse.Namespace) -> int:
     from bayesnet_track.engine.simulating import Simulation
     from bayesnet_track.engine.simulating import simulate as draw
     from bayesnet_track.engine.starts import check_given
-    from bayesnet_track.graph.checks.inputs import read_inputs
+    from bayesnet_track.graph.checks.queries import read_inputs
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.numerics.boxes import centre_from_corner
 

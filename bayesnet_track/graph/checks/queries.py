@@ -1,10 +1,10 @@
-"""Checks of queries: kinds, expressions, names, and polygons, whose files become corners of the graph."""
+"""Checks of queries and of inputs: kinds, expressions, names, polygons, files that can be read."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +19,13 @@ from bayesnet_track.graph.checks.plates import (
 )
 from bayesnet_track.graph.expressions.evaluate import is_condition
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import FRAME_NAMES, FRAME_S, ExpressionError, names_in
+from bayesnet_track.graph.expressions.terms import FRAME_NAMES, FRAME_S, WORDS, ExpressionError, names_in
 from bayesnet_track.graph.settings.queries import MOST_CORNERS, Query
 from bayesnet_track.graph.spec import GraphSpec, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
+from bayesnet_track.observation.planes import BEFORE
 from bayesnet_track.observation.protocols import BOX
+from bayesnet_track.observation.timed_columns import ColumnsError, TimedInput, read_timed_columns
 
 COLUMNS = (
     *("frame", "time_s", "target", "kind", "x", "y", "w", "h", "angle", "status", "score", "ud_px2"),
@@ -211,3 +213,45 @@ def _corner(cells: list[str]) -> tuple[float, float] | None:
     except ValueError:
         return None
     return (x, y) if math.isfinite(x) and math.isfinite(y) else None
+
+
+def inputs_have_their_own_names(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """No input has the name of a word, a constant, or of the value before of another input."""
+    for name in spec.inputs:
+        found = ""
+        if name in WORDS or name == "t":
+            found = f"input {name!r}, which is a word of expressions"
+        elif name in spec.constants:
+            found = f"input {name!r}, which is a constant"
+        elif name.endswith(BEFORE) and name.removesuffix(BEFORE) in spec.inputs:
+            found = f"input {name!r}, which is the value before of {name.removesuffix(BEFORE)!r}"
+        if found:
+            yield at.message(("inputs", name), found, "another name", on_key=True)
+
+
+def inputs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """Every file is there and has the columns."""
+    for name, one in spec.inputs.items():
+        try:
+            read_timed_columns(one.file, (one.column_of(name),))
+        except ColumnsError as error:
+            found, _, allowed = str(error).partition("; allowed: ")
+            key = "file" if one.column is None or "no column" not in found else "column"
+            yield at.message(("inputs", name, key), found, allowed)
+
+
+def read_inputs(spec: GraphSpec) -> Mapping[str, TimedInput]:
+    """Input -> its column, of a graph that passed the checks.
+
+    Raises:
+        ColumnsError: a file is not there any more, or has changed so that it cannot be read.
+    """
+    return {
+        name: TimedInput(
+            read_timed_columns(one.file, (one.column_of(name),)), one.column_of(name), one.between
+        )
+        for name, one in spec.inputs.items()
+    }
+
+
+INPUT_CHECKS: tuple[GraphCheck, ...] = (inputs_have_their_own_names, inputs_can_be_read)

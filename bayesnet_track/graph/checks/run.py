@@ -47,7 +47,6 @@ from bayesnet_track.graph.checks.factors import (
     read_givens,
     read_measures,
 )
-from bayesnet_track.graph.checks.inputs import INPUT_CHECKS
 from bayesnet_track.graph.checks.latent import TREE_CHECKS
 from bayesnet_track.graph.checks.lifecycle import EXISTENCE_CHECKS, JOIN_CHECKS, LIFE_CHECKS
 from bayesnet_track.graph.checks.modes import MODE_CHECKS
@@ -58,7 +57,7 @@ from bayesnet_track.graph.checks.motion import (
     gaussians_are_looked_for,
 )
 from bayesnet_track.graph.checks.plates import Check, Plate
-from bayesnet_track.graph.checks.queries import QUERY_CHECKS, with_polygons
+from bayesnet_track.graph.checks.queries import INPUT_CHECKS, QUERY_CHECKS, with_polygons
 from bayesnet_track.graph.checks.sensors import SENSOR_CHECKS, read_inverses
 from bayesnet_track.graph.checks.several_cameras import per_camera
 from bayesnet_track.graph.settings.net import AGENT_RULES
