@@ -23,10 +23,10 @@ from bayesnet_track.graph.expressions.distributions import (
     median,
     moments,
     parameters_of,
+    period_of,
 )
 from bayesnet_track.graph.expressions.evaluate import log_values, values_of
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.periods import period_of
 from bayesnet_track.graph.expressions.terms import DRAWN, MASK, PARENT, Term, Variable
 from bayesnet_track.graph.settings.lifecycle import Join
 from bayesnet_track.inference.joint import Factor

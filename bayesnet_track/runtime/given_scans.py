@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.expressions.periods import period_of
+from bayesnet_track.graph.expressions.distributions import period_of
 from bayesnet_track.graph.expressions.terms import Call, Variable
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_xyxy, xyxy_from_centre

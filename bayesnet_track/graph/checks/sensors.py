@@ -13,9 +13,9 @@ from bayesnet_track.graph.checked import ANCHORED, Anchor, Inverse
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.checks.factors import latent_above, names_at
 from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.expressions.distributions import period_of
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.periods import period_of
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, ExpressionError, Term, Variable, names_in
 from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.messages import GraphMessage, nearest

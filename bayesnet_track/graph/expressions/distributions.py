@@ -1,17 +1,18 @@
-"""Distributions that an expression names: their draws, medians and moments by their parameters.
+"""Distributions that an expression names, their draws, medians and moments; periods of angles among expressions.
 
 In a text such as ``normal(parent.x, 5)`` the value that is drawn is left out; in its term it is `DRAWN`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.graph.expressions.evaluate import values_of
-from bayesnet_track.graph.expressions.terms import DRAWN, Call, Term, Variable
+from bayesnet_track.graph.expressions.terms import DRAWN, Call, Term, Variable, names_in
 from bayesnet_track.numerics.arrays import Floats
 
 Names = Mapping[str, Floats | float]
@@ -161,3 +162,31 @@ _SOUND = {
     "truncated_normal": np.array([0.0, 1.0, 0.0, 1.0]),
 }
 """Parameters that stand in where there are none, so that the others can be drawn."""
+
+
+def period_of(term: Term, constants: Mapping[str, float]) -> float:
+    """After how much the value of a term is the same again: infinite of one that is no angle.
+
+    `atan2(...)` is an angle in radians, and so is it plus or minus anything; times a number it is one of
+    another unit.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> period_of(parse("90 - atan2(y, x) * 180 / pi"), {}), period_of(parse("hypot(x, y)"), {})
+    (360.0, inf)
+    """
+    if not isinstance(term, Call):
+        return math.inf
+    if term.function == "atan2":
+        return 2.0 * math.pi
+    periods = [period_of(one, constants) for one in term.arguments]
+    if term.function in ("neg", "+", "-"):
+        return min(periods)
+    if term.function in ("*", "/") and min(periods) < math.inf:
+        factor = term.arguments[1 - periods.index(min(periods))]
+        if term.function == "/" and factor is term.arguments[0]:
+            return math.inf
+        if any(name not in constants and name != "pi" for name in names_in(factor)):
+            return math.inf
+        value = abs(float(values_of(factor, constants)))
+        return min(periods) * value if term.function == "*" else min(periods) / max(value, 1e-300)
+    return math.inf

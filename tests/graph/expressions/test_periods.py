@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from bayesnet_track.graph.expressions.distributions import period_of
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.periods import period_of
 
 
 @pytest.mark.parametrize(
