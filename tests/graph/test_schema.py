@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from bayesnet_track import GraphSpec
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.graph.text.document import read_document
-from bayesnet_track.graph.text.schema import graph_schema
+from bayesnet_track.graph.text.write import graph_schema
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.observation.detector import detectors_of_graphs
 

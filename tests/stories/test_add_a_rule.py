@@ -78,7 +78,7 @@ import numpy as np
 from bayesnet_track import Tracker, load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.graph.text.change import change_graph
-from bayesnet_track.graph.text.schema import graph_schema
+from bayesnet_track.graph.text.write import graph_schema
 from bayesnet_track.graph.text.write import write_graph
 
 frames = [np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)] * 8

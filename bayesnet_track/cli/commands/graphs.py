@@ -148,7 +148,7 @@ def schema(options: argparse.Namespace) -> int:
     """Print the JSON Schema of graph files."""
     import json
 
-    from bayesnet_track.graph.text.schema import graph_schema
+    from bayesnet_track.graph.text.write import graph_schema
 
     say(json.dumps(graph_schema(), indent=2))
     return OK
