@@ -12,9 +12,8 @@ from typing import Any, NoReturn
 from bayesnet_track.cli.commands.annotate import add_annotate, annotate
 from bayesnet_track.cli.commands.batch import add_batch, batch
 from bayesnet_track.cli.commands.calibrate import add_calibrate, calibrate
-from bayesnet_track.cli.commands.cameras import add_cameras, cameras
 from bayesnet_track.cli.commands.compare import add_compare, add_what_if, compare, what_if
-from bayesnet_track.cli.commands.detect import add_detect, detect
+from bayesnet_track.cli.commands.detect import add_cameras, add_detect, cameras, detect
 from bayesnet_track.cli.commands.diagnose import add_diagnose, diagnose
 from bayesnet_track.cli.commands.export import add_export, add_report, export, report
 from bayesnet_track.cli.commands.fit import add_fit, fit

@@ -132,7 +132,7 @@ FRAMES = (
             "observation.calibration_files: read_tree _storage",
             "graph.checks.cameras: read_file",
             "cli.commands.calibrate_cameras: read_points",
-            "cli.commands.cameras: read_cameras",
+            "cli.commands.detect: read_cameras",
         ),
         "entries that are not used; a principal point outside the image; a camera over 100 m above the "
         "ground",
