@@ -22,8 +22,7 @@ from bayesnet_track.observation.detector import GIVEN, Detections, Scan, fetched
 from bayesnet_track.runtime.arguments import frames_of
 from bayesnet_track.runtime.frame_clock import image_users
 from bayesnet_track.runtime.results import FrameSource
-from bayesnet_track.sources.box_times import names_boxes
-from bayesnet_track.sources.detection_files import FileDetector, file_detector
+from bayesnet_track.sources.detection_files import FileDetector, file_detector, names_boxes
 from bayesnet_track.sources.entrances.boxes import describe_unusable, usable
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.scan_files import ScanFile, SensorColumns, scan_file

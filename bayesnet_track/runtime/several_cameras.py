@@ -189,7 +189,7 @@ def open_cameras(graph: CheckedGraph, sources: Any, detections: Any, **how: Any)
         StartError: one has another size than its camera was calibrated in.
         TypeError, ValueError: as of `check_named`; or a camera has neither source nor detections.
     """
-    from bayesnet_track.sources.box_times import BoxReader
+    from bayesnet_track.sources.detection_files import BoxReader
     from bayesnet_track.sources.frames import Source
     from bayesnet_track.sources.origin import Origin
     from bayesnet_track.sources.paths import SourceError

@@ -150,7 +150,7 @@ def make_reader(
 
 def _without_images(text: str) -> Reader:
     """The frames of a file of boxes, or the times of a CSV of what sensors measured."""
-    from bayesnet_track.sources.box_times import BoxReader, names_boxes
+    from bayesnet_track.sources.detection_files import BoxReader, names_boxes
     from bayesnet_track.sources.scan_files import ScanReader
 
     try:

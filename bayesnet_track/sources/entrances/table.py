@@ -207,7 +207,7 @@ BOXES = (
         "`--detections FILE`; `track(..., detections=)`; its frames as `--source`, also left out",
         (
             "sources.detection_files: file_detector",
-            "sources.box_times: names_boxes BoxReader.__init__ _described",
+            "sources.detection_files: names_boxes BoxReader.__init__ _described",
             "runtime.arguments: explain_unused",
             "sources.mot_lines: parse_mot",
             "sources.entrances.text_lines: read_text split_words",
