@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import EndReason
 from bayesnet_track.sources.origin import Origin
-from bayesnet_track.sources.scenes.people import carried_box, person_and_board, person_parts
+from bayesnet_track.sources.scenes.people import carried_box, person_and_board, person_parts, street
 from bayesnet_track.sources.scenes.scene import Scene
 from bayesnet_track.sources.scenes.shapes import (
     ball_between_children,
@@ -33,7 +33,6 @@ from bayesnet_track.sources.scenes.stereo import (
     person_stereo,
     two_people_color_stereo_shape,
 )
-from bayesnet_track.sources.scenes.street import street
 
 _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
     {
