@@ -23,10 +23,16 @@ from bayesnet_track.sources.entrances.boxes import (
     refuse_scores,
     refuse_shares,
 )
-from bayesnet_track.sources.entrances.columns import CORNERS, is_kitti, layout_of, plain
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import Lines, explain_word, is_number, split_lines
-from bayesnet_track.sources.mot_blocks import read_plain_boxes, starts_plain
+from bayesnet_track.sources.mot_blocks import (
+    CORNERS,
+    is_kitti,
+    layout_of,
+    plain,
+    read_plain_boxes,
+    starts_plain,
+)
 from bayesnet_track.sources.mot_lines import LARGEST_FRAME, MotLines, parse_mot, read_text
 
 TruthForm = Literal["mot", "boxes", "corners", "polygons"]

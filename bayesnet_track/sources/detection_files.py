@@ -23,10 +23,10 @@ from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
 from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.entrances.boxes import describe_unusable, refuse_shares, usable
-from bayesnet_track.sources.entrances.columns import NAMES, plain
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.entrances.text_lines import JSON_LINES, refuse_foreign
 from bayesnet_track.sources.frames import Picture
+from bayesnet_track.sources.mot_blocks import NAMES, plain
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
 
 ASSUMED_RATE = 25.0

@@ -1,8 +1,8 @@
-"""Large files of MOT lines, in blocks: an hour of a crowd has too many lines to hold as texts."""
+"""Columns of a file of boxes, by header line or benchmark layout, and large files of MOT lines, in blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from pathlib import Path
@@ -13,6 +13,225 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.sources.entrances.boxes import MOST_LINES, are_corners, usable
+from bayesnet_track.sources.entrances.notices import notice
+from bayesnet_track.sources.entrances.text_lines import Line
+
+NAMES = {
+    "frame": ("frame", "frame_id", "frame_number", "frame_no", "frameid"),
+    "index": ("frame_index", "frame_idx"),
+    "id": ("id", "track_id", "tracker_id", "object_id", "obj_id", "target_id", "trackid", "target", "track"),
+    "left": ("bb_left", "bbox_left", "left", "xmin", "x_min", "x1", "x"),
+    "top": ("bb_top", "bbox_top", "top", "ymin", "y_min", "y1", "y"),
+    "width": ("bb_width", "bbox_width", "width", "w"),
+    "height": ("bb_height", "bbox_height", "height", "h"),
+    "right": ("bb_right", "bbox_right", "right", "xmax", "x_max", "x2"),
+    "bottom": ("bb_bottom", "bbox_bottom", "bottom", "ymax", "y_max", "y2"),
+    "confidence": ("confidence", "conf", "score", "considered", "consider", "flag"),
+    "class": (
+        "class",
+        "class_name",
+        "class_id",
+        "cls",
+        "category",
+        "object_category",
+        "label",
+        "kind",
+        "type",
+    ),
+    "status": ("status",),
+}
+"""What a column holds -> the names that say so, the most certain first. `index` counts frames from 0."""
+
+SILENT = {
+    "x",
+    "y",
+    "z",
+    "visibility",
+    "vis",
+    "truncation",
+    "occlusion",
+    "truncated",
+    "occluded",
+    "alpha",
+    "class_id",
+}
+OWN = {"time_s", "angle", "ud_px2", "quiet_px2", "log_evidence", "surprise", "ess", "particles"}
+OWN |= {"learn_rate", "active", "sd_x", "sd_y", "sd_w", "sd_h", "color", "colour"}
+CORNERS = ("x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4")
+HEADERS = "frame,id,left,top,width,height,confidence,class, or x1,y1,x2,y2 for corners"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where in a line what stands, by index from 0; None where nowhere.
+
+    Attributes:
+        columns: what -> index, by the keys of `NAMES`.
+        first_frame: the number of the first frame: 0 or 1.
+        width: number of words of a line, at least.
+        most: at most.
+        unused: names of columns that nothing is known of.
+        rivals: pairs of columns, by name and index, that both say which frame or which target it is.
+    """
+
+    columns: dict[str, int]
+    first_frame: int
+    width: int
+    most: int
+    unused: tuple[str, ...] = ()
+    rivals: tuple[tuple[tuple[str, int], tuple[str, int]], ...] = ()
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """The four numbers of the box."""
+        c = self.columns
+        sides = ("right", "bottom") if self.has_corners else ("width", "height")
+        return c["left"], c["top"], c[sides[0]], c[sides[1]]
+
+    @property
+    def has_corners(self) -> bool:
+        """True if right and bottom are given."""
+        return {"right", "bottom"} <= self.columns.keys()
+
+    @property
+    def sizes(self) -> tuple[int, int] | None:
+        """Width and height beside the corners: of the image, or of the box once more."""
+        c = self.columns
+        return (c["width"], c["height"]) if self.has_corners and {"width", "height"} <= c.keys() else None
+
+
+KITTI = Layout(
+    {"index": 0, "id": 1, "class": 2, "left": 6, "top": 7, "right": 8, "bottom": 9, "confidence": 17},
+    first_frame=0,
+    width=17,
+    most=18,
+)
+"""Labels of KITTI's tracking benchmark, of 17 columns, and results of 18: text classes, corners, frame 0."""
+
+
+def layout_of(header: Line, name: str) -> Layout:
+    """The layout that a header line names.
+
+    Raises:
+        ValueError: no box is named; says file and line.
+
+    >>> layout_of((1, ["frame", "id", "x1", "y1", "x2", "y2"]), "a.csv").box
+    (2, 3, 4, 5)
+    """
+    number, words = header
+    names = [plain(word) for word in words]
+    twice = [one for k, one in enumerate(names) if one and one in names[:k]]
+    if twice:
+        raise ValueError(f"{name}:{number}: the header names {twice[0]!r} twice")
+    columns = {}
+    for what, known in NAMES.items():
+        at = next((names.index(one) for one in known if one in names), None)
+        if at is not None:
+            columns[what] = at
+    missing = [
+        " or ".join(pair)
+        for pair in (("left",), ("top",), ("width", "right"), ("height", "bottom"))
+        if not columns.keys() & set(pair)
+    ]
+    if not missing and not ({"width", "height"} <= columns.keys() or {"right", "bottom"} <= columns.keys()):
+        missing = ["width and height"]
+    if missing:
+        raise ValueError(
+            f"{name}:{number}: a header line ({','.join(words)[:60]}) in which no column is called "
+            f"{', '.join(missing)}; rename the columns ({HEADERS}), or remove the line"
+        )
+    rivals = tuple(_rivals(names))
+    if "index" in columns and "frame" in columns:
+        del columns["index"]
+    is_own = {"time_s", "target", "status"} <= set(names)
+    unused = (
+        one for k, one in enumerate(names) if one and k not in columns.values() and one not in SILENT | OWN
+    )
+    first_frame = 0 if is_own or "index" in columns else 1
+    return Layout(columns, first_frame, len(words), len(words), tuple(unused), rivals)
+
+
+def _rivals(names: Sequence[str]) -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
+    """Each column that names a frame or an identity after the one that is read, beside that one."""
+    for what in ("frame", "id"):
+        read, *others = [one for one in NAMES[what] if one in names] or [""]
+        for other in others:
+            yield (read, names.index(read)), (other, names.index(other))
+
+
+def plain(word: str) -> str:
+    """A column's name as `NAMES` has it."""
+    return word.strip().strip("\"'<>").strip().lower().replace(" ", "_").replace("-", "_")
+
+
+def is_kitti(words: Sequence[str]) -> bool:
+    """True if a line is of KITTI's tracking labels: 17 or 18 words, the third a class by name."""
+    return len(words) in (17, 18) and words[2].replace("_", "").isalpha()
+
+
+ROUNDED_PX = 1.5
+"""Corners that are rounded, or that count the last pixel, differ by less from left + width."""
+REACH = 1.1
+"""Boxes reach so far, in parts of the image, where a column is the image's size."""
+
+NumberedRow = tuple[int, Sequence[str]]
+"""The number of a line, and its words."""
+
+
+def corner_boxes(box: Floats, sizes: Floats, numbers: Sequence[int], name: str) -> Floats:
+    """Boxes left, top, width, height (N, 4) of corners (N, 4), where width and height (N, 2) stand beside.
+
+    Width and height are those of the boxes, or of the image, as in CSV files of TensorFlow's object
+    detection. Corners that are parts of the image are then multiplied by its size.
+
+    Raises:
+        ValueError: they can be neither; says both readings.
+
+    >>> corner_boxes(np.array([[30.0, 40, 60, 80]]), np.array([[30.0, 40]]), [2], "a.csv").tolist()
+    [[30.0, 40.0, 30.0, 40.0]]
+    """
+    spans = box[:, 2:] - box[:, :2]
+    found = np.column_stack([box[:, :2], spans])
+    with np.errstate(invalid="ignore", over="ignore"):
+        held = usable(found) & np.all(sizes > 0, axis=1)
+        is_box = np.all(np.abs(spans - sizes) <= ROUNDED_PX, axis=1)
+        fits = np.all((box[:, 2:] <= REACH * sizes) & (box[:, :2] < sizes), axis=1)
+    if not held.any() or is_box[held].all():
+        return found
+    wrong = np.flatnonzero(held & ~is_box)
+    if fits[held].mean() < 0.9:
+        row = int(next((one for one in wrong if not fits[one]), wrong[0]))
+        left, top, right, bottom = box[row]
+        raise ValueError(
+            f"{name}:{numbers[row]}: the columns fit two readings: corners ({left:g},{top:g} to "
+            f"{right:g},{bottom:g}: {spans[row, 0]:g}x{spans[row, 1]:g} px), and left, top, width, height "
+            f"({sizes[row, 0]:g}x{sizes[row, 1]:g} px); remove the columns of one of them"
+        )
+    known = sorted({(w, h) for w, h in sizes[held].tolist()})
+    shown = f"{known[0][0]:g}x{known[0][1]:g} px" + (f" and {len(known) - 1} more" if known[1:] else "")
+    said = f"{name}: boxes are read by their corners; width and height are the size of the image ({shown})"
+    shares = bool((box[held] <= 1).all() and (box[held] >= 0).all() and (box[held] % 1 != 0).any())
+    notice(f"{said}, and corners, which are from 0 to 1, are multiplied by it" if shares else said)
+    return found * np.tile(sizes, 2) if shares else found
+
+
+def check_rivals(layout: Layout, rows: Sequence[NumberedRow], name: str) -> None:
+    """Raise ValueError where two columns say differently which frame or which target a row is of."""
+    for (read, at), (other, beside) in layout.rivals:
+        pairs = [(words[at].strip(), words[beside].strip()) for _, words in rows]
+        known = dict(pairs)
+        back = {second: first for first, second in pairs}
+        if len(known) != len(set(pairs)) or len(back) != len(set(pairs)):
+            line = next(
+                number
+                for (number, _), (first, second) in zip(rows, pairs, strict=True)
+                if known[first] != second or back[second] != first
+            )
+            raise ValueError(
+                f"{name}:{line}: the header fits two readings: the columns {read!r} and {other!r} part the "
+                "rows in different ways; remove the one that is not meant, or rename it"
+            )
+
 
 LARGE = 1 << 22
 """Bytes from which on a file is read in blocks."""

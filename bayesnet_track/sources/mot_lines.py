@@ -20,15 +20,6 @@ from bayesnet_track.sources.entrances.boxes import (
     refuse_shares,
     usable,
 )
-from bayesnet_track.sources.entrances.columns import (
-    KITTI,
-    Layout,
-    NumberedRow,
-    check_rivals,
-    corner_boxes,
-    is_kitti,
-    layout_of,
-)
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import (
     Lines,
@@ -38,6 +29,15 @@ from bayesnet_track.sources.entrances.text_lines import (
     read_text,
     split_lines,
     whole,
+)
+from bayesnet_track.sources.mot_blocks import (
+    KITTI,
+    Layout,
+    NumberedRow,
+    check_rivals,
+    corner_boxes,
+    is_kitti,
+    layout_of,
 )
 
 COLUMNS = "frame,id,left,top,width,height,confidence,..."

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.sources.detection_files import file_detector
-from bayesnet_track.sources.entrances.columns import KITTI, layout_of
 from bayesnet_track.sources.entrances.notices import InputNotice
+from bayesnet_track.sources.mot_blocks import KITTI, layout_of
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
 
 FILES = Path(__file__).parents[1] / "fixtures" / "files"

@@ -9,9 +9,9 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.sources.detection_files import parse_detections
-from bayesnet_track.sources.entrances.columns import corner_boxes
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.entrances.text_lines import explain_foreign
+from bayesnet_track.sources.mot_blocks import corner_boxes
 
 
 @pytest.fixture(scope="module")
