@@ -266,7 +266,7 @@ def cameras(options: argparse.Namespace) -> int:
     import numpy as np
 
     from bayesnet_track.numerics.cameras import Camera
-    from bayesnet_track.view.ground_picture import draw_ground, draw_points
+    from bayesnet_track.view.overlay import draw_ground, draw_points
 
     out = Path(options.out)
     check_free(out, options.overwrite)
