@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.frame_pairs import FramePairs
+from bayesnet_track.evaluate.calibration_data import FramePairs
 from bayesnet_track.evaluate.truth import Pairs, assign
 from bayesnet_track.numerics.arrays import Floats, Ints
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from bayesnet_track.evaluate.frame_pairs import FramePairs
+from bayesnet_track.evaluate.calibration_data import FramePairs
 from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa, ospa2, trajectory_gospa
 from bayesnet_track.evaluate.scores import meanings
 from bayesnet_track.evaluate.truth import EPSILON, Pairs, Tracks, assign, pair, read_pair

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.evaluate.frame_pairs import ByFrame, FramePairs, frame_pairs
+from bayesnet_track.evaluate.calibration_data import ByFrame, FramePairs, frame_pairs
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation.settings import setting, to_caller

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from bayesnet_track.evaluate.frame_pairs import FramePairs
+from bayesnet_track.evaluate.calibration_data import FramePairs
 from bayesnet_track.evaluate.gospa import ORDER, gospa
 from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.scores import meanings
