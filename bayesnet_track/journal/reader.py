@@ -11,8 +11,8 @@ from itertools import accumulate, takewhile
 from pathlib import Path
 from typing import Any, overload
 
-from bayesnet_track.journal.codec import JournalError, event_name, from_json
-from bayesnet_track.journal.encoder import short
+from bayesnet_track.journal.codec import event_name, from_json
+from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.frame_file import FrameFile, Place
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
