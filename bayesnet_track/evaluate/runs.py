@@ -20,8 +20,7 @@ from bayesnet_track.journal.blocks import boxes_of
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.reader import Measurements, read_events, read_metrics
-from bayesnet_track.journal.timings import read_seconds
+from bayesnet_track.journal.reader import Measurements, read_events, read_metrics, read_seconds
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.settings import setting

@@ -22,7 +22,7 @@ from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.scores import meanings
 from bayesnet_track.evaluate.truth import Pairs, assign
 from bayesnet_track.journal.metrics import NOT_SHOWN
-from bayesnet_track.journal.timings import read_seconds
+from bayesnet_track.journal.reader import read_seconds
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
 from bayesnet_track.sources.entrances.notices import few, notice
 

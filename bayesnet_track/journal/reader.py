@@ -1,7 +1,8 @@
-"""Reading the journal back. A torn last line is dropped with a notice; any other damage is an error."""
+"""Reading the journal back, and how long frames took. A torn last line is dropped with a notice; any other damage is an error."""
 
 from __future__ import annotations
 
+import json
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,6 +17,28 @@ from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.frame_file import FrameFile, Place
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
+
+
+def read_seconds(path: Path) -> Iterator[tuple[int, float]]:
+    """Frame and seconds of each line; nothing where there is no such file.
+
+    Raises:
+        JournalError: a line is malformed; says file and line.
+        OSError: it cannot be read.
+    """
+    if not path.is_file():
+        return
+    # What follows the last newline is what a killed process leaves of a line.
+    for number, line in enumerate(path.read_bytes().split(b"\n")[:-1], start=1):
+        try:
+            entry = json.loads(line)
+            frame, seconds = int(entry["frame"]), float(entry["seconds"])
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            frame, seconds = -1, math.nan
+        if not (0 <= frame <= MOST and 0 <= seconds < math.inf):
+            raise JournalError(f"{path}:{number}: expected an object with frame and seconds")
+        yield frame, seconds
+
 
 Notice = Callable[[str], None]
 

@@ -3,7 +3,7 @@
 import pytest
 
 from bayesnet_track.journal.encoder import JournalError
-from bayesnet_track.journal.timings import read_seconds
+from bayesnet_track.journal.reader import read_seconds
 
 
 def test_times_are_read_up_to_a_torn_line(tmp_path):

@@ -21,9 +21,8 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.reader import Measurements, Notice, read_events
+from bayesnet_track.journal.reader import Measurements, Notice, read_events, read_seconds
 from bayesnet_track.journal.text.wording import plural
-from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.recording.report_page import page_html
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError

@@ -34,7 +34,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "journal.frame_file.FrameFile.columns",
             "journal.frame_file.FrameFile.contents",
             "journal.reader._read",
-            "journal.timings.read_seconds",
+            "journal.reader.read_seconds",
             "journal.writer.read_position",
             "runtime.checkpoints.checkpoint._of_another",
             "runtime.checkpoints.checkpoint.read_checkpoint",
