@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.scenes import Scene, make_scene

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesnet_track.graph.settings.lifecycle import Join, join_of
 from bayesnet_track.journal.events.joins import Joined, Parted
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 

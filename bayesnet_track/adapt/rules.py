@@ -39,7 +39,7 @@ from bayesnet_track.adapt.status import give_up_on_missing, judge_status, readmi
 from bayesnet_track.graph.spec import Adapt, Condition, Level
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.records import evolve
 
 

@@ -17,7 +17,7 @@ from bayesnet_track.adapt.rule_inputs import count_left_out
 from bayesnet_track.adapt.status import on_call_rule
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import TargetNet
 
 LATE, WITHIN = 3, 10

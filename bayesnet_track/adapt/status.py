@@ -14,7 +14,7 @@ from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Scheduled
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import Cause, Fault, FitCause, ScoreCause, TargetNet
 
 FIRST_WAIT = 10

@@ -10,7 +10,7 @@ from bayesnet_track.inference.asking import Availability
 from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import InputRefused, LateFrame, Released, SpareTime, Toggled
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 
 ByHand = Toggled | Released
 

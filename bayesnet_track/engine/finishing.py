@@ -44,7 +44,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import DistractorSeen
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision, apply_decisions
+from bayesnet_track.journal.net import Decision, apply_decisions
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.records import Found, evolve

@@ -10,7 +10,7 @@ from bayesnet_track.belief.contract import Stream
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.external_inputs import ByHand
 from bayesnet_track.inference.asking import Availability, Fault, TargetAvailability
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 from bayesnet_track.numerics.streams import moment_of
 from bayesnet_track.observation.planes import Frame, PlaneCache
 

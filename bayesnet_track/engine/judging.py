@@ -19,7 +19,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import FilteredGroup, LiveGroup
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome, score_target
 from bayesnet_track.engine.state import inside_frame, inside_frame_all
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.planes import Frame

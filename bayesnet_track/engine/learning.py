@@ -40,7 +40,7 @@ from bayesnet_track.inference.learn import (
 )
 from bayesnet_track.inference.parts import part_rates
 from bayesnet_track.journal.events.switches import LocallyAdapted
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import ANGLE, FAULTS, AnyCue, Reference, context_of

@@ -24,7 +24,7 @@ from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import Answers
-from bayesnet_track.journal.net.net import Net, apply_decisions
+from bayesnet_track.journal.net import Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame

@@ -12,7 +12,7 @@ from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Particles
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
-from bayesnet_track.journal.net.net import Decision, Net
+from bayesnet_track.journal.net import Decision, Net
 
 LEAST_SHARE, LEAST = 8, 100
 """A fixed number of hypotheses is cut to an eighth at most, and never below this."""

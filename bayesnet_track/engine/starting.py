@@ -31,7 +31,7 @@ from bayesnet_track.inference.views import Placed
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root

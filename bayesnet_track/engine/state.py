@@ -15,7 +15,7 @@ from bayesnet_track.engine.moving.predicting import MotionContext
 from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.learn import SlowReferences
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference

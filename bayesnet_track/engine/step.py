@@ -44,7 +44,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import apply_decisions
+from bayesnet_track.journal.net import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.numerics.streams import birth_key

@@ -25,7 +25,7 @@ from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 
 SHIFT = 10
 """Frames by which the same decision may come earlier or later and still count as the same moment."""

@@ -15,7 +15,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import CandidateConfirmed, Returned, TargetStarted
 from bayesnet_track.journal.frame_columns import is_absent
 from bayesnet_track.journal.metrics import NOT_SHOWN
-from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.net import Switch
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.arrays import Floats
 

@@ -10,7 +10,7 @@ from typing import Protocol, TextIO
 
 from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 
 FOR_AGENTS = 0.8
 """Share of the budget by which agents that work elsewhere have to answer: the rest is for what follows."""

@@ -19,7 +19,7 @@ from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.metrics import Answers, FrameMetrics
-from bayesnet_track.journal.net.net import Decision, Switch
+from bayesnet_track.journal.net import Decision, Switch
 from bayesnet_track.journal.reader import Notice, read_inputs
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.arrays import Floats

@@ -20,7 +20,7 @@ from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, FrameSizeChanged, RunEnded, RunStarted
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.origins import versions

@@ -18,7 +18,7 @@ from bayesnet_track.journal.compare import Comparison, Moment, RunRecord
 from bayesnet_track.journal.compare_measures import Distances
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.net import Switch
 from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.compare_text import whose_text
 from bayesnet_track.journal.text.sentences import explain

@@ -25,7 +25,7 @@ from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Switch, turns_on
+from bayesnet_track.journal.net import Switch, turns_on
 from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.sentences import has_several_targets, kinds_of
 from bayesnet_track.journal.text.story import narrate_all

@@ -33,7 +33,7 @@ from bayesnet_track.journal.events.lives import (
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
-from bayesnet_track.journal.net.net import Decision, Switch, turns_on
+from bayesnet_track.journal.net import Decision, Switch, turns_on
 from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets, split_sentence
 from bayesnet_track.journal.text.story import CallsFolded, fold
 from bayesnet_track.view.graph_layout import MARGIN, lay_out

@@ -14,7 +14,7 @@ from bayesnet_track.journal.events.load import Shed
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Switch, turns_on
+from bayesnet_track.journal.net import Switch, turns_on
 from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.view.page_data import History, histories

@@ -9,7 +9,7 @@ from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, Measures, RuleInputs
 from bayesnet_track.adapt.rules import decide
-from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net import Net, apply
 from bayesnet_track.journal.target_net import TargetNet
 
 

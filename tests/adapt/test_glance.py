@@ -11,8 +11,8 @@ from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.net import Net as LiveNets
-from bayesnet_track.journal.net.net import apply
+from bayesnet_track.journal.net import Net as LiveNets
+from bayesnet_track.journal.net import apply
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.journal.text.sentences import explain
 

@@ -20,7 +20,7 @@ from bayesnet_track.adapt.joins import (
 from bayesnet_track.graph.spec import Join
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.lives import TargetDied, TargetStarted
-from bayesnet_track.journal.net.net import Net, apply, replay
+from bayesnet_track.journal.net import Net, apply, replay
 
 NEAR = Join.model_validate({"exclusion": {}, "when": {"overlap": 0.1, "apart_frames": 3}})
 CARRY = Join.model_validate({"between": ["person", "box"], "attachment": {}})

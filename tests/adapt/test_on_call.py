@@ -6,7 +6,7 @@ import pytest
 
 from bayesnet_track.adapt.status import is_due
 from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
-from bayesnet_track.journal.net.net import Net, apply, replay
+from bayesnet_track.journal.net import Net, apply, replay
 from bayesnet_track.journal.target_net import TargetNet, Turn
 from bayesnet_track.journal.text.sentences import explain
 

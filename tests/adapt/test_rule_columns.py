@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.adapt.memory import BASELINE_MINIMUM, BASELINE_WINDOW, Baseline, RuleMemory
 from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
-from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net import Net, apply
 from bayesnet_track.journal.target_net import TargetNet
 
 ADAPT = {

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.shedding import CALM, Load, Running, balance
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
-from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net import Net, apply
 from bayesnet_track.journal.target_net import TargetNet
 
 ADAPT = {"activate": {"above": {"ud_px2": 200}}, "deactivate": {"below": {"ud_px2": 100}}}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net import Net, apply
 from bayesnet_track.journal.target_net import HiddenCause, ScoreCause, TargetNet
 from bayesnet_track.journal.text.sentences import explain
 

@@ -8,7 +8,7 @@ from bayesnet_track.engine.moving.elsewhere import APART_BOX, CORNERS
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled
-from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.net import Switch
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.vision.siamese_crops import WIDE, Memory
 from bayesnet_track.vision.siamese_networks import STRIDE, Networks, Response

@@ -15,7 +15,7 @@ from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
-from bayesnet_track.journal.net.net import replay
+from bayesnet_track.journal.net import replay
 from bayesnet_track.journal.target_net import FitCause
 from bayesnet_track.observation.planes import region_of_boxes
 

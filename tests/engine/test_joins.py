@@ -13,7 +13,7 @@ from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.faults import PairFactorChanged
 from bayesnet_track.journal.events.joins import AttachmentChanged, Joined, OcclusionChanged, Parted
-from bayesnet_track.journal.net.net import Decision, replay
+from bayesnet_track.journal.net import Decision, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import make_scene

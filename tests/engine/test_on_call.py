@@ -12,7 +12,7 @@ from bayesnet_track.engine.step import make_engine, start_target, step
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.events.switches import Scheduled
-from bayesnet_track.journal.net.net import apply
+from bayesnet_track.journal.net import apply
 from bayesnet_track.journal.target_net import Turn
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.journal.events.statuses import SceneCut
-from bayesnet_track.journal.net.net import replay
+from bayesnet_track.journal.net import replay
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
 
 SIZE = (120, 160)

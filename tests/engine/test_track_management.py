@@ -25,7 +25,7 @@ from bayesnet_track.journal.events.lives import (
     TargetStarted,
 )
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.net.net import Decision, replay
+from bayesnet_track.journal.net import Decision, replay
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import make_scene

@@ -11,7 +11,7 @@ from bayesnet_track.engine.step import step
 from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
 from bayesnet_track.journal.events.load import Toggled
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 BELIEFS = {

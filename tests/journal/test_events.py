@@ -9,7 +9,7 @@ from bayesnet_track.journal import events
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.load import InputRefused
-from bayesnet_track.journal.net.net import ENDS, STARTS, Decision, Switch
+from bayesnet_track.journal.net import ENDS, STARTS, Decision, Switch
 from bayesnet_track.journal.text.sentences import explain
 
 EVENTS = [

@@ -13,7 +13,7 @@ from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
-from bayesnet_track.journal.net.net import Net, apply, replay
+from bayesnet_track.journal.net import Net, apply, replay
 from bayesnet_track.journal.target_net import Cause, Fault, TargetNet
 
 CAUSE = Cause("ud_px2", 200.0, 212.0, 3, 210.0, 212.0, 1.0)

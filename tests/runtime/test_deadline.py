@@ -12,7 +12,7 @@ from bayesnet_track import track
 from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, SpareTime
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.runtime.pace import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline

@@ -7,7 +7,7 @@ import pytest
 from bayesnet_track import open_run, track
 from bayesnet_track.journal.events.load import InputRefused, Released, Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.net import replay
+from bayesnet_track.journal.net import replay
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.results import Switchboard
 from bayesnet_track.sources.scenes import make_scene
@@ -80,7 +80,7 @@ def test_without_anything_from_outside_there_is_no_file(tmp_path):
 
 def test_the_journal_rebuilds_what_a_person_holds(live):
     _, out = live
-    from bayesnet_track.journal.net.net import Decision
+    from bayesnet_track.journal.net import Decision
 
     decisions = [e for e in open_run(out).events if isinstance(e, Decision)]
     assert replay(decisions, 3).targets["1"].by_hand == {}

@@ -21,7 +21,7 @@ from bayesnet_track.journal.events.runs import (
     SourceDamaged,
 )
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.net import Decision, replay
+from bayesnet_track.journal.net import Decision, replay
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.results import Summary

@@ -7,7 +7,7 @@ import pytest
 from bayesnet_track import track
 from bayesnet_track.journal.events.lives import Reacquired, TargetStarted
 from bayesnet_track.journal.events.switches import Activated
-from bayesnet_track.journal.net.net import Decision, replay
+from bayesnet_track.journal.net import Decision, replay
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene

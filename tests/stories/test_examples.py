@@ -12,7 +12,7 @@ from bayesnet_track import Result, Start, Tracker, track
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.sources.scenes.library import SceneSource

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track import GraphSpec, Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.beliefs import ParticlesResized
-from bayesnet_track.journal.net.net import Decision, replay
+from bayesnet_track.journal.net import Decision, replay
 from bayesnet_track.journal.text.sentences import explain, why
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource

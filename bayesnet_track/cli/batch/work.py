@@ -121,7 +121,7 @@ def row_of(job: Job) -> Row:
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.evaluate.scores import frames_per_second
     from bayesnet_track.journal.events.runs import RunEnded
-    from bayesnet_track.journal.net.net import Switch
+    from bayesnet_track.journal.net import Switch
     from bayesnet_track.runtime.recording.run_reader import open_run
 
     run = open_run(job.out)

@@ -20,7 +20,7 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
     from bayesnet_track.cli.findings import COLUMNS, find, find_failures, until_lost
     from bayesnet_track.journal.blocks import courses
     from bayesnet_track.journal.events.faults import Quarantined
-    from bayesnet_track.journal.net.net import Switch
+    from bayesnet_track.journal.net import Switch
 
     switches: dict[str, int] = {}
     failures: dict[str, list[Quarantined]] = {}

@@ -23,7 +23,7 @@ from bayesnet_track.graph.settings.lifecycle import Death
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision, Net, apply_decisions
+from bayesnet_track.journal.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Reference

@@ -12,7 +12,7 @@ from bayesnet_track.engine.scoring.score import LEAST_FRAMES
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import SceneCut
-from bayesnet_track.journal.net.net import apply_decisions
+from bayesnet_track.journal.net import apply_decisions
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision.planes import Scene, compare_scenes, describe_scene
 

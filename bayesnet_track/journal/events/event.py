@@ -15,7 +15,7 @@ from __future__ import annotations
 from bayesnet_track.journal.events import beliefs, faults, joins, lives, load, runs, statuses, switches
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, Released, SpareTime, Toggled
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 
 Input = Toggled | Released | AgentMissed | LateFrame | SpareTime
 """A line of ``inputs.jsonl``."""

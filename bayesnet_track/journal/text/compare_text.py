@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from bayesnet_track.journal.compare import Comparison, Moment, RunRecord
 from bayesnet_track.journal.compare_measures import Total
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets
 from bayesnet_track.journal.text.wording import plural

@@ -17,7 +17,7 @@ from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded, StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled, SelfStopped
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.net import Switch
 from bayesnet_track.journal.target_net import Cause, Concentration, FitCause, RuleCause, ScoreCause
 from bayesnet_track.journal.text.wording import UNIT
 

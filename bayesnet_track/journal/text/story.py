@@ -24,7 +24,7 @@ from bayesnet_track.journal.events.lives import (
 from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
 from bayesnet_track.journal.events.switches import LocallyAdapted, Scheduled
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.net import Switch
 from bayesnet_track.journal.text.sentences import explain, name_targets, narrate
 from bayesnet_track.journal.text.wording import plural, round_away, show_turn
 

@@ -40,7 +40,7 @@ from bayesnet_track.inference.crossings import Trail
 from bayesnet_track.inference.learn import SlowReferences
 from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.joins import Joined, Refusal
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net import Net
 from bayesnet_track.journal.target_net import Fault, TargetNet, Turn
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.numerics.log_weights import LogWeights

@@ -1,1 +1,0 @@
-"""The live net, the decisions that change it, and their application: pure and replayable."""
