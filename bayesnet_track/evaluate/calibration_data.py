@@ -1,4 +1,4 @@
-"""Data of calibration: a graph run over a video with ground truth, and its pairs of a true and a tracked box."""
+"""Data of calibration: a graph run over a video with ground truth, true and tracked boxes paired."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ask a cue about a group of targets: each by its own reference, its fault its own; agents elsewhere, and agents without an answer.
+"""Ask a cue about a group of targets, here or elsewhere; agents that give no answer.
 
 The engine hands over work whose pieces do not depend on each other (the agents that observe, those that
 learn), so that where an agent runs changes no result. One piece is never split: an agent sees all its

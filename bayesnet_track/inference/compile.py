@@ -1,4 +1,4 @@
-"""Compile a checked net with its active agents into a plan: ordered steps, the planes that they read, and those in words.
+"""Compile a checked net with its active agents into a plan: ordered steps and planes, also in words.
 
 A pure function, called again at every reconfiguration.
 """

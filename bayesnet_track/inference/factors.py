@@ -1,4 +1,4 @@
-"""Expressions of a graph at hypotheses: factors of one and of pairs, latent states given their parents, measurements h(x).
+"""Expressions of a graph at hypotheses: factors, latent states given their parents, measurements.
 
 p(c | h) = p(x | h) p(y | h, x) p(w | h, x, y) p(height | h, x, y, w): each field of the node's own box c is
 drawn from a distribution, or has a value, by the parent's box h and the fields of c before it.

@@ -1,4 +1,4 @@
-"""Reference updates: references move toward the estimate while UD is low (thesis eqs. 2.15-2.16); a second, slow reference guards them.
+"""Reference updates while UD is low (thesis eqs. 2.15-2.16), and slow references that guard them.
 
 A reference that follows the estimate follows its errors too, and then likes what it has slid onto. The slow
 reference starts as the same and follows the first one at a much smaller rate. Where the estimate is explained

@@ -1,4 +1,4 @@
-"""Reading the journal back, and how long frames took. A torn last line is dropped with a notice; any other damage is an error."""
+"""Reading the journal back. A torn last line is dropped with a notice; any other damage is an error."""
 
 from __future__ import annotations
 

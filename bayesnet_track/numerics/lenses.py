@@ -1,4 +1,4 @@
-"""Derivatives of functions at many states at once, their inverses, and the distortion of a lens in OpenCV's two models.
+"""Derivatives of functions at many states, their inverses, and the distortion of a lens.
 
 Coordinates are normalised: x / z to the right and y / z downwards of the optical axis, before the camera
 matrix. Coefficients are k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4]]] (Brown's model with OpenCV's rational and

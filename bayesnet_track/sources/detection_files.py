@@ -1,4 +1,4 @@
-"""Detections as text, MOT or JSON Lines: a frame's as lines, a file of them as a detector, and its frames without images.
+"""Detections as text, MOT or JSON Lines: lines of a frame, a file as a detector or as the frames.
 
 `seqinfo.ini` beside the file, or in the folder above, says what they are, as in sequences of MOTChallenge.
 Without it the size is the smallest that holds all boxes, and the rate is assumed; a notice says both.

@@ -1,4 +1,4 @@
-"""Drawings on a frame: estimates of targets, detections, trajectories, and the ground of a camera in metres."""
+"""Drawings on a frame: estimates, detections, trajectories, and the ground of a camera in metres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that look at a source before its first run: `detect`, detections as text, and `cameras`, the ground of a camera."""
+"""Commands that look at a source before a run: `detect`, and `cameras`, the ground of a camera."""
 
 from __future__ import annotations
 

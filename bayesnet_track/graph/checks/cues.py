@@ -1,4 +1,4 @@
-"""Checks of the cues of agents and verifiers, of categories, and that evidence reaches a node by one path only."""
+"""Checks of cues of agents and verifiers, of categories, and that evidence reaches a node by one path."""
 
 from __future__ import annotations
 

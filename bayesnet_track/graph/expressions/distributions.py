@@ -1,4 +1,4 @@
-"""Distributions that an expression names, their draws, medians and moments; periods of angles among expressions.
+"""Distributions that an expression names: draws, medians, moments; periods of angles.
 
 In a text such as ``normal(parent.x, 5)`` the value that is drawn is left out; in its term it is `DRAWN`.
 """

@@ -1,4 +1,4 @@
-"""Settings of births, recognition, ends and existence; of joins of targets, and of the posterior over who is who."""
+"""Settings of births, recognition, ends, existence and joins, and of the posterior over who is who."""
 
 from __future__ import annotations
 

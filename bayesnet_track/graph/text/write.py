@@ -1,4 +1,4 @@
-"""Canonical YAML of a specification, the values in which two graphs differ, and the JSON Schema (draft-07) of graph files.
+"""Canonical YAML of a specification, the values in which two graphs differ, and the JSON Schema.
 
 Editors complete and check graph files with it. What only the checks know (parents, cycles, thresholds) is not
 in it.

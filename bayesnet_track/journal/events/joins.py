@@ -1,4 +1,4 @@
-"""Events of targets that are near each other: joint nodes and their pairs, and detections that a target was not given."""
+"""Events of targets near each other: joint nodes and their pairs, and detections that one was refused."""
 
 from __future__ import annotations
 

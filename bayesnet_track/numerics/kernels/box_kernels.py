@@ -1,4 +1,4 @@
-"""Compiled kernels of boxes and grids: how boxes move, rows and columns in a crop, the best of many alike, mass of grid lines.
+"""Compiled kernels of boxes and grids: their motion, crops, the best of many alike, mass of lines.
 
 Numba draws the normals of a NumPy Generator with the bits that NumPy draws, and faster. Matrices are applied
 in a fixed order, so that results do not depend on the linear algebra library or its threads.

@@ -1,4 +1,4 @@
-"""Scenes of people and cars for one camera: a box carried, parts seen, a board of the same colour, a street."""
+"""Scenes of people and cars for one camera: a box carried, parts seen, a board, a street."""
 
 from __future__ import annotations
 
