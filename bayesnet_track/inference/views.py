@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
 from bayesnet_track.graph.checked import CheckedTarget, LastingError
+from bayesnet_track.inference.queries import inside_polygon
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.cameras import GroundView
 from bayesnet_track.observation.cue import Hypotheses, Measurement
@@ -242,6 +244,10 @@ GIVEN_SD = 0.05
 """Error of a box that somebody gives as a start, as a share of its sides."""
 
 
+_QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 12) for k in range(12)])
+"""Places in units of sds that a Gaussian has equal shares around."""
+
+
 @dataclass(frozen=True, eq=False)
 class Views:
     """The cameras of a plate, which stand between its states on the ground and boxes in an image.
@@ -249,10 +255,12 @@ class Views:
     Attributes:
         views: the views by name; the first one is that of the image in results.
         sizes: of targets that start.
+        area: (C, 2) corners of the ground on which detections become targets, m; None: anywhere.
     """
 
     views: Mapping[str, View]
     sizes: Sizes
+    area: Floats | None = None
 
     @property
     def main(self) -> View:
@@ -279,6 +287,15 @@ class Views:
         """(N, 4) the squares that targets (N, D) cover of the ground, m, centre first."""
         return states[:, [0, 1, 2, 2]]
 
+    def share_in_area(self, mean: Floats, covariance: Floats) -> float:
+        """Probability that a target (D,), (D, D) stands where detections may become targets."""
+        if self.area is None:
+            return 1.0
+        along, across = np.meshgrid(_QUANTILES, _QUANTILES)
+        lower = np.linalg.cholesky(covariance[:2, :2] + 1e-12 * np.eye(2))
+        points = np.column_stack([along.ravel(), across.ravel()]) @ lower.T + mean[:2]
+        return float(inside_polygon(self.area, *points.T).mean())
+
     def place(self, box: Floats) -> Placed | None:
         """Where a target in a given centre box (4,) stands; None above the horizon."""
         sds = GIVEN_SD * np.array([box[2], box[3], box[2], box[3]])
@@ -304,7 +321,8 @@ def views_of(plate: CheckedTarget) -> Views | None:
     if isinstance(state, str) or state.ground is None:
         return None
     sizes = [None if one is None else (one.mean, one.sd) for one in (state.ground.width, state.ground.height)]
-    return Views({one.node: one for one in views_below(plate)}, (sizes[0], sizes[1]))
+    area = None if state.ground.area is None else np.array(state.ground.area, dtype=np.float64)
+    return Views({one.node: one for one in views_below(plate)}, (sizes[0], sizes[1]), area)
 
 
 def views_below(plate: CheckedTarget) -> tuple[View, ...]:

@@ -84,6 +84,8 @@ def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> li
         candidate = initiate(compiled, waiting)
         if candidate.is_far and candidate.mean is None:
             continue
+        if _share_in_area(compiled, candidate) < _least_share(now):
+            continue
         place = _place(compiled, candidate)
         if _is_one_of(now, place, places[:count]):
             done.append(waiting)
@@ -111,6 +113,22 @@ def _place(compiled: CompiledPlate, candidate: Candidate) -> Floats:
     if compiled.views is None or compiled.has_one_image or candidate.mean is None:
         return candidate.box
     return np.asarray(compiled.views.footprints(candidate.mean[None])[0])
+
+
+def _share_in_area(compiled: CompiledPlate, candidate: Candidate) -> float:
+    """Probability that a candidate stands where targets may start."""
+    views = compiled.views
+    if views is None or views.area is None:
+        return 1.0
+    if candidate.mean is not None and candidate.covariance is not None:
+        return views.share_in_area(candidate.mean, candidate.covariance)
+    placed = views.place(candidate.box)
+    return 0.0 if placed is None else views.share_in_area(placed.states[0], placed.covariances[0])
+
+
+def _least_share(now: Births) -> float:
+    """The probability of standing in the area from which on a candidate is a target."""
+    return 0.5 if now.rule.existence is None else now.rule.existence.confirm
 
 
 def _is_one_of(now: Births, place: Floats, others: Floats) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, overlapping
+from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.graph.settings.lifecycle import LifeRules
 from bayesnet_track.journal.events.lives import DuplicateEnded, TargetDied
@@ -46,7 +47,9 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
 def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Nets of targets that were lost for too long, or hardly exist, end; what they knew is kept a while."""
     least = None if rule.existence is None else rule.existence.end
-    vanishing = {} if least is None else dict(tracks.vanishing(plate, least))
+    vanishing = (
+        {} if least is None else {**dict(tracks.vanishing(plate, least)), **_outside(tracks, plate, least)}
+    )
     causes = {} if rule.death is None else dict(tracks.ending(plate, rule.death))
     for target in (*causes, *(one for one in vanishing if one not in causes)):
         unseen = tracks.record(target).unseen_frames
@@ -68,6 +71,20 @@ def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> No
             ),
         )
     _forget(tracks, plate, rule, frame)
+
+
+def _outside(tracks: LiveTable, plate: str, least: float) -> dict[str, float]:
+    """Targets that exist in the area of a plate with less probability than `least`, and which."""
+    views = tracks.engine.plates[plate].views
+    if views is None or views.area is None:
+        return {}
+    found: dict[str, float] = {}
+    for target in tracks.of_plate(plate):
+        state = tracks.state(target)
+        share = views.share_in_area(*moments_of(state.belief)) * (state.existence or 1.0)
+        if share < least:
+            found[target] = share
+    return found
 
 
 def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:

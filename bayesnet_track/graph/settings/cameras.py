@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayesnet_track.graph.settings.base import Choice, Model, Name, NotNegative, Positive
+from bayesnet_track.graph.settings.queries import MOST_CORNERS, Point
 
 METRES = {
     "sd_px": "sd",
@@ -75,6 +76,19 @@ class Ground(Model):
         default=None, description="of targets that start; default: as the first box says"
     )
     height: Size | None = Field(default=None, description="the same of the height")
+    area: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MOST_CORNERS)] | None = Field(
+        default=None,
+        description="corners [x, y] of the ground on which detections become targets, m: what stands outside "
+        "is followed as a candidate until it steps in; default: anywhere",
+    )
+
+    @model_validator(mode="after")
+    def _area_is_wide(self) -> Self:
+        corners = self.area or ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        ways = zip(corners, (*corners[1:], corners[0]), strict=True)
+        if not abs(sum(a[0] * b[1] - b[0] * a[1] for a, b in ways)) > 0.0:
+            raise ValueError("area with an inside: its corners are in a line")
+        return self
 
 
 class WorldState(Choice):
