@@ -135,12 +135,14 @@ class Everything(set[object]):
 
 @pytest.fixture(autouse=True, scope="session")
 def _nothing_rehearsed() -> Iterator[None]:
-    """Trackers take every graph for rehearsed: made-up frames change no result and take as long as a test.
+    """Graphs are taken for rehearsed, and networks for tried in another process.
 
-    `tests/runtime/test_rehearsal.py` has what the rehearsal does, and that results are the same without it.
+    Neither changes a result, and each takes as long as a test. `tests/runtime/test_rehearsal.py`,
+    `tests/vision/test_apart.py` and `test_damaged_networks.py` have what they do.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bayesnet_track.runtime.frame_clock._done", Everything())
+        patch.setattr("bayesnet_track.vision.siamese_networks._tried", Everything())
         yield
 
 

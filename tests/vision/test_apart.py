@@ -125,6 +125,7 @@ def test_a_graph_whose_network_crashes_is_refused_with_its_file(
         "CODE",
         "import os, bayesnet_track.vision.siamese_networks as a; a._say(begins=1); os.abort()",
     )
+    monkeypatch.setattr(siamese_networks, "_tried", set())
     Path(model).write_bytes(Path(model).read_bytes() + b"\x00")
     with pytest.raises(GraphError, match=r"network\.onnx: a crash \(SIGABRT\) where the network was tried"):
         Tracker(tmp_path / "graph.yaml")
