@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.calibration_data import FramePairs
+from bayesnet_track.evaluate.paired_boxes import FramePairs, Measure, single_figure
 from bayesnet_track.evaluate.truth import Pairs, assign
 from bayesnet_track.numerics.arrays import Floats, Ints
 
@@ -77,9 +77,14 @@ def gospa(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> G
     Raises:
         ValueError: a cut-off of 0 or less, or an order below 1.
     """
+    return single_figure(pairs.frames, frames_gospa(pairs, cutoff_px, order))
+
+
+def frames_gospa(pairs: Pairs, cutoff_px: float, order: float) -> Measure[Gospa]:
+    """`gospa`, frame by frame."""
     check_metric(cutoff_px, order)
     localisation, matched = 0.0, 0
-    for frame in pairs.frames:
+    while (frame := (yield)) is not None:
         cost, count = _match(frame, cutoff_px, order)
         localisation += cost
         matched += count
@@ -117,12 +122,18 @@ def ospa2(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> f
     Raises:
         ValueError: a cut-off of 0 or less, or an order below 1.
     """
+    return ospa2_of(track_distances(pairs, cutoff_px), cutoff_px, order)
+
+
+def ospa2_of(distances: Floats, cutoff_px: float, order: float) -> float:
+    """`ospa2` by the `track_distances`."""
     check_metric(cutoff_px, order)
-    costs = track_distances(pairs, cutoff_px) ** order
-    fewer, larger = sorted(costs.shape)
+    costs = distances**order
+    larger = max(costs.shape)
     if not larger:
         return 0.0
-    total = costs[assign(-costs)].sum() + cutoff_px**order * (larger - fewer)
+    matched = costs[assign(cutoff_px**order - costs)]
+    total = matched.sum() + cutoff_px**order * (larger - len(matched))
     return float((total / larger) ** (1 / order))
 
 
@@ -130,11 +141,17 @@ def track_distances(pairs: Pairs, cutoff_px: float) -> Floats:
     """(targets, tracks) time-averaged distances in px: over the frames in which at least one of the two has a
     box, the mean of min(d, c), and of c where only one has.
     """
+    return single_figure(pairs.frames, tracks_apart(pairs, cutoff_px))
+
+
+def tracks_apart(pairs: Pairs, cutoff_px: float) -> Measure[Floats]:
+    """`track_distances`, frame by frame."""
     sums = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
     common = np.zeros(sums.shape, dtype=np.int64)
-    for frame in pairs.frames:
+    while (frame := (yield)) is not None:
         index = np.ix_(frame.true, frame.tracked)
-        sums[index] += cutoff_px - np.minimum(frame.distance, cutoff_px)
+        i, j = np.nonzero(frame.distance < cutoff_px)
+        sums[frame.true[i], frame.tracked[j]] += cutoff_px - frame.distance[i, j]
         common[index] += 1
     either = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :] - common
     return np.asarray(cutoff_px - sums / either, dtype=np.float64)

@@ -10,10 +10,17 @@ from typing import Annotated
 
 import numpy as np
 
-from bayesnet_track.evaluate.calibration_data import FramePairs
-from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa, ospa2, trajectory_gospa
+from bayesnet_track.evaluate.gospa import (
+    CUTOFF_PX,
+    ORDER,
+    frames_gospa,
+    ospa2_of,
+    tracks_apart,
+    trajectory_gospa,
+)
+from bayesnet_track.evaluate.paired_boxes import FramePairs, Measure, measured, single_figure
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import EPSILON, Pairs, Tracks, assign, pair, read_pair
+from bayesnet_track.evaluate.truth import EPSILON, Pairs, Tracks, assign, class_names, pair, read_pair
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
@@ -58,10 +65,14 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     In each frame boxes are matched one to one where they overlap by at least `min_iou`: a pair that was
     matched in the frame before stays matched, the rest so that the sum of overlaps is largest.
     """
+    return single_figure(pairs.frames, _clear_mot(pairs, min_iou))
+
+
+def _clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> Measure[ClearMot]:
     previous_match = np.full(len(pairs.true_boxes), UNASSIGNED, dtype=np.int64)
     earlier = previous_match.copy()
     tp, idsw, iou_sum = 0, 0, 0.0
-    for frame in pairs.frames:
+    while (frame := (yield)) is not None:
         if not frame.iou.size:
             continue  # such a frame parts nobody: a correspondence holds until there is evidence against it
         rows, columns = _match(frame, earlier, min_iou)
@@ -78,9 +89,7 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
 def _match(frame: FramePairs, earlier: Ints, min_iou: float) -> tuple[Ints, Ints]:
     continued = earlier[frame.true][:, None] == frame.tracked[None, :]
     overlapping = frame.iou >= min_iou - EPSILON
-    rows, columns = assign(np.where(overlapping, KEPT * continued + frame.iou, 0.0))
-    matched = overlapping[rows, columns]
-    return rows[matched], columns[matched]
+    return assign(np.where(overlapping, KEPT * continued + frame.iou, 0.0))
 
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -124,8 +133,11 @@ def hota(pairs: Pairs) -> Hota:
     counts for every alpha that its overlap reaches. AssA is the mean over the matched pairs c of
     TPA(c) / (TPA(c) + FNA(c) + FPA(c)): of the boxes of its target or its track, the share where both match.
     """
+    return _hota(pairs, single_figure(pairs.frames, _alignment(pairs)))
+
+
+def _hota(pairs: Pairs, alignment: Floats) -> Hota:
     both_sizes = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :]
-    alignment = _alignment(pairs, both_sizes)
     matches = np.zeros((len(ALPHAS), *both_sizes.shape), dtype=np.int32)
     iou_sum = np.zeros(len(ALPHAS))
     for frame in pairs.frames:
@@ -145,14 +157,15 @@ def hota(pairs: Pairs) -> Hota:
     )
 
 
-def _alignment(pairs: Pairs, both_sizes: Ints) -> Floats:
+def _alignment(pairs: Pairs) -> Measure[Floats]:
     """(targets, tracks) Jaccard alignment; in a frame a pair counts by its share of both's overlaps."""
+    both_sizes = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :]
     shared = np.zeros(both_sizes.shape)
-    for frame in pairs.frames:
-        iou = frame.iou
-        all_of_both = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
-        part = np.divide(iou, all_of_both, out=np.zeros_like(iou), where=all_of_both > EPSILON)
-        shared[np.ix_(frame.true, frame.tracked)] += part
+    while (frame := (yield)) is not None:
+        i, j = np.nonzero(frame.iou)
+        iou = frame.iou[i, j]
+        all_of_both = frame.iou.sum(axis=0)[j] + frame.iou.sum(axis=1)[i] - iou
+        shared[frame.true[i], frame.tracked[j]] += iou / np.maximum(all_of_both, EPSILON)
     return np.asarray(shared / (both_sizes - shared), dtype=np.float64)
 
 
@@ -161,7 +174,7 @@ class MotScore:
     """Scores of several targets. Shares are 0..1, MOTA at most 1.
 
     Attributes:
-        frames: number of frames up to the last with a box, true or tracked.
+        frames: number up to the last with a box, true or tracked.
         true_ids: true targets.
         true_boxes: their boxes.
         track_ids: tracks.
@@ -264,8 +277,11 @@ def score_mot(
     if not len(truth):
         raise ValueError("the truth has no box")
     pairs = pair(truth, tracks)
-    clear, identities, higher = clear_mot(pairs), identity(pairs), hota(pairs)
-    sets = gospa(pairs, cutoff_px, ORDER)
+    sizes = cutoff_px, ORDER
+    of_sets = frames_gospa(pairs, *sizes), tracks_apart(pairs, cutoff_px)
+    measures = _clear_mot(pairs), _identity(pairs), _alignment(pairs), *of_sets
+    clear, identities, alignment, sets, distances = measured(pairs.frames, *measures)
+    higher = _hota(pairs, alignment)
     trajectory = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
     return MotScore(
         frames=pairs.length,
@@ -290,7 +306,7 @@ def score_mot(
         gospa_loc=sets.localisation_px,
         gospa_missed=sets.missed_px,
         gospa_false=sets.false_px,
-        ospa2=ospa2(pairs, cutoff_px, ORDER),
+        ospa2=ospa2_of(distances, *sizes),
         tgospa=None if trajectory is None else trajectory.total_px,
         tgospa_switch=None if trajectory is None else trajectory.switches_px,
         alphas=tuple(np.round(ALPHAS, 2).tolist()),
@@ -310,8 +326,7 @@ def score_mot_files(
 ) -> MotScore:
     """Scores of a tracks file against a ground-truth file, both MOT; see `score_mot`.
 
-    With `frames` only these count, as of a run that read every few frames of its source. Scores by class
-    are in `evaluate.mot`.
+    With `frames` only these count, as of a run that read every few frames of its source.
 
     Raises:
         OSError: a file cannot be read.
@@ -356,8 +371,12 @@ def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
     Whole tracks are assigned to whole targets, one to one, so that most of their boxes overlap by at least
     `min_iou`. (The published cost, IDFN + IDFP, is the number of all boxes less twice IDTP.)
     """
+    return single_figure(pairs.frames, _identity(pairs, min_iou))
+
+
+def _identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Measure[Identity]:
     together = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
-    for frame in pairs.frames:
+    while (frame := (yield)) is not None:
         i, j = np.nonzero(frame.iou >= min_iou)
         together[frame.true[i], frame.tracked[j]] += 1
     idtp = int(together[assign(together)].sum())
@@ -367,14 +386,6 @@ def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
 MATCHED_IOU = 0.5
 COLUMNS = ("true_ids", "true_boxes", "mota", "idf1", "hota", "fp", "fn", "idsw")
 """Of the table."""
-
-
-def class_names(tracks: Tracks) -> list[str]:
-    """The classes of boxes, numbers in their order, then names; none where boxes have none."""
-    if tracks.classes is None:
-        return []
-    names = [str(name) for name in np.unique(tracks.classes) if name]
-    return sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name))
 
 
 def of_classes(truth: Tracks, tracks: Tracks, classes: Collection[str]) -> tuple[Tracks, Tracks]:

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.evaluate.calibration_data import ByFrame, FramePairs, frame_pairs
+from bayesnet_track.evaluate.paired_boxes import ByFrame, FramePairs, frame_pairs
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation.settings import setting, to_caller
@@ -274,6 +274,14 @@ class Tracks:
         return Tracks(self.frames[keep], self.ids[keep], self.boxes[keep], classes)
 
 
+def class_names(tracks: Tracks) -> list[str]:
+    """The classes of boxes, numbers in their order, then names; none where boxes have none."""
+    if tracks.classes is None:
+        return []
+    names = [str(name) for name in np.unique(tracks.classes) if name]
+    return sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name))
+
+
 @dataclass(frozen=True, eq=False)
 class Pairs:
     """All pairs of a sequence.
@@ -302,11 +310,26 @@ def pair(truth: Tracks, tracks: Tracks) -> Pairs:
 
 
 def assign(gains: Floats) -> tuple[Ints, Ints]:
-    """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K)."""
+    """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K), none below 0.
+
+    Pairs without a gain are left out. A row and a column that gain by each other alone are a pair, so that
+    only the others have to be solved for.
+    """
+    rows, columns = np.nonzero(gains)
+    of_rows, of_columns = np.bincount(rows), np.bincount(columns)
+    is_shared = (of_rows[rows] > 1) | (of_columns[columns] > 1)
+    if not is_shared.any():
+        return rows, columns
     from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
 
-    rows, columns = linear_sum_assignment(gains, maximize=True)
-    return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
+    open_rows, open_columns = (np.flatnonzero(np.bincount(ends[is_shared])) for ends in (rows, columns))
+    part = gains[open_rows[:, None], open_columns]
+    i, j = linear_sum_assignment(part, maximize=True)
+    i, j = (ends[part[i, j] > 0.0] for ends in (i, j))
+    rows = np.concatenate([rows[~is_shared], open_rows[i]])
+    columns = np.concatenate([columns[~is_shared], open_columns[j]])
+    order = np.argsort(rows)
+    return rows[order], columns[order]
 
 
 def read_mot_truth(path: str | Path, form: TruthForm | None = None) -> Tracks:

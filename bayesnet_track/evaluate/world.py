@@ -16,7 +16,6 @@ from typing import Annotated
 
 import numpy as np
 
-from bayesnet_track.evaluate.calibration_data import FramePairs
 from bayesnet_track.evaluate.gospa import ORDER, gospa
 from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.scores import meanings
@@ -28,6 +27,8 @@ from bayesnet_track.sources.entrances.notices import few, notice
 
 MATCH_M = 1.0
 """Largest distance of a right place."""
+_BEYOND_M = MATCH_M * (1 + 1e-9)
+"""Gains of pairs are what they are nearer than this: one at `MATCH_M` still gains."""
 PRECISE_M = 0.5
 """Distance at which MODA and MODP are computed, as for WILDTRACK."""
 TRUTH = ("t", "id", "x", "y")
@@ -260,6 +261,17 @@ def _once(at: Ints, instants: Floats, tracks: Places) -> Ints:
     return kept
 
 
+@dataclass(frozen=True, eq=False)
+class _PlacePairs:
+    """`FramePairs` of places."""
+
+    index: int
+    true: Ints
+    tracked: Ints
+    iou: Floats
+    distance: Floats
+
+
 def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m: float) -> Pairs:
     """All pairs; their similarity is 1 - distance / (2 cut), so that it is 0.5 at the cut-off."""
     rows = [np.flatnonzero(at >= 0) for at in (true_at, tracked_at)]
@@ -278,7 +290,7 @@ def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m
         apart = truth.points[rows[0][i]][:, None] - tracks.points[rows[1][j]][None]
         distance = np.hypot(apart[..., 0], apart[..., 1])
         similarity = np.maximum(1 - distance / (2 * cut_m), 0.0)
-        frames.append(FramePairs(instant, ids[0][i], ids[1][j], similarity, distance))
+        frames.append(_PlacePairs(instant, ids[0][i], ids[1][j], similarity, distance))
     return Pairs(tuple(frames), numbers[0][2].astype(np.int64), numbers[1][2].astype(np.int64))
 
 
@@ -297,7 +309,7 @@ def _errors(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints) -> _
         i, j = np.flatnonzero(true_at == instant), np.flatnonzero(tracked_at == instant)
         apart = tracks.points[j][None] - truth.points[i][:, None]
         distance = np.hypot(apart[..., 0], apart[..., 1])
-        for row, column in zip(*assign(np.maximum(MATCH_M - distance, 0.0)), strict=True):
+        for row, column in zip(*assign(np.maximum(_BEYOND_M - distance, 0.0)), strict=True):
             if distance[row, column] <= MATCH_M:
                 offsets.append(apart[row, column])
                 covariances.append(tracks.covariances[j[column]])

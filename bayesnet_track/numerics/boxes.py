@@ -63,9 +63,12 @@ def overlap_of_two(a: Floats, b: Floats) -> float:
 def overlap(a: ArrayLike, b: ArrayLike) -> Floats:
     """Intersection over union of centre boxes (..., 4), broadcast; 0 where the union is empty."""
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    low = np.maximum(first[..., :2] - first[..., 2:] / 2, second[..., :2] - second[..., 2:] / 2)
-    high = np.minimum(first[..., :2] + first[..., 2:] / 2, second[..., :2] + second[..., 2:] / 2)
-    intersection = np.prod(np.clip(high - low, 0.0, None), axis=-1)
-    union = np.prod(first[..., 2:], axis=-1) + np.prod(second[..., 2:], axis=-1) - intersection
-    safe = np.where(union > 0, union, 1.0)
-    return np.asarray(np.where(union > 0, intersection / safe, 0.0), dtype=np.float64)
+    width, height = (
+        np.minimum(first[..., i] + first[..., i + 2] / 2, second[..., i] + second[..., i + 2] / 2)
+        - np.maximum(first[..., i] - first[..., i + 2] / 2, second[..., i] - second[..., i + 2] / 2)
+        for i in (0, 1)
+    )
+    intersection = np.maximum(width, 0.0) * np.maximum(height, 0.0)
+    union = first[..., 2] * first[..., 3] + second[..., 2] * second[..., 3] - intersection
+    empty = np.zeros(np.shape(intersection))
+    return np.asarray(np.divide(intersection, union, out=empty, where=union > 0), dtype=np.float64)

@@ -6,14 +6,13 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.evaluate.mot import (
-    class_names,
     class_table,
     of_classes,
     score_classes,
     score_mot,
     score_mot_files,
 )
-from bayesnet_track.evaluate.truth import read_mot_tracks, read_mot_truth
+from bayesnet_track.evaluate.truth import class_names, read_mot_tracks, read_mot_truth
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 PERSON = [f"{f},1,{10 + f},10,20,20,1,1,1" for f in range(1, 6)]

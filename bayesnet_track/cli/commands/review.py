@@ -223,9 +223,9 @@ def _score_several(
     tracks: Path | Tracks, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
 ) -> int:
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
-    from bayesnet_track.evaluate.mot import class_names, class_table, of_classes, score_classes, score_mot
+    from bayesnet_track.evaluate.mot import class_table, of_classes, score_classes, score_mot
     from bayesnet_track.evaluate.runs import frames_of_run, say_misplaced
-    from bayesnet_track.evaluate.truth import read_pair
+    from bayesnet_track.evaluate.truth import class_names, read_pair
 
     if options.target is not None:
         raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
