@@ -326,7 +326,7 @@ def _left_out(name: str, fault: str, rows: Sequence[int], count: int, advice: st
 
 def _with_corners(detections: Any) -> Any:
     """The object itself, or the boxes of an ultralytics `Results` under the names that supervision has."""
-    boxes = None if hasattr(detections, "xyxy") else getattr(detections, "boxes", None)
+    boxes: Any = None if hasattr(detections, "xyxy") else getattr(detections, "boxes", None)
     if not all(hasattr(boxes, name) for name in ("xyxy", "conf", "cls")):
         return detections
     corners, scores, classes = (fetched(one) for one in (boxes.xyxy, boxes.conf, boxes.cls))
