@@ -10,7 +10,8 @@ import pytest
 from bayesnet_track import DetectionsTracker
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
-from tests.engine.test_several_cameras import FPS, boxes_of, detections_of, noisy, walk, write_graph
+from tests.engine.street import FPS, detections_of, noisy
+from tests.engine.test_several_cameras import boxes_of, walk, write_graph
 
 AREA = [[-3, 7], [1, 7], [1, 13], [-3, 13]]
 CAMERAS = ("south", "east")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,37 +12,23 @@ import pytest
 from bayesnet_track import DetectionsTracker, Tracker, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.evaluate.world import read_world_truth
-from bayesnet_track.numerics.cameras import Camera
 from bayesnet_track.runtime.recording.run_reader import open_run
 from bayesnet_track.runtime.smoothing import smooth
-
-FPS, NOISE, SPEED_SD, START_SD, SIZE_SD = 10.0, 0.03, 0.5, 1.5, 0.02
-WIDTH, HEIGHT = (0.6, 0.1), (1.7, 0.1)
-
-
-def camera_of(degrees):
-    """A camera 6 m above the ground that looks along y and down by so many degrees."""
-    down, along = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
-    return Camera(
-        np.array([[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]),
-        np.zeros(0),
-        np.array([[1.0, 0.0, 0.0], [0.0, -down, -along], [0.0, along, -down]]),
-        np.array([0.0, 6.0 * along, 6.0 * down]),
-        (640, 480),
-    )
-
-
-CAMERA = camera_of(30.0)
-
-
-def write_camera(folder, camera):
-    calibration = {
-        "camera_matrix": camera.matrix.tolist(),
-        "rotation": camera.rotation.tolist(),
-        "translation": camera.translation.tolist(),
-        "size": camera.size,
-    }
-    (folder / "north.json").write_text(json.dumps(calibration))
+from tests.engine.street import (
+    CAMERA,
+    FPS,
+    HEIGHT,
+    NOISE,
+    SIZE_SD,
+    SPEED_SD,
+    START_SD,
+    WIDTH,
+    boxes_of,
+    camera_at,
+    detections_of,
+    noisy,
+    write_camera,
+)
 
 
 def write_graph(folder, belief, seen, **target):
@@ -103,21 +88,6 @@ def of_detections(folder, filter_="extended", associate="assignment", **existenc
 def walk(count=40, start=(-3.0, 9.0), velocity=(1.4, 0.4)):
     times = np.arange(count)[:, None] / FPS
     return np.array(start) + times * np.array(velocity)
-
-
-def boxes_of(places):
-    return CAMERA.boxes(np.column_stack([places, np.tile([WIDTH[0], HEIGHT[0]], (len(places), 1))]))
-
-
-def noisy(boxes, rng):
-    sides = boxes[:, [2, 3, 2, 3]]
-    return boxes + NOISE * sides * rng.standard_normal(boxes.shape)
-
-
-def detections_of(boxes):
-    low = boxes[:, :2] - boxes[:, 2:] / 2 + 0.5  # centres of pixels are whole numbers, and corners are not
-    corners = np.column_stack([low, low + boxes[:, 2:]])
-    return SimpleNamespace(xyxy=corners, confidence=np.full(len(boxes), 0.9), data={})
 
 
 def corner_of(box):
@@ -236,7 +206,7 @@ def test_two_people_that_pass_keep_their_identities(tmp_path):
 
 def test_a_box_above_the_horizon_starts_nothing(tmp_path):
     path = of_detections(tmp_path)
-    write_camera(tmp_path, camera_of(5.0))
+    write_camera(tmp_path, camera_at(0.0, 0.0, 0.0, degrees=5.0))
     tracker = DetectionsTracker(path, fps=FPS)
     for _ in range(8):
         tracker.update(detections_of(np.array([[300.0, 60.0, 30.0, 80.0]])))
@@ -280,7 +250,7 @@ def test_image_cues_follow_a_target_on_the_ground(tmp_path, belief):
 
 def test_a_start_box_in_the_sky_is_refused(tmp_path):
     path = write_graph(tmp_path, {"particles": {"size": 100}}, "color_histogram")
-    write_camera(tmp_path, camera_of(5.0))
+    write_camera(tmp_path, camera_at(0.0, 0.0, 0.0, degrees=5.0))
     tracker = Tracker(path, fps=FPS)
     with pytest.raises(ValueError, match="stands nowhere on the ground"):
         tracker.init(np.zeros((480, 640, 3), np.uint8), (300.0, 20.0, 40.0, 100.0))
@@ -380,7 +350,7 @@ def test_a_stored_tracker_goes_on_and_knows_its_camera(tmp_path):
         tracker.update(detections_of(box[None]))
         again.update(detections_of(box[None]))
     assert tracker.targets[0].state == again.targets[0].state
-    write_camera(tmp_path, camera_of(29.0))
+    write_camera(tmp_path, camera_at(0.0, 0.0, 0.0, degrees=29.0))
     with pytest.raises(ValueError, match=r"north.json is not what it was when the tracker was stored"):
         DetectionsTracker.load(tmp_path / "tracker")
     (tmp_path / "north.json").unlink()

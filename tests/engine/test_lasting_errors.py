@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker
-from bayesnet_track.numerics.cameras import Camera
+from tests.engine.street import (
+    CAMERA,
+    FPS,
+    HEIGHT,
+    NOISE,
+    SIZE_SD,
+    SPEED_SD,
+    START_SD,
+    WIDTH,
+    boxes_of,
+    detections_of,
+    noisy,
+    write_camera,
+)
 
-FPS, NOISE, SPEED_SD, START_SD, SIZE_SD = 10.0, 0.03, 0.5, 1.5, 0.02
-WIDTH, HEIGHT = (0.6, 0.1), (1.7, 0.1)
 BIAS, BIAS_S = 4.0, 50.0
 SLOW, SLOW_S = 0.02, 1.5
 NAMES = ("x_m", "y_m", "w_m", "h_m", "vx", "vy")
 
-DOWN, ALONG = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
-CAMERA = Camera(
-    np.array([[800.0, 0.0, 320.0], [0.0, 800.0, 240.0], [0.0, 0.0, 1.0]]),
-    np.zeros(0),
-    np.array([[1.0, 0.0, 0.0], [0.0, -DOWN, -ALONG], [0.0, ALONG, -DOWN]]),
-    np.array([0.0, 6.0 * ALONG, 6.0 * DOWN]),
-    (640, 480),
-)
-
 
 def write_graph(folder, bias=None, seen=None, associate="assignment", **existence):
-    calibration = {
-        "camera_matrix": CAMERA.matrix.tolist(),
-        "rotation": CAMERA.rotation.tolist(),
-        "translation": CAMERA.translation.tolist(),
-        "size": CAMERA.size,
-    }
-    (folder / "north.json").write_text(json.dumps(calibration))
+    write_camera(folder, CAMERA)
     sizes = {"width": dict(zip(("mean", "sd"), WIDTH, strict=True))}
     sizes["height"] = dict(zip(("mean", "sd"), HEIGHT, strict=True))
     moves = {"sd_velocity": SPEED_SD, "start_velocity_sd": START_SD, "sd": {"w": SIZE_SD, "h": SIZE_SD}}
@@ -69,20 +64,6 @@ def write_graph(folder, bias=None, seen=None, associate="assignment", **existenc
     path = folder / "street.yaml"
     path.write_text(json.dumps(graph))
     return path
-
-
-def boxes_of(places):
-    return CAMERA.boxes(np.column_stack([places, np.tile([WIDTH[0], HEIGHT[0]], (len(places), 1))]))
-
-
-def noisy(boxes, rng):
-    return boxes + NOISE * boxes[:, [2, 3, 2, 3]] * rng.standard_normal(boxes.shape)
-
-
-def detections_of(boxes):
-    low = boxes[:, :2] - boxes[:, 2:] / 2 + 0.5
-    corners = np.column_stack([low, low + boxes[:, 2:]])
-    return SimpleNamespace(xyxy=corners, confidence=np.full(len(boxes), 0.9), data={})
 
 
 # ---------------------------------------------------------------- the joint Gaussian

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker
-from bayesnet_track.numerics.cameras import Camera
-
-FPS, NOISE, SPEED_SD, START_SD, SIZE_SD = 10.0, 0.03, 0.5, 1.5, 0.02
-WIDTH, HEIGHT = (0.6, 0.1), (1.7, 0.1)
-
-
-def camera_at(x, y, azimuth, size=(640, 480)):
-    """A camera 6 m above (x, y) that looks down by 30 degrees: along y, turned to the left by `azimuth`."""
-    down, along = np.sin(np.radians(30.0)), np.cos(np.radians(30.0))
-    turn, over = np.radians(azimuth), np.array([x, y, 6.0])
-    ahead = np.array([-np.sin(turn) * along, np.cos(turn) * along, -down])
-    right = np.array([np.cos(turn), np.sin(turn), 0.0])
-    rotation = np.stack([right, np.cross(ahead, right), ahead])
-    matrix = np.array([[800.0, 0.0, size[0] / 2], [0.0, 800.0, size[1] / 2], [0.0, 0.0, 1.0]])
-    return Camera(matrix, np.zeros(0), rotation, -rotation @ over, size)
-
+from tests.engine import street
+from tests.engine.street import (
+    FPS,
+    HEIGHT,
+    NOISE,
+    SIZE_SD,
+    SPEED_SD,
+    START_SD,
+    WIDTH,
+    camera_at,
+    detections_of,
+    noisy,
+    write_camera,
+)
 
 CAMERAS = {
     "south": camera_at(0.0, 0.0, 0.0),
@@ -36,14 +33,7 @@ CAMERAS = {
 
 def write_graph(folder, cameras=("south", "east"), order=None, **existence):
     for name in cameras:
-        camera = CAMERAS[name]
-        calibration = {
-            "camera_matrix": camera.matrix.tolist(),
-            "rotation": camera.rotation.tolist(),
-            "translation": camera.translation.tolist(),
-            "size": camera.size,
-        }
-        (folder / f"{name}.json").write_text(json.dumps(calibration))
+        write_camera(folder, CAMERAS[name], name)
     graph = {
         "bayesnet": 1,
         "name": "room",
@@ -93,19 +83,7 @@ def walk(count=30, start=(-2.0, 9.0), velocity=(1.4, 0.4)):
 
 
 def boxes_of(camera, places):
-    places = np.atleast_2d(places)
-    return CAMERAS[camera].boxes(np.column_stack([places, np.tile([WIDTH[0], HEIGHT[0]], (len(places), 1))]))
-
-
-def noisy(boxes, rng):
-    return boxes + NOISE * boxes[:, [2, 3, 2, 3]] * rng.standard_normal(boxes.shape)
-
-
-def detections_of(boxes):
-    boxes = np.reshape(boxes, (-1, 4))
-    low = boxes[:, :2] - boxes[:, 2:] / 2 + 0.5  # centres of pixels are whole numbers, and corners are not
-    corners = np.column_stack([low, low + boxes[:, 2:]])
-    return SimpleNamespace(xyxy=corners, confidence=np.full(len(boxes), 0.9), data={})
+    return street.boxes_of(places, CAMERAS[camera])
 
 
 FIELDS = ("x_m", "y_m", "w_m", "h_m", "vx", "vy")
