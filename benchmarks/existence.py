@@ -4,7 +4,7 @@
     python benchmarks/existence.py --detections FILE --truth FILE --images FOLDER
 
 A reported target exists in a frame if it is a person's, one to one and the nearest first, whether the person
-is detected there or not: within 40 px on the crowds, with an overlap of .3 or more in files (MOT). Of each
+is detected there or not: within 25 px on the crowds, with an overlap of .3 or more in files (MOT). Of each
 bin are printed the share of its targets that exist, their mean probability, and their number.
 """
 
