@@ -67,17 +67,17 @@ CROWDS = {
 
 
 def draw_crowd(
-    crowd: Crowd, seed: int
+    crowd: Crowd, seed: int, frames: int = FRAMES, size: tuple[int, int] = SIZE
 ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], list[int]]]]:
     """(F, N, 4) centre boxes, and of every frame detections (M, 4) with the person of each; -1 of two."""
     rng = np.random.default_rng(seed)
-    extent = np.array(SIZE, float)
+    extent = np.array(size, float)
     at = rng.uniform(0.1, 0.9, (crowd.count, 2)) * extent
     angle = rng.uniform(0.0, 2.0 * np.pi, crowd.count)
     velocity = crowd.speed * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     sizes = np.array([24.0, 48.0]) * rng.uniform(0.85, 1.15, (crowd.count, 1))
-    boxes, detections = np.empty((FRAMES, crowd.count, 4)), []
-    for frame in range(FRAMES):
+    boxes, detections = np.empty((frames, crowd.count, 4)), []
+    for frame in range(frames):
         boxes[frame] = np.concatenate([at, sizes], axis=1)
         detections.append(_detect(crowd, boxes[frame], rng))
         velocity = velocity + rng.normal(0.0, crowd.agility, velocity.shape)

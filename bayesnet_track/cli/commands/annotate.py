@@ -23,6 +23,7 @@ from bayesnet_track.cli.arguments import (
     words,
     writing,
 )
+from bayesnet_track.cli.commands.annotate_identities import add_identity_options, annotate_identities
 from bayesnet_track.cli.options import add_range_option, add_size_option
 
 if TYPE_CHECKING:
@@ -39,6 +40,12 @@ COUNTED = ("given", "tracked", "interpolated", "gone")
 
 def annotate(options: argparse.Namespace) -> int:
     """Open or go on with a session, in the browser or without; write the annotations at its end."""
+    if options.identities is not None:
+        return annotate_identities(options)
+    if options.video is None or options.out is None:
+        raise UsageError("annotate needs a VIDEO and --out, or --identities RUN")
+    if options.answers is not None:
+        raise UsageError("--answers: of --identities RUN; boxes come by --import")
     from bayesnet_track.runtime.annotation.answers import AnswersFileError
     from bayesnet_track.runtime.recording.lock import lock_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory
@@ -190,10 +197,8 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         "of being on target falls. There it asks for a box, `gone` or `correct`, and tracks again from the "
         "answer, forward and backward. Every answer is on the disk at once; the same command resumes.",
     )
-    annotate.add_argument("video", metavar="VIDEO", help="video file, or folder of images")
-    annotate.add_argument(
-        "-o", "--out", metavar="ANNOTATIONS", required=True, help="folder of answers and annotations"
-    )
+    annotate.add_argument("video", nargs="?", metavar="VIDEO", help="video file, or folder of images")
+    annotate.add_argument("-o", "--out", metavar="ANNOTATIONS", help="folder of answers and annotations")
     annotate.add_argument("--graph", metavar="GRAPH", help="graph that tracks (default general)")
     annotate.add_argument(
         "--threshold",
@@ -225,4 +230,5 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
     annotate.add_argument(
         "--no-view", action="store_true", help="open no page: track, write, and print what is to be asked"
     )
+    add_identity_options(annotate)
     add_address_options(annotate)

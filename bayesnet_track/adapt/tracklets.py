@@ -1,0 +1,523 @@
+"""Which piece of a track goes on as which: tracks cut where they are doubtful, and the odds of each link.
+
+A track is cut where another one is close, where it is not shown, and where it ends: what is left are
+*tracklets*, each of one identity. A link says that the start of one continues the end of another. Its odds
+are
+
+    N(r; g) N(dv; g) N(ds; g) / null  x  prior,      r = x_start - x_end - g (v_end + v_start) / 2
+
+over g frames, in sides of the box: with the mean of both velocities r and their difference dv are independent
+where velocities walk randomly. All three spreads are measured in the run, on pieces of tracklets that are g
+frames apart. The null is a target anywhere in the frame, as fast and as large as all others. Every start has
+one end at most, and every end one start: the marginals of all links are those of `numerics.association`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
+
+REACH = 120
+"""Frames over which a track may go on as another one."""
+LEAST_CLEAR = 4
+"""Frames of a tracklet between two doubtful places; fewer are doubtful themselves."""
+WINDOW = 6
+"""Frames at a tracklet's end, or start, by which its place and velocity are taken there."""
+NEAR = 0.8
+"""Tracks are close when centres are nearer than so many widths, and heights, in the mean of both."""
+GAPS = (2, 4, 8, 16, 32, 64)
+"""Frames at which the spreads are measured."""
+OUTLYING, WIDER = 0.1, 3.0
+"""Share of places and velocities that are off by a wider spread, and how much wider."""
+TRUST = 0.6
+"""Exponent of the likelihood ratio: tracks are smoother than what they follow, and errors last."""
+KEEP, CHANGE = 3.0, -1.0
+"""Log prior odds that a track goes on as itself, and as another one, against that it is new."""
+LAPSE, MET = 0.01, 1.5
+"""Least probability of an exchange of two that met, whatever their motion says; they did within so many sides
+and three times the usual way."""
+HIDDEN, LASTING, FARTHEST = 0.5, 0.3, 2.0
+"""In a doubtful place: sides by which a box is farther from an identity where it is not shown, and nearer
+where it had it in the row before; and beyond which it is not its own."""
+LEAST_ODDS = -9.0
+"""Links with smaller log odds are left out, but for that of a track with itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """What a run says of one target.
+
+    Attributes:
+        target: its id.
+        frame: (N,) rising.
+        boxes: (N, 4) centre boxes, px.
+        shown: (N,) whether the box shows it: it is neither lost nor hidden.
+    """
+
+    target: str
+    frame: Ints
+    boxes: Floats
+    shown: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Tracklet:
+    """A piece of a path between doubtful places.
+
+    Attributes:
+        path: number of its path.
+        begin: row of the path with which it begins, its doubtful place before it included.
+        first: first clear row.
+        last: last clear row.
+        frames: numbers of the first and of the last clear frame.
+        states: (2, 6) x, y, velocities of x and y in a frame, log w, log h; there.
+    """
+
+    path: int
+    begin: int
+    first: int
+    last: int
+    frames: tuple[int, int]
+    states: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Spreads:
+    """What tracklets do in g frames, measured in the run.
+
+    Attributes:
+        place: (G,) sd of r, in sides.
+        velocity: (G,) sd of the change of velocity, sides a frame.
+        size: (G,) sd of the change of log w and log h.
+        fast: sd of velocities of all, sides a frame.
+        large: sd of log w and log h of all.
+        usual: (2,) their means.
+    """
+
+    place: Floats
+    velocity: Floats
+    size: Floats
+    fast: float
+    large: float
+    usual: Floats
+
+    def at(self, gap: Floats) -> tuple[Floats, Floats, Floats]:
+        """The three spreads at gaps (L,); beyond those measured as velocities walk: g^1.5 and g^0.5."""
+        log, known = np.log(np.maximum(gap, 1.0)), np.log(np.array(GAPS, dtype=float))
+        beyond = np.maximum(log - known[-1], 0.0)
+        tables = ((self.place, 1.5), (self.velocity, 0.5), (self.size, 0.5))
+        place, velocity, size = (
+            np.exp(np.interp(log, known, np.log(table)) + slope * beyond) for table, slope in tables
+        )
+        return place, velocity, size
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """Which tracklet may go on as which.
+
+    Attributes:
+        ends: (L,) tracklet that ends.
+        starts: (L,) tracklet that starts.
+        log_odds: (L,) against both a new target and an end.
+        count: tracklets.
+    """
+
+    ends: Ints
+    starts: Ints
+    log_odds: Floats
+    count: int
+
+
+def cut(paths: Sequence[Path]) -> list[Tracklet]:
+    """The tracklets of all paths, by path and row. A path that is never clear is one tracklet."""
+    close = _close_rows(paths)
+    pieces = []
+    for number, path in enumerate(paths):
+        doubtful = ~path.shown | close[number]
+        doubtful[1:] |= np.diff(path.frame) > 1
+        runs = [run for run in _runs(~doubtful) if run[1] - run[0] + 1 >= LEAST_CLEAR]
+        begin = 0
+        for first, last in runs or [(0, len(path.frame) - 1)]:
+            pieces.append(_tracklet(number, path, (begin, first, last)))
+            begin = last + 1
+    return pieces
+
+
+def _runs(clear: Bools) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], clear.astype(np.int8), [0]])))
+    return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _tracklet(number: int, path: Path, rows: tuple[int, int, int]) -> Tracklet:
+    begin, first, last = rows
+    states = np.array(
+        [_state(path, first, min(first + WINDOW, last), 0), _state(path, max(last - WINDOW, first), last, 1)]
+    )
+    return Tracklet(number, begin, first, last, (int(path.frame[first]), int(path.frame[last])), states)
+
+
+def _state(path: Path, first: int, last: int, at_end: int) -> Floats:
+    """Place, velocity and size at one end of rows of a path."""
+    boxes, at = path.boxes, last if at_end else first
+    steps = max(float(path.frame[last] - path.frame[first]), 1.0)
+    velocity = (boxes[last, :2] - boxes[first, :2]) / steps
+    sizes = np.log(np.maximum(boxes[first : last + 1, 2:], 1.0))
+    return np.concatenate([boxes[at, :2], velocity, np.median(sizes, axis=0)])
+
+
+def _close_rows(paths: Sequence[Path]) -> list[Bools]:
+    """Of each path in which rows another one is close."""
+    from scipy.spatial import cKDTree
+
+    close = [np.zeros(len(path.frame), dtype=bool) for path in paths]
+    if not paths:
+        return close
+    frame = np.concatenate([path.frame for path in paths])
+    boxes = np.concatenate([path.boxes for path in paths])
+    of = np.concatenate([np.full(len(path.frame), k) for k, path in enumerate(paths)])
+    row = np.concatenate([np.arange(len(path.frame)) for path in paths])
+    order = np.argsort(frame, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1):
+        if len(rows) < 2:
+            continue
+        own = boxes[rows]
+        # In sides of the largest box: what is near there may be near.
+        scale = own[:, 2:].max(axis=0)
+        pairs = cKDTree(own[:, :2] / scale).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+        a, b = pairs[:, 0], pairs[:, 1]
+        near = np.all(np.abs(own[a, :2] - own[b, :2]) < NEAR * (own[a, 2:] + own[b, 2:]) / 2.0, axis=1)
+        for k in rows[np.unique(pairs[near])].tolist():
+            close[of[k]][row[k]] = True
+    return close
+
+
+def measure_spreads(paths: Sequence[Path], tracklets: Sequence[Tracklet]) -> Spreads:
+    """The spreads of a run; where it has too few pieces, those of a slow walk."""
+    tables = np.full((3, len(GAPS)), np.nan)
+    pooled = [_moves(paths, tracklets, gap) for gap in GAPS]
+    for place, found in enumerate(pooled):
+        if len(found[0]) >= 30:
+            # Robust: a swap that nobody saw is no motion.
+            tables[:, place] = [1.4826 * np.median(np.abs(values)) for values in found]
+    usual = np.array([[0.05], [0.02], [0.03]]) * np.array(GAPS)[None] ** np.array([[1.0], [0.5], [0.3]])
+    slopes = np.array([1.5, 0.5, 0.5])
+    for place in range(len(GAPS)):
+        missing = np.isnan(tables[:, place])
+        grown = usual[:, place]
+        if place:
+            grown = tables[:, place - 1] * (GAPS[place] / GAPS[place - 1]) ** slopes
+        tables[missing, place] = grown[missing]
+    tables = np.maximum.accumulate(np.maximum(tables, 0.01 * np.array([[1.0], [0.2], [1.0]])), axis=1)
+    states = np.array([tracklet.states for tracklet in tracklets]).reshape(-1, 6)
+    sides = np.exp(states[:, 4:].mean(axis=1, keepdims=True))
+    fast = float(np.sqrt(np.mean((states[:, 2:4] / sides) ** 2))) if len(states) else 0.1
+    usual_size = states[:, 4:].mean(axis=0) if len(states) else np.zeros(2)
+    large = float(states[:, 4:].std()) if len(states) else 0.3
+    return Spreads(*tables, max(fast, 0.02), max(large, 0.1), usual_size)
+
+
+def _moves(
+    paths: Sequence[Path], tracklets: Sequence[Tracklet], gap: int, most: int = 4000
+) -> tuple[Floats, Floats, Floats]:
+    """r, dv and ds of pieces of tracklets that are `gap` frames apart."""
+    found: list[tuple[Floats, Floats, Floats]] = []
+    for tracklet in tracklets:
+        path = paths[tracklet.path]
+        for row in range(tracklet.first + WINDOW, tracklet.last - gap - WINDOW + 1, max(gap // 2, 3)):
+            before = _state(path, row - WINDOW, row, 1)
+            after = _state(path, row + gap, row + gap + WINDOW, 0)
+            found.append(_move(before[None], after[None], np.array([float(gap)])))
+        if len(found) > most:
+            break
+    if not found:
+        return np.empty(0), np.empty(0), np.empty(0)
+    place, velocity, size = (np.concatenate([one[k].ravel() for one in found]) for k in range(3))
+    return place, velocity, size
+
+
+def _move(before: Floats, after: Floats, gap: Floats) -> tuple[Floats, Floats, Floats]:
+    """(L, 2) each: r, dv and ds of ends and starts (L, 6), in sides of the end."""
+    side = np.exp(before[:, 4:].mean(axis=1, keepdims=True))
+    mean = (before[:, 2:4] + after[:, 2:4]) / 2.0
+    r = (after[:, :2] - before[:, :2] - gap[:, None] * mean) / side
+    return r, (after[:, 2:4] - before[:, 2:4]) / side, after[:, 4:] - before[:, 4:]
+
+
+def find_links(
+    tracklets: Sequence[Tracklet],
+    spreads: Spreads,
+    size: tuple[int, int],
+    prior: tuple[float, float] = (KEEP, CHANGE),
+) -> Links:
+    """All links that may be, of frames of `size` px."""
+    count = len(tracklets)
+    if not count:
+        return Links(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), 0)
+    frames = np.array([tracklet.frames for tracklet in tracklets])
+    path = np.array([tracklet.path for tracklet in tracklets])
+    states = np.array([tracklet.states for tracklet in tracklets])
+    order = np.argsort(frames[:, 0], kind="stable")
+    first = frames[order, 0]
+    lows = np.searchsorted(first, frames[:, 1], side="right")
+    highs = np.searchsorted(first, frames[:, 1] + REACH, side="right")
+    goes_on = np.append(path[1:] == path[:-1], False)
+    pairs = [order[low:high] for low, high in zip(lows.tolist(), highs.tolist(), strict=True)]
+    ends = np.repeat(np.arange(count), [len(some) for some in pairs])
+    # What is within reach, and every track with itself.
+    last = np.flatnonzero(goes_on)
+    key = np.unique(np.append(ends * count + np.concatenate(pairs), last * count + last + 1))
+    ends, starts = key // count, key % count
+    own = (starts == ends + 1) & goes_on[ends]
+    gap = (frames[starts, 0] - frames[ends, 1]).astype(float)
+    log = log_ratio(states[ends, 1], states[starts, 0], gap, spreads, size)
+    # A jump of a track that is itself is no more than an outlier.
+    log_odds = TRUST * np.where(own, np.maximum(log, LEAST_ODDS), log) + np.where(own, prior[0], prior[1])
+    side = np.exp(states[ends, 1, 4:].mean(axis=1))
+    away = np.hypot(*(states[starts, 0, :2] - states[ends, 1, :2]).T) / side
+    met = ~own & (away < MET + 3.0 * spreads.fast * gap)
+    log_odds = _with_lapses(ends, starts, log_odds, own, met)
+    kept = own | (log_odds > LEAST_ODDS)
+    return Links(ends[kept], starts[kept], log_odds[kept], count)
+
+
+def _with_lapses(ends: Ints, starts: Ints, log_odds: Floats, own: Bools, met: Bools) -> Floats:
+    """The log odds, so that two that met have exchanged identities with probability `LAPSE` at least."""
+    row = {pair: k for k, pair in enumerate(zip(ends.tolist(), starts.tolist(), strict=True))}
+    lifted, least = log_odds.copy(), np.log(LAPSE)
+    for k in np.flatnonzero(met).tolist():
+        # b goes on as j, so that the end before j goes on as what b goes on as now.
+        b, j = int(ends[k]), int(starts[k])
+        other, before, after = row.get((j - 1, b + 1)), row.get((j - 1, j)), row.get((b, b + 1))
+        if (
+            other is None
+            or before is None
+            or after is None
+            or not (own[before] and own[after] and met[other])
+        ):
+            continue
+        both = log_odds[before] + log_odds[after] + least
+        if log_odds[k] < both / 2.0 and log_odds[k] + log_odds[other] < both:
+            lifted[k] = both - max(log_odds[other], both / 2.0)
+    return lifted
+
+
+def log_ratio(before: Floats, after: Floats, gap: Floats, spreads: Spreads, size: tuple[int, int]) -> Floats:
+    """(L,) log-likelihood ratios of starts (L, 6) that continue ends (L, 6), and of any other."""
+    moves, sds = _move(before, after, gap), spreads.at(gap)
+    log = sum(_log_density(move, sd[:, None]) for move, sd in zip(moves, sds, strict=True))
+    side = np.exp(before[:, 4:].mean(axis=1))
+    null = -np.log(size[0] * size[1] / side**2)
+    null = null + _log_normal(after[:, 2:4] / side[:, None], spreads.fast).sum(axis=1)
+    null = null + _log_normal(after[:, 4:] - spreads.usual, spreads.large).sum(axis=1)
+    return np.asarray(log - null)
+
+
+def _log_normal(away: Floats, sd: float | Floats) -> Floats:
+    return np.asarray(-0.5 * (away / sd) ** 2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
+
+
+def _log_density(away: Floats, sd: Floats) -> Floats:
+    """(L,) of both coordinates (L, 2), some of them outlying together."""
+    near, far = _log_normal(away, sd).sum(axis=1), _log_normal(away, WIDER * sd).sum(axis=1)
+    return np.asarray(np.logaddexp(np.log(1.0 - OUTLYING) + near, np.log(OUTLYING) + far))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Probabilities of links, and the most probable ones together.
+
+    Attributes:
+        links: the links, with those that answers name.
+        probability: (L,) of each.
+        new: (T,) that a tracklet's start continues none.
+        chosen: tracklet -> the one that it continues, in the most probable assignment.
+    """
+
+    links: Links
+    probability: Floats
+    new: Floats
+    chosen: Mapping[int, int]
+
+    def of(self, start: int) -> dict[int | None, float]:
+        """What a start continues, by falling probability; None for nothing."""
+        mine = np.flatnonzero(self.links.starts == start)
+        shares: dict[int | None, float] = dict(
+            zip(self.links.ends[mine].tolist(), self.probability[mine].tolist(), strict=True)
+        )
+        shares[None] = float(self.new[start])
+        return dict(sorted(shares.items(), key=lambda share: -share[1]))
+
+
+def infer(links: Links, answers: Mapping[int, int | None] | None = None) -> Posterior:
+    """The posterior given answers: start -> the end that it continues, or None; no end in two of them."""
+    from bayesnet_track.numerics.association import LARGEST, marginalise
+
+    answers = answers or {}
+    given = {(end, start) for start, end in answers.items() if end is not None}
+    taken = {end for end, _ in given}
+    free = np.array(
+        [
+            start not in answers and end not in taken
+            for end, start in zip(links.ends.tolist(), links.starts.tolist(), strict=True)
+        ],
+        dtype=bool,
+    )
+    ends = np.append(links.ends[free], [end for end, _ in given]).astype(np.int64)
+    starts = np.append(links.starts[free], [start for _, start in given]).astype(np.int64)
+    log_odds = np.append(links.log_odds[free], np.full(len(given), np.log(LARGEST)))
+    held = Links(ends, starts, log_odds, links.count)
+    marginals = marginalise(ends, starts, np.exp(np.minimum(log_odds, 60.0)), (links.count, links.count))
+    return Posterior(held, marginals.pairs, marginals.free, _most_probable(held))
+
+
+def _most_probable(links: Links) -> dict[int, int]:
+    """Start -> end of the assignment with the largest product of odds."""
+    from scipy.optimize import linear_sum_assignment
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    # A link that is less probable than none is never part of it.
+    useful = np.flatnonzero(links.log_odds > 0.0)
+    ends, starts, gain = links.ends[useful], links.starts[useful], links.log_odds[useful]
+    shape = (2 * links.count, 2 * links.count)
+    _, label = connected_components(
+        coo_matrix((np.ones(len(ends)), (ends, starts + links.count)), shape), False
+    )
+    chosen: dict[int, int] = {}
+    order = np.argsort(label[ends], kind="stable")
+    for part in np.split(order, np.flatnonzero(np.diff(label[ends][order])) + 1) if len(order) else []:
+        rows, row = np.unique(ends[part], return_inverse=True)
+        columns, column = np.unique(starts[part], return_inverse=True)
+        table = np.zeros((len(rows), len(columns)))
+        table[row, column] = gain[part]
+        for a, b in zip(*linear_sum_assignment(table, maximize=True), strict=True):
+            if table[a, b] > 0.0:
+                chosen[int(columns[b])] = int(rows[a])
+    return chosen
+
+
+def label_rows(
+    paths: Sequence[Path], tracklets: Sequence[Tracklet], chosen: Mapping[int, int]
+) -> list[list[str]]:
+    """The identity of every row of every path: that of the first tracklet of its chain.
+
+    Between an end and the start that continues it in another path, it changes where both were closest.
+    """
+    names: list[str] = []
+    used: dict[str, int] = {}
+    order = sorted(range(len(tracklets)), key=lambda k: (tracklets[k].frames[0], k))
+    label: dict[int, str] = {}
+    for k in order:
+        if k in chosen and chosen[k] in label:
+            label[k] = label[chosen[k]]
+            continue
+        name = paths[tracklets[k].path].target
+        used[name] = used.get(name, 0) + 1
+        while used[name] > 1 and f"{name}.{used[name]}" in {path.target for path in paths}:
+            used[name] += 1
+        label[k] = name if used[name] == 1 else f"{name}.{used[name]}"
+    names = [label[k] for k in range(len(tracklets))]
+    rows = [[""] * len(path.frame) for path in paths]
+    for k, tracklet in enumerate(tracklets):
+        is_last = k + 1 == len(tracklets) or tracklets[k + 1].path != tracklet.path
+        end = len(paths[tracklet.path].frame) if is_last else tracklet.last + 1
+        # What stands before a path's first clear row, and behind its last one, is of it alone.
+        start = tracklet.first if _follows(tracklets, k) else 0
+        rows[tracklet.path][start:end] = [names[k]] * (end - start)
+    _label_doubtful(paths, tracklets, _Between.of(tracklets, chosen, names), rows)
+    return _without_two(paths, rows)
+
+
+def _follows(tracklets: Sequence[Tracklet], k: int) -> bool:
+    return k > 0 and tracklets[k - 1].path == tracklets[k].path
+
+
+@dataclass(frozen=True, eq=False)
+class _Between:
+    """Where identities are expected between an end and the start that continues it.
+
+    Attributes:
+        names: of L links the identity.
+        frames: (L, 2) of the end and of the start.
+        states: (L, 2, 6) there.
+    """
+
+    names: list[str]
+    frames: Ints
+    states: Floats
+
+    @classmethod
+    def of(cls, tracklets: Sequence[Tracklet], chosen: Mapping[int, int], names: Sequence[str]) -> _Between:
+        pairs = [(end, start) for start, end in chosen.items()]
+        frames = [(tracklets[end].frames[1], tracklets[start].frames[0]) for end, start in pairs]
+        states = [(tracklets[end].states[1], tracklets[start].states[0]) for end, start in pairs]
+        return cls(
+            [names[start] for _, start in pairs],
+            np.array(frames, dtype=np.int64).reshape(-1, 2),
+            np.array(states).reshape(-1, 2, 6),
+        )
+
+    def at(self, frame: int) -> tuple[list[str], Floats]:
+        """The identities that are between two tracklets in a frame, and their places (K, 2)."""
+        held = np.flatnonzero((self.frames[:, 0] < frame) & (frame < self.frames[:, 1]))
+        span = (self.frames[held, 1] - self.frames[held, 0]).astype(float)[:, None]
+        t = (frame - self.frames[held, 0])[:, None] / span
+        (p, q), (u, v) = (
+            np.moveaxis(self.states[held][..., part], 1, 0) for part in (slice(0, 2), slice(2, 4))
+        )
+        # The cubic with these places and velocities at both ends.
+        place = (1 + 2 * t) * (1 - t) ** 2 * p + t * (1 - t) ** 2 * span * u
+        place = place + t**2 * (3 - 2 * t) * q + t**2 * (t - 1) * span * v
+        return [self.names[k] for k in held.tolist()], place
+
+
+def _label_doubtful(
+    paths: Sequence[Path], tracklets: Sequence[Tracklet], between: _Between, rows: list[list[str]]
+) -> None:
+    """Label the rows between tracklets, frame by frame: each with the identity that is expected nearest."""
+    waiting: dict[int, list[tuple[int, int]]] = {}
+    for k, tracklet in enumerate(tracklets):
+        if _follows(tracklets, k):
+            for row in range(tracklet.begin, tracklet.first):
+                waiting.setdefault(int(paths[tracklet.path].frame[row]), []).append((tracklet.path, row))
+    for frame in sorted(waiting):
+        names, places = between.at(frame)
+        own = waiting[frame]
+        if not names:
+            continue
+        boxes = np.array([paths[path].boxes[row] for path, row in own])
+        away = np.abs(boxes[:, None, :2] - places) / boxes[:, None, 2:]
+        cost = away.max(axis=2)
+        for place, (path, row) in enumerate(own):
+            before = rows[path][row - 1] if row else ""
+            cost[place] += HIDDEN * (not paths[path].shown[row])
+            cost[place] -= LASTING * np.array([name == before for name in names])
+        for a, b in zip(*assign_least(np.minimum(cost, FARTHEST)), strict=True):
+            path, row = own[a]
+            if cost[a, b] < FARTHEST:
+                rows[path][row] = names[b]
+
+
+def assign_least(cost: Floats) -> tuple[Ints, Ints]:
+    """Rows and columns of the assignment with the least cost."""
+    from scipy.optimize import linear_sum_assignment
+
+    return linear_sum_assignment(cost)  # type: ignore[no-any-return]
+
+
+def _without_two(paths: Sequence[Path], rows: list[list[str]]) -> list[list[str]]:
+    """The same with no identity twice in a frame: the path that comes later keeps it."""
+    owner: dict[tuple[str, int], tuple[int, int]] = {}
+    for number, path in enumerate(paths):
+        for row, frame in enumerate(path.frame.tolist()):
+            key = (rows[number][row], frame)
+            if key in owner:
+                other, place = owner[key]
+                rows[other][place] = ""
+            owner[key] = (number, row)
+    return rows
