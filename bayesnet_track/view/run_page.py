@@ -199,6 +199,11 @@ def annotate_page() -> tuple[bytes, str]:
     return _served_page(_ANNOTATE_BODY, "'self' data:")
 
 
+def identities_page() -> tuple[bytes, str]:
+    """The page on which identities of a run are asked about, likewise."""
+    return _served_page(_IDENTITIES_BODY, "'self' data:")
+
+
 def _served_page(body: str, images: str) -> tuple[bytes, str]:
     policy = f"{_policy(images)}; connect-src 'self'; frame-ancestors 'none'"
     # Browsers look for an icon; the empty one keeps them from asking outside of the page's own address.
@@ -223,6 +228,7 @@ def _page(header: Mapping[str, Any], columns: Columns, images: str) -> Iterator[
 
 _BODY = '<div id="page"><noscript>This page needs JavaScript, which is switched off.</noscript></div>\n'
 _LIVE_BODY = _BODY.replace("<div", "<div data-live=yes", 1)
+_IDENTITIES_BODY = _BODY.replace("<div", "<div data-identities=yes", 1)
 _ANNOTATE_BODY = _BODY.replace("<div", "<div data-annotate=yes", 1)
 
 

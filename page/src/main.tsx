@@ -4,6 +4,7 @@ import { options, render } from "preact";
 import { AnnotateApp } from "./annotate/app";
 import { Desk } from "./annotate/desk";
 import { listen as listenAnnotate } from "./annotate/keys";
+import { IdentitiesApp, listenIdentities, Queue } from "./identities/app";
 import { bytesOf, open } from "./data/packed";
 import { listen } from "./keys";
 import { Live } from "./live";
@@ -52,6 +53,16 @@ function annotate(root: HTMLElement): void {
   listenAnnotate(desk);
   root.dataset.ready = String(Math.round(performance.now()));
   void desk.listen();
+}
+
+/** The page that asks who is who in a run. */
+function identities(root: HTMLElement): void {
+  const queue = new Queue();
+  root.replaceChildren();
+  render(<IdentitiesApp queue={queue} />, root);
+  listenIdentities(queue);
+  root.dataset.ready = String(Math.round(performance.now()));
+  void queue.listen();
 }
 
 /** `#frame=120&target=2` leads to a frame of a target; without a target, to the first one that is there. */
@@ -108,6 +119,7 @@ function redraw(state: State): void {
 
 const root = document.getElementById("page");
 if (root?.dataset.live !== undefined) watch(root);
+else if (root?.dataset.identities !== undefined) identities(root);
 else if (root?.dataset.annotate !== undefined) annotate(root);
 else if (root !== null) {
   start(root).catch((error: unknown) => {

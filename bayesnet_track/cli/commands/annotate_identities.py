@@ -9,11 +9,21 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.arguments import OK, UsageError, complain, say, users_mistake, whole_number, writing
+from bayesnet_track.cli.arguments import (
+    OK,
+    UsageError,
+    complain,
+    say,
+    users_mistake,
+    whole_number,
+    words,
+    writing,
+)
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.writer import LineFile
     from bayesnet_track.runtime.annotation.identity_queue import IdentityQueue, Question
+    from bayesnet_track.runtime.recording.run_reader import Run
 
 MOST = 10
 KEYS = {"k": "keep", "s": "swap", "n": "new", "x": "skip", "u": "undo"}
@@ -34,14 +44,13 @@ OF_VIDEOS = (
 def annotate_identities(options: argparse.Namespace) -> int:
     """Ask about the identities of a run, in the browser, the terminal or by a file; write what follows."""
     from bayesnet_track.journal.codec import JournalError
-    from bayesnet_track.runtime.annotation.identity_queue import (
+    from bayesnet_track.runtime.annotation.identity_files import (
         NAME,
         IdentityFileError,
-        IdentityQueue,
-        Tracklets,
         open_answers,
         write_tracks,
     )
+    from bayesnet_track.runtime.annotation.identity_queue import IdentityQueue, Tracklets
     from bayesnet_track.runtime.recording.lock import is_locked, lock_run
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
@@ -65,7 +74,7 @@ def annotate_identities(options: argparse.Namespace) -> int:
     queue = IdentityQueue(Tracklets.of_run(run))
     try:
         with lock_run(RunDirectory(folder)), closing(open_answers(folder / NAME, digest, queue)) as file:
-            _answer(options, queue, file)
+            _answer(options, run, queue, file)
             left_out = write_tracks(queue, mot, folder)
     except IdentityFileError as error:
         raise UsageError(str(error)) from error
@@ -77,9 +86,9 @@ def annotate_identities(options: argparse.Namespace) -> int:
     return OK
 
 
-def _answer(options: argparse.Namespace, queue: IdentityQueue, file: LineFile) -> None:
-    """Take answers from a file, from the terminal, or from the page."""
-    from bayesnet_track.runtime.annotation.identity_queue import give_lines, keep_answer
+def _answer(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: LineFile) -> None:
+    """Take answers from a file, from the page, or without a page from the terminal, if there is a person."""
+    from bayesnet_track.runtime.annotation.identity_files import give_lines, keep_answer
 
     if options.answers is not None:
         name, text = options.answers, ""
@@ -88,14 +97,47 @@ def _answer(options: argparse.Namespace, queue: IdentityQueue, file: LineFile) -
         # All or none: a file with a fault in its last line changes nothing.
         for answer in give_lines(queue, text.splitlines(), f"--answers {name}"):
             keep_answer(file, answer)
+    elif not options.no_view:
+        _show(options, run, queue, file)
     elif sys.stdin.isatty():
         with suppress(EOFError, KeyboardInterrupt):
             _converse(options, queue, file)
 
 
+def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: LineFile) -> None:
+    """Open the page until the person leaves."""
+    from bayesnet_track.cli.following import announce
+    from bayesnet_track.runtime.annotation.identity_desk import IdentityServer, Pictures
+    from bayesnet_track.runtime.recording.pictures import pictures_of
+
+    frames = max((int(path.frame[-1]) for path in queue.tracklets.paths), default=0) + 1
+    about = {
+        "name": run.name,
+        "width": run.started.width,
+        "height": run.started.height,
+        "frames": frames,
+        "out": options.out or f"{options.identities}/identities",
+    }
+    with pictures_of(run.directory, run.started, 0, frames - 1) as (images, why):
+        if images is None:
+            complain(f"the page shows boxes alone: {why}")
+        pictures = Pictures(() if images is None else images.images)
+    address = (options.view_host, options.port)
+    try:
+        desk = IdentityServer(queue, file, about, options.most, pictures, address)
+    except OSError as error:
+        raise UsageError(f"--port: {options.view_host}: {words(error)}; choose another, or none") from error
+    with desk:
+        announce(options, desk.address)
+        complain("Ctrl-C or `Finish` on the page writes the tracks; every answer is kept at once")
+        options.stop.is_patient = True
+        desk.wait(lambda: options.stop.signal is not None)
+
+
 def _converse(options: argparse.Namespace, queue: IdentityQueue, file: LineFile) -> None:
     """Ask in the terminal until there is no doubt, or the person leaves."""
-    from bayesnet_track.runtime.annotation.identity_queue import IdentityAnswerError, keep_answer
+    from bayesnet_track.runtime.annotation.identity_files import keep_answer
+    from bayesnet_track.runtime.annotation.identity_queue import IdentityAnswerError
 
     complain("k keep, s swap, n new, x skip, u undo, a target's name: the same as it; q or Ctrl-D leaves")
     while questions := queue.questions(1):

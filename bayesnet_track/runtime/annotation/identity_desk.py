@@ -1,0 +1,195 @@
+"""The browser view of the identities of a run: serves the page that asks, and takes what it answers."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy as np
+
+from bayesnet_track.adapt.tracklets import Path
+from bayesnet_track.journal.writer import LineFile, OutputError
+from bayesnet_track.numerics.arrays import Image
+from bayesnet_track.runtime.annotation.identity_files import keep_answer
+from bayesnet_track.runtime.annotation.identity_queue import (
+    IdentityAnswerError,
+    IdentityQueue,
+    Question,
+)
+from bayesnet_track.runtime.live_view.controls import Refused
+from bayesnet_track.runtime.live_view.server import Server
+from bayesnet_track.view.run_page import identities_page
+
+WAIT_S = 3.0
+LARGEST_SIDE, QUALITY = 1280, 85
+AROUND = 12
+"""Frames that are shown before the end and after the start that a question is about."""
+
+
+class Pictures:
+    """Frames as JPEG, in a temporary file without a name."""
+
+    def __init__(self, images: Iterable[tuple[int, Image]] = ()) -> None:
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115
+        self._places: dict[int, tuple[int, int]] = {}
+        self._lock = threading.Lock()
+        end = 0
+        for frame, image in images:
+            scale = min(LARGEST_SIDE / max(image.shape[:2]), 1.0)
+            size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
+            smaller = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1.0 else image
+            is_encoded, data = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+            if is_encoded:
+                self._file.write(data.tobytes())
+                self._places[frame] = (end, len(data))
+                end += len(data)
+
+    def at(self, frame: int) -> tuple[int, bytes] | None:
+        """A frame, where there is one."""
+        if frame not in self._places:
+            return None
+        start, length = self._places[frame]
+        with self._lock:
+            self._file.seek(start)
+            return frame, self._file.read(length)
+
+
+class IdentityServer:
+    """Serves the page of a queue of doubtful identities.
+
+    Args:
+        queue: of a run.
+        file: to which answers are added.
+        about: name, width, height, frames and out, for the page.
+        most: questions that are listed.
+        pictures: of the run; none where its source is gone.
+        address: host and port to listen at; None for a free one.
+
+    Raises:
+        OSError: the port is taken, or the host is not one of this machine.
+    """
+
+    def __init__(
+        self,
+        queue: IdentityQueue,
+        file: LineFile,
+        about: Mapping[str, Any],
+        most: int,
+        pictures: Pictures,
+        address: tuple[str, int | None] = ("127.0.0.1", None),
+    ) -> None:
+        self._queue, self._file, self._about, self._most = queue, file, about, most
+        self._pictures, self._news = pictures, threading.Condition()
+        self._version, self._is_left, self._is_closed = 1, False, False
+        self._body: dict[str, Any] = {}
+        self._update()
+        self._page = identities_page()
+        self._server = Server(self, *address)
+
+    @property
+    def address(self) -> str:
+        """The address of the page, with its token."""
+        return self._server.address
+
+    def wait(self, give_up: Callable[[], bool]) -> None:
+        """Until the person has left, or `give_up`."""
+        while not (self._is_left or give_up()):
+            time.sleep(0.05)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._news:
+            self._is_closed = True
+            self._news.notify_all()
+        self._server.close()
+
+    # What the server asks for.
+
+    def page(self) -> tuple[bytes, str]:
+        """The page, and its content security policy."""
+        return self._page
+
+    def feed(self, first: int, seen_version: int) -> bytes:
+        """The questions, as soon as they are others than those of `seen_version`."""
+        with self._news:
+            self._news.wait_for(lambda: self._version != seen_version or self._is_closed, WAIT_S)
+            answer = {"version": self._version, "left": self._is_left, "about": self._about, **self._body}
+        return json.dumps(answer, allow_nan=False).encode()
+
+    def picture(self, frame: int) -> tuple[int, bytes] | None:
+        """A frame as JPEG."""
+        return self._pictures.at(frame)
+
+    def ask(self, request: Mapping[str, Any]) -> None:
+        """`{"do": "answer", ...}` as `IdentityQueue.give` takes it, or `{"do": "leave"}`; raises Refused."""
+        with self._news:
+            if request.get("do") == "leave":
+                self._is_left = True
+            elif request.get("do") == "answer":
+                try:
+                    keep_answer(self._file, self._queue.give(request))
+                except (IdentityAnswerError, OutputError) as error:
+                    raise Refused(str(error)) from error
+                self._update()
+            else:
+                raise Refused("no such thing to do")
+            self._version += 1
+            self._news.notify_all()
+
+    def _update(self) -> None:
+        questions = self._queue.questions()
+        self._body = {
+            "answers": len(self._queue.in_force),
+            "changed": self._queue.changed,
+            "left_over": len(questions),
+            "questions": [self._shown(one) for one in questions[: self._most]],
+        }
+
+    def _shown(self, question: Question) -> dict[str, Any]:
+        """A question with the boxes of all that it is about, around the doubtful frames."""
+        ends = [one.frame for one in question.candidates if one.frame is not None]
+        first, last = max(min(ends, default=question.frame) - AROUND, 0), question.frame + AROUND
+        names = dict.fromkeys([question.target, *(one.target for one in question.candidates)])
+        boxes = {
+            path.target: _boxes_of(path, first, last)
+            for path in self._queue.tracklets.paths
+            if path.target in names
+        }
+        tracklets = self._queue.tracklets
+        own = tracklets.before(tracklets.starts[question.target, question.frame])
+        return {
+            "target": question.target,
+            "frame": question.frame,
+            "first": first,
+            "last": last,
+            "shown": question.shown,
+            "swap": question.swap,
+            "keep": own is not None,
+            "doubt": question.doubt,
+            "candidates": [
+                {"target": one.target, "probability": one.probability, "frame": one.frame}
+                for one in question.candidates
+            ],
+            "boxes": boxes,
+        }
+
+
+def _boxes_of(path: Path, first: int, last: int) -> list[list[float] | None]:
+    """The corner boxes of a path in frames `first` to `last`, where it is shown."""
+    boxes: list[list[float] | None] = [None] * (last - first + 1)
+    low, high = np.searchsorted(path.frame, [first, last + 1]).tolist()
+    for row in range(low, high):
+        if path.shown[row]:
+            x, y, w, h = path.boxes[row].tolist()
+            boxes[int(path.frame[row]) - first] = [round(value, 1) for value in (x - w / 2, y - h / 2, w, h)]
+    return boxes
