@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesnet_track.adapt.chains import Posterior, infer, label_rows
 from bayesnet_track.adapt.tracklets import Links, Path, Tracklet, cut, find_links, measure_spreads
-from bayesnet_track.journal.courses import courses
+from bayesnet_track.journal.blocks import courses
 from bayesnet_track.journal.events.lives import Returned
 from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.runtime.recording.run_reader import Run
