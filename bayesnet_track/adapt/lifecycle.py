@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair_up
+from bayesnet_track.adapt.clocks import Clocks
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.events.joins import Refusal
@@ -82,6 +83,7 @@ class TrackHistory:
         detection_models: plate with `existence` -> what its detections have told about all of them.
         refusals: live target without a detection -> one beside it that no target had; None when that
             was reported.
+        clocks: what is known of the clocks of cameras; None where none is learnt.
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
@@ -96,6 +98,7 @@ class TrackHistory:
     births: Mapping[str, str] = field(default_factory=dict)
     detection_models: Mapping[str, DetectionModel] = field(default_factory=dict)
     refusals: Mapping[str, Refusal | None] = field(default_factory=dict)
+    clocks: Clocks | None = None
 
 
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
+from bayesnet_track.engine.clocks import adopt_clocks, first_clocks, learn_clocks
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_each, filter_target
@@ -149,6 +150,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
         stages.insert(0, Stage("arrange", arrange_targets, (arrange,)))
     if engine.joins:
         stages.append(Stage("join", join, (join_targets,)))
+    if first_clocks(engine) is not None:
+        stages.append(Stage("clocks", set_clocks, (learn_clocks,)))
     stages.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
     if any(cut_level(compiled) is not None for compiled in plates):
         stages.insert(0, Stage("scene cuts", cut_scenes, (find_cuts,)))
@@ -231,6 +234,19 @@ def filter_carried(batch: Batch) -> Batch:
 def join(batch: Batch) -> Batch:
     """Joined targets are weighed together, so that the evidence of a pixel counts once."""
     return evolve(batch, joint=join_targets(batch.work, batch.state.joins, batch.joint.filtered))
+
+
+def set_clocks(batch: Batch) -> Batch:
+    """The clocks of cameras are learnt from all targets, which are given them."""
+    work, joint = batch.work, batch.joint
+    clocks, others, events = learn_clocks(work, batch.state.history, joint.filtered)
+    together = Together(joint.filtered.groups, others, joint.filtered.order)
+    state = evolve(batch.state, history=evolve(batch.state.history, clocks=clocks))
+    associated = batch.associated
+    if associated is not None:
+        associated = evolve(associated, history=adopt_clocks(work, associated.history, clocks))
+    joint = evolve(joint, filtered=together, events=(*joint.events, *events))
+    return evolve(batch, state=state, associated=associated, joint=joint)
 
 
 def finish(batch: Batch) -> Batch:

@@ -122,6 +122,13 @@ class Calibration:
     name: str | None = None
 
 
+CLOCK = "clock_s"
+"""By how much the times of a camera's frames are late, s."""
+
+RATE = "rate"
+"""By how much `CLOCK` grows per second."""
+
+
 @dataclass(frozen=True)
 class LastingError:
     """One coordinate of an error of what sees targets, which lasts from frame to frame: a field of the state.
@@ -130,8 +137,9 @@ class LastingError:
 
     Attributes:
         node: the view whose camera is off, or the agent whose detections are.
-        axis: the coordinate of the box in the image: x, y, w or h.
-        sd: its sd, px of a view, and the share of the box's width or height of an agent.
+        axis: the coordinate of the box in the image, x, y, w or h; `CLOCK` of the time, and `RATE`, by which
+            that grows per second.
+        sd: its sd, px of a view, s of its clock, and the share of the box's width or height of an agent.
         over_s: time in which its correlation falls to 1 / e.
         is_shared: whether all targets share it, so that it is allowed for and not estimated from one of them.
     """
@@ -146,6 +154,11 @@ class LastingError:
     def field(self) -> str:
         """Name of the field of the state."""
         return f"{self.node}.{self.axis}"
+
+    @property
+    def is_clock(self) -> bool:
+        """True of the offset and the rate of a camera's clock."""
+        return self.axis in (CLOCK, RATE)
 
 
 @dataclass(frozen=True, eq=False)

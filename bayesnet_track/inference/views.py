@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
 
-from bayesnet_track.graph.checked import CheckedTarget, LastingError
+from bayesnet_track.graph.checked import CLOCK, CheckedTarget, LastingError
 from bayesnet_track.inference.queries import inside_polygon
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.cameras import GroundView
@@ -18,6 +19,9 @@ from bayesnet_track.observation.protocols import BOX, Seen
 
 UNSEEN = (-1e4, -1e4, 1.0, 1.0)
 """The box of a hypothesis that the camera cannot see: no pixel of any frame."""
+
+VELOCITY = ("vx", "vy")
+"""Fields of a velocity on the ground, those after the box."""
 
 REACH = 3.0
 """Centres lie within so many frames of the image, and boxes are so many frames large at most."""
@@ -33,6 +37,7 @@ class View:
         camera: what it looks through.
         seen_by: the camera's name.
         lasting: errors that last, of all views of the plate and of agents below them.
+        sd_velocity: of the noise of velocities, m/s in one second.
     """
 
     node: str
@@ -40,14 +45,47 @@ class View:
     camera: GroundView
     seen_by: str
     lasting: tuple[LastingError, ...] = ()
+    sd_velocity: float = 0.0
 
     def boxes(self, states: Mapping[str, Floats], agent: str = "") -> Floats:
         """(N, 4) boxes in the image of states, field -> (N,), as the camera shows and `agent` finds them."""
-        boxes = self.camera.boxes(np.stack([states[name] for name in BOX], axis=1))
+        at = np.stack([states[name] for name in BOX], axis=1)
+        if self.clock is not None:  # it shows how targets were by so much earlier
+            at[:, :2] -= states[self.clock][:, None] * np.stack([states[name] for name in VELOCITY], axis=1)
+        boxes = self.camera.boxes(at)
         for error in self.lasting:
-            if error.node in (self.node, agent):
+            if error.node in (self.node, agent) and not error.is_clock:
                 boxes = boxes + effects(error, boxes) * states[error.field][:, None]
         return boxes
+
+    @cached_property
+    def clock(self) -> str | None:
+        """The field of the state that says by how much the times of its camera are late; None: by nothing."""
+        own = (error.field for error in self.lasting if error.node == self.node and error.axis == CLOCK)
+        return next(own, None)
+
+    def beyond(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """(4,) and (4, 4) what the derivative leaves out of the box of a state N(mean, covariance).
+
+        The camera shows x(t - o), with o the offset of its clock. That is x - o v, whose second moments have
+        Cov(o, v) and P_oo P_vv + P_ov P_vo, and what v changed since: q |o|^3 / 3 of white noise q.
+        """
+        if self.clock is None:
+            return np.zeros(4), np.zeros((4, 4))
+        column = self.column(self.clock, len(mean))
+        offset, variance = float(mean[column]), float(covariance[column, column])
+        at, with_speed = mean[None, :4].copy(), covariance[4:6, column]
+        at[:, :2] -= offset * mean[4:6] + with_speed
+        slopes = self.camera.jacobian(at)[0][:, :2]
+        if not np.isfinite(slopes).all():
+            return np.zeros(4), np.zeros((4, 4))
+        spread = variance * covariance[4:6, 4:6] + np.outer(with_speed, with_speed)
+        since = self.sd_velocity**2 * (offset**2 + variance) ** 1.5 / 3.0
+        return -slopes @ with_speed, slopes @ (spread + since * np.eye(2)) @ slopes.T
+
+    def column(self, field: str, size: int) -> int:
+        """The column of a lasting error in states of so many fields."""
+        return size - len(self.lasting) + [error.field for error in self.lasting].index(field)
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -65,8 +103,10 @@ class View:
 
 def effects(error: LastingError, boxes: Floats) -> Floats:
     """(N, 4) by how much boxes in the image change with an error."""
-    column = BOX.index(error.axis)
     moved = np.zeros_like(boxes)
+    if error.is_clock:  # it moves what moves, by the velocity: a box alone has none
+        return moved
+    column = BOX.index(error.axis)
     moved[:, column] = 1.0 if error.is_shared else boxes[:, 2 + column % 2]
     return moved
 
@@ -134,12 +174,15 @@ def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
         of_boxes = errors.function
         errors = replace(errors, function=lambda states, away: of_boxes(in_image(states), away))
     periods = np.full(len(measured.fields), np.inf) if inner is None else inner.periods
+    beyond = None if view.clock is None or measured.fields != BOX or inner is not None else view.beyond
     choices = tuple((weight, through(view, one, agent)) for weight, one in measured.choices)
     if measured.fields == BOX and inner is None:
         cut = cut_covariance(view.camera, measured.mean[None])[0]
         if cut.any():
             measured = replace(measured, covariance=measured.covariance + cut)
-    return replace(measured, seen=Seen(function, periods, view.shared), choices=choices, errors=errors)
+    return replace(
+        measured, seen=Seen(function, periods, view.shared, beyond), choices=choices, errors=errors
+    )
 
 
 Sizes = tuple[tuple[float, float] | None, tuple[float, float] | None]
@@ -274,7 +317,8 @@ class Views:
 
     def named(self, states: Floats) -> dict[str, Floats]:
         """The fields of states (N, D) that a box in an image depends on."""
-        columns = dict(zip(BOX, states[:, :4].T, strict=True))
+        width = 6 if any(error.is_clock for error in self.lasting) else 4
+        columns = dict(zip((*BOX, *VELOCITY)[:width], states[:, :width].T, strict=True))
         own = states[:, states.shape[1] - len(self.lasting) :].T
         return columns | {one.field: own[k] for k, one in enumerate(self.lasting)}
 
@@ -306,9 +350,16 @@ class Views:
         """(4,) box and (4, 4) covariance in the image of a state N(mean, covariance), by the derivative."""
         box = self.boxes(mean[None], frame)[0]
         slopes = np.zeros((4, len(mean)))
-        slopes[:, :4] = self.main.camera.jacobian(mean[None, :4])[0]
+        at = mean[:4].copy()
+        clock = None if (name := self.main.clock) is None else self.main.column(name, len(mean))
+        if clock is not None:
+            at[:2] -= mean[clock] * mean[4:6]
+        slopes[:, :4] = self.main.camera.jacobian(at[None])[0]
+        if clock is not None:
+            slopes[:, 4:6] = -mean[clock] * slopes[:, :2]
+            slopes[:, clock] = -slopes[:, :2] @ mean[4:6]
         for column, error in enumerate(self.lasting, len(mean) - len(self.lasting)):
-            if error.node == self.main.node:
+            if error.node == self.main.node and not error.is_clock:
                 slopes[:, column] = effects(error, box[None])[0]
         if not np.isfinite(slopes).all():
             return box, np.zeros((4, 4))
@@ -327,6 +378,9 @@ def views_of(plate: CheckedTarget) -> Views | None:
 
 def views_below(plate: CheckedTarget) -> tuple[View, ...]:
     """The views of a plate."""
+    motion = plate.inference(plate.root).motion
+    noise = 0.0 if motion is None else float(getattr(motion.settings, "sd_velocity_px", None) or 0.0)
     return tuple(
-        View(node, plate.root, one.camera, one.name, plate.lasting) for node, one in plate.views.items()
+        View(node, plate.root, one.camera, one.name, plate.lasting, noise)
+        for node, one in plate.views.items()
     )

@@ -169,11 +169,14 @@ class Seen:
             those that are no angles.
         shared: fields of the state that a measurement allows for and does not update: errors that other
             targets have, too.
+        beyond: mean (D,) and covariance (D, D) of a state -> (K,) and (K, K): what the derivative at the mean
+            leaves out of the quantities' mean and covariance; None where that is nothing much.
     """
 
     function: Callable[[Mapping[str, Floats]], Floats]
     periods: Floats
     shared: tuple[str, ...] = ()
+    beyond: Callable[[Floats, Floats], tuple[Floats, Floats]] | None = None
 
     def in_mode(self, number: int) -> Seen:
         """The same of states that are in a mode of this number and do not say so."""

@@ -50,6 +50,7 @@ PAGES: Mapping[str, tuple[str, str]] = {
     "statuses": ("Status", "tracking, lost, found again, look-alikes, alarms, scene cuts"),
     "beliefs": ("Beliefs", "resets, sizes, modes, gated measurements"),
     "lives": ("Targets", "births, ends, returns"),
+    "cameras": ("Cameras", "clocks that were learnt"),
     "refused": ("Refused detections", "which bound kept a detection from a target that had none"),
     "joins": ("Joins", "targets that come together, cover each other and part"),
     "load": ("Hands and load", "what a person switched, what was shed for time"),

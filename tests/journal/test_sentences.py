@@ -19,6 +19,7 @@ from bayesnet_track.journal.events.beliefs import (
     Reappeared,
     SecondPass,
 )
+from bayesnet_track.journal.events.cameras import ClockLearnt
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import (
     AgentMissed,
@@ -593,6 +594,14 @@ GOLDEN = [
     (
         DetectionsCut(0, "detections", 10000, 1, 1),
         "frame 0: detections found 10001 → the best 10000 are used, not 1; max_count is at most 10000",
+    ),
+    (
+        ClockLearnt(40, "south", 0.3921, 0.0312, 0.0, 0.2),
+        "frame 40: clock of camera south: 0.392 ± 0.031 s late (before +0.000 ± 0.200 s)",
+    ),
+    (
+        ClockLearnt(90, "south", -0.0312, 0.0012, 0.3921, 0.0312),
+        "frame 90: clock of camera south: 0.0312 ± 0.0012 s early (before +0.3921 ± 0.0312 s)",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),

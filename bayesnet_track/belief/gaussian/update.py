@@ -376,6 +376,10 @@ def update_seen(
     if not np.isfinite(centre).all():
         return None
     measured = centre + seen.less(one.mean, centre)
+    if seen.beyond is not None:
+        shift, spread = seen.beyond(mean, covariance)
+        one = replace(one, covariance=one.covariance + spread)
+        measured = measured if is_unscented else measured - shift  # sigma points see it by themselves
 
     def unwrapped(states: Floats) -> Floats:
         return np.asarray(centre + seen.less(of(states), centre))

@@ -16,7 +16,7 @@ from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.checked import LastingError
+from bayesnet_track.graph.checked import CLOCK, RATE, LastingError
 from bayesnet_track.graph.settings.motion import BoxSd, Moving
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import ANGLE
@@ -73,14 +73,16 @@ class Lasting:
     Attributes:
         name: the field of the state.
         sd: at any time, above 0.
-        time: in which its correlation falls to 1 / e, above 0.
+        time: in which its correlation falls to 1 / e, above 0; infinite of one that stays.
         is_shared: whether it is allowed for and not estimated.
+        grows_by: the field by which it grows per unit of time; "" of one that does not.
     """
 
     name: str
     sd: float
     time: float
     is_shared: bool
+    grows_by: str = ""
 
     def over(self, dt: float) -> tuple[float, float]:
         """Share and sd as of a `Deviation`.
@@ -94,7 +96,13 @@ class Lasting:
 
 def lasting_of(errors: Sequence[LastingError]) -> tuple[Lasting, ...]:
     """Fields of the state for errors of what sees the targets."""
-    return tuple(Lasting(one.field, one.sd, one.over_s, one.is_shared) for one in errors)
+    rates = {one.node: one.field for one in errors if one.axis == RATE}
+    return tuple(
+        Lasting(
+            one.field, one.sd, one.over_s, one.is_shared, rates.get(one.node, "") if one.axis == CLOCK else ""
+        )
+        for one in errors
+    )
 
 
 def shared_columns(motion: MotionModel) -> tuple[int, ...]:
@@ -185,13 +193,13 @@ class Nested:
     ) -> Floats:
         """(N, D) states after `dt` frame intervals."""
         own = self._own(states) if parents is None else self._own(states)[parents]
-        kept, sds = self._over(dt)
+        _, sds = self._over(dt)
         moved = self.motion.propagate(self._rest(states), dt, rng, parents)
-        return _with(moved, own * kept + sds * rng.standard_normal(own.shape))
+        return _with(moved, self._ahead(own, dt) + sds * rng.standard_normal(own.shape))
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise."""
-        return _with(self.motion.drift(self._rest(states), dt), self._own(states) * self._over(dt)[0])
+        return _with(self.motion.drift(self._rest(states), dt), self._ahead(self._own(states), dt))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q of the model; each deviation's are what is kept of it and the variance that is added."""
@@ -202,6 +210,8 @@ class Nested:
         kept, sds = self._over(dt)
         at = np.arange(len(state) - further, len(state))
         transition[at, at], covariance[at, at] = kept, sds**2
+        for grown, rate in self._grown:
+            transition[at[grown], at[rate]] = dt
         return transition, covariance
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
@@ -212,7 +222,7 @@ class Nested:
         """Transition of the model; the deviations are the last coordinates."""
         own = self.motion.transition(self._rest(old), dt)
         further = len(self.deviations)
-        kept, step_sds = self._over(dt)
+        _, step_sds = self._over(dt)
         sds = np.broadcast_to(step_sds, (*own.sds.shape[:2], further))
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
@@ -227,7 +237,7 @@ class Nested:
         return replace(
             own,
             coordinates=coordinates,
-            means=_with(own.means, self._own(old) * kept),
+            means=_with(own.means, self._ahead(self._own(old), dt)),
             sds=np.concatenate([own.sds, sds], axis=2),
             states=None if own.states is None else states_at,
         )
@@ -239,6 +249,20 @@ class Nested:
     def _over(self, dt: float) -> tuple[Floats, Floats]:
         kept, sds = zip(*(one.over(dt) for one in self.deviations), strict=True)
         return np.array(kept), np.array(sds)
+
+    @property
+    def _grown(self) -> list[tuple[int, int]]:
+        """Places of deviations that grow, each with that of the one by which."""
+        places = {one.name: place for place, one in enumerate(self.deviations)}
+        growing = ((one.name, getattr(one, "grows_by", "")) for one in self.deviations)
+        return [(places[name], places[by]) for name, by in growing if by]
+
+    def _ahead(self, own: Floats, dt: float) -> Floats:
+        """(N, L) deviations after `dt` frame intervals, without noise."""
+        moved = own * self._over(dt)[0]
+        for grown, rate in self._grown:
+            moved[:, grown] += dt * own[:, rate]
+        return moved
 
     def _rest(self, states: Floats) -> Floats:
         return np.ascontiguousarray(states[:, : -len(self.deviations)])

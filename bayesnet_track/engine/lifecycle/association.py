@@ -16,11 +16,13 @@ from itertools import chain
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, first_observed, remembered
+from bayesnet_track.adapt.clocks import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.modes import moments_of
+from bayesnet_track.engine.clocks import clocks_now, plate_clocks
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.assigning import (
@@ -43,9 +45,10 @@ from bayesnet_track.engine.lifecycle.existing import (
     given_nothing,
 )
 from bayesnet_track.engine.lifecycle.refusing import record_refusals
-from bayesnet_track.engine.lifecycle.sensing import Found
+from bayesnet_track.engine.lifecycle.sensing import Found, Sensor
 from bayesnet_track.engine.lifecycle.sharing import Tracks, follow, own_detections, predictor
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
+from bayesnet_track.engine.lifecycle.viewing import ViewSensor
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
@@ -257,9 +260,10 @@ class Several:
         detection_model = history.detection_models.get(plate) or DetectionModel(nothing)
         seen_first = looks.get(first)
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
+        clocks = plate_clocks(compiled, clocks_now(self.work, history))
         done = dict.fromkeys(rules, given_nothing(crowd, detection_model))
         for agent in [one for one in rules if one in looks]:
-            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames))
+            rule = evolve(rules[agent], sensor=_in_frame(rules[agent].sensor.at(frames), clocks))
             further = None if agent == first else agent
             known = detection_model.by(further)
             done[agent] = associate_marginal(rule, frames.current, crowd, known, looks[agent])
@@ -418,6 +422,11 @@ class Several:
             several = [names[row] for row in chosen.tolist()]
             log[at] = score_looks(self.work, self.compiled, several, known, boxes[at], sizes)
         return log
+
+
+def _in_frame(sensor: Sensor, clocks: PlateClocks | None) -> Sensor:
+    """The sensor of a camera with what is known of the clocks, where they are learnt."""
+    return evolve(sensor, clocks=clocks) if clocks is not None and isinstance(sensor, ViewSensor) else sensor
 
 
 def _expected_boxes(work: FrameContext, targets: Targets, names: Sequence[str]) -> Floats:

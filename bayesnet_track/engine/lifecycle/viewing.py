@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesnet_track.adapt.clocks import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import LEAST_SIDE_M, MotionModel
 from bayesnet_track.engine.lifecycle.measuring import (
@@ -41,6 +42,7 @@ class ViewSensor:
         view: through which it looks.
         is_unscented: whether moments are by sigma points.
         has_extent: False: a target moves in metres, as its motion says, not in sides of a box.
+        clocks: what is known of the cameras' clocks in this frame; None where none is learnt.
     """
 
     association: AssociationRule
@@ -50,6 +52,7 @@ class ViewSensor:
     is_unscented: bool = False
     has_extent: bool = False
     log_scale: float = -0.5 * WIDTH * LOG_TURN
+    clocks: PlateClocks | None = None
 
     def at(self, frames: FramePair) -> ViewSensor:
         """The same in every frame."""
@@ -63,7 +66,13 @@ class ViewSensor:
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
         """What targets (T, D), (T, D, D) are expected to be detected as, by a detector without errors."""
         by = expect_by_points if self.is_unscented else expect_by_slopes
-        return by(self._of, self._near, mean, covariance, np.zeros((WIDTH, WIDTH)))
+        expected = by(self._of, self._near, mean, covariance, np.zeros((WIDTH, WIDTH)))
+        if self.view.clock is not None:
+            for row in np.flatnonzero(expected.is_known).tolist():
+                shift, spread = self.view.beyond(mean[row], covariance[row])
+                expected.values[row] += 0.0 if self.is_unscented else shift
+                expected.spread[row] += spread
+        return expected
 
     def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
         """As of every sensor."""
@@ -141,6 +150,8 @@ class ViewSensor:
         covariance[:, :4, :4] += placed.covariances
         covariance[:, :4, first:] += placed.cross
         covariance[:, first:, :4] += np.swapaxes(placed.cross, 1, 2)
+        if self.clocks is not None:
+            mean, covariance = self.clocks.begun(self.view.node, mean, covariance)
         return Begun(placed.which, mean, covariance)
 
     def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checked import Calibration, LastingError, NamedCamera
+from bayesnet_track.graph.checked import CLOCK, RATE, Calibration, LastingError, NamedCamera
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate, is_seen, written_name
@@ -343,6 +344,12 @@ def read_lasting(plate: Plate) -> tuple[LastingError, ...]:
             if bias is None:
                 continue
             errors += [LastingError(view, axis, bias.sd, bias.over_s, True) for axis in "xy"]
+        for clock in (plate.sources[camera].clock for camera in node.seen_by):
+            if clock is None:
+                continue
+            errors.append(LastingError(view, CLOCK, clock.offset_s.sd, math.inf, False))
+            if clock.rate is not None:
+                errors.append(LastingError(view, RATE, clock.rate.sd, math.inf, False))
     for agent in plate.agents:
         place, size, over_s = _slow(plate, agent)
         for axes, sd in (("xy", place), ("wh", size)):

@@ -140,6 +140,40 @@ def several_cameras_have_detections(plate: Plate) -> Iterator[GraphMessage]:
         yield plate.message(name, found, allowed, key=("agent",))
 
 
-SEVERAL_GRAPH_CHECKS: tuple[GraphCheck, ...] = (lists_name_cameras, cameras_are_different)
+def first_clock_is_that_of_the_run(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """The first camera has no clock to learn: all others are compared with it."""
+    first = next(iter(spec.cameras), None)
+    if first is not None and spec.cameras[first].clock is not None:
+        found = f"clock of {first!r}, the first camera, whose clock is that of the run"
+        allowed = "clock at the other cameras; the first one is the reference"
+        yield at.message(("cameras", first, "clock"), found, allowed, on_key=True)
 
-SEVERAL_CHECKS: tuple[Check, ...] = (several_cameras_have_detections,)
+
+def clocks_can_be_learnt(plate: Plate) -> Iterator[GraphMessage]:
+    """A clock shows by what moves: states have velocities, and beliefs covariances with the offset."""
+    late = [name for node in plate.inference.values() for name in node.seen_by if _has_clock(plate, name)]
+    if not late or not plate.spec.is_ground:
+        return
+    for name in plate.roots:
+        node = plate.inference[name]
+        if node.motion is not None and node.motion.kind != "constant_velocity":
+            found = f"{node.motion.kind} beside the clock of {late[0]}, which shows by velocities"
+            yield plate.message(
+                name, found, "constant_velocity", key=("motion", node.motion.kind), on_key=True
+            )
+        if node.belief is None or node.belief.gaussian is None:
+            found = f"a belief by particles beside the clock of {late[0]}, which all targets share"
+            yield plate.message(name, found, "belief: {gaussian: ..}, or no clock", key=("belief",))
+
+
+def _has_clock(plate: Plate, camera: str) -> bool:
+    return camera in plate.sources and plate.sources[camera].clock is not None
+
+
+SEVERAL_GRAPH_CHECKS: tuple[GraphCheck, ...] = (
+    lists_name_cameras,
+    cameras_are_different,
+    first_clock_is_that_of_the_run,
+)
+
+SEVERAL_CHECKS: tuple[Check, ...] = (several_cameras_have_detections, clocks_can_be_learnt)

@@ -35,6 +35,29 @@ class CameraBias(Model):
     over_s: Positive = Field(default=3600.0, description="time in which its correlation falls to 1 / e, s")
 
 
+class Spread(Model):
+    """How far a number is off before anything is seen: N(0, sd^2)."""
+
+    sd: Positive = Field(description="standard deviation")
+
+
+class CameraClock(Model):
+    """Clock of a camera, which is learnt from all targets: its times are `offset_s` late, more by `rate`.
+
+    Example::
+
+        clock: {offset_s: {sd: 0.2}, rate: {sd: 1.0e-5}}
+    """
+
+    offset_s: Spread = Field(
+        description="by how much the times of its frames are later than those of the first camera, s; above "
+        "0.3 it is first looked for on a grid"
+    )
+    rate: Spread | None = Field(
+        default=None, description="by how much the offset grows per second; default: it does not"
+    )
+
+
 class CameraSource(Model):
     """A camera that targets on the ground are seen by.
 
@@ -53,6 +76,11 @@ class CameraSource(Model):
         default=None,
         description="how far off it may be: a shift of the image that lasts, of which intervals allow for; "
         "default: the calibration is exact",
+    )
+    clock: CameraClock | None = Field(
+        default=None,
+        description="how far its clock may be off, which is learnt; not of the first camera, whose clock is "
+        "that of the run; default: it is that of the first camera",
     )
 
     @property

@@ -12,7 +12,17 @@ which the engine is given it, so that the same lines give the same run again.
 
 from __future__ import annotations
 
-from bayesnet_track.journal.events import beliefs, faults, joins, lives, load, runs, statuses, switches
+from bayesnet_track.journal.events import (
+    beliefs,
+    cameras,
+    faults,
+    joins,
+    lives,
+    load,
+    runs,
+    statuses,
+    switches,
+)
 from bayesnet_track.journal.events.faults import AgentMissed
 from bayesnet_track.journal.events.load import LateFrame, Released, SpareTime, Toggled
 from bayesnet_track.journal.net import Decision
@@ -36,6 +46,7 @@ Event = (
     | beliefs.Reappeared
     | beliefs.ModeChanged
     | beliefs.QueryPassed
+    | cameras.ClockLearnt
     | switches.ReferenceGuarded
     | statuses.IdentityDoubtful
     | statuses.DistractorSeen
