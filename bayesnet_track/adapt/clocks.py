@@ -24,8 +24,8 @@ REPORTED = 0.5
 """A clock is reported when its sd has fallen to this share of that of the last report."""
 
 
-class Seen(NamedTuple):
-    """What one target says of the clocks after it was updated by itself.
+class ClockMessage(NamedTuple):
+    """Copy of the clocks of one target after it was updated by itself.
 
     Attributes:
         mean: (K,) of its own copy of the clocks.
@@ -45,7 +45,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Clocks:
-    """What is known of the clocks of cameras: a Gaussian.
+    """Gaussian of the clocks of cameras.
 
     Attributes:
         names: (camera, what of its clock) of each of the K numbers.
@@ -70,7 +70,7 @@ class Clocks:
             ahead[grown, rate] = seconds
         return replace(self, mean=ahead @ self.mean, covariance=symmetric(ahead @ self.covariance @ ahead.T))
 
-    def after(self, seen: Iterable[Seen]) -> Clocks:
+    def after(self, messages: Iterable[ClockMessage]) -> Clocks:
         """The clocks after a frame in which targets saw something of them.
 
         What a target has seen is taken in the directions in which it is surer than the prior; a mixture of
@@ -78,9 +78,10 @@ class Clocks:
         """
         lower = np.linalg.cholesky(self.covariance)
         information, pull = np.eye(len(self.mean)), np.zeros(len(self.mean))
-        for mean, covariance in seen:
+        for mean, covariance in messages:
             half = np.linalg.solve(lower, covariance)
-            variances, axes = np.linalg.eigh(symmetric(np.linalg.solve(lower, half.T)))
+            whitened = np.asarray(np.linalg.solve(lower, half.T), dtype=np.float64)
+            variances, axes = np.linalg.eigh(symmetric(whitened))
             is_seen = variances < 1.0 - LEAST_SEEN
             if not is_seen.any():
                 continue
@@ -88,7 +89,8 @@ class Clocks:
             information += (axes * (precisions - 1.0)) @ axes.T
             pull += axes @ (precisions * (axes.T @ np.linalg.solve(lower, mean - self.mean)))
         mean = self.mean + lower @ np.linalg.solve(information, pull)
-        return replace(self, mean=mean, covariance=symmetric(lower @ np.linalg.solve(information, lower.T)))
+        covariance = np.asarray(lower @ np.linalg.solve(information, lower.T), dtype=np.float64)
+        return replace(self, mean=mean, covariance=symmetric(covariance))
 
     def reading(self, camera: str) -> Reading:
         """The clock of a camera."""
@@ -133,6 +135,18 @@ class PlateClocks:
         """Mean and covariance of the columns."""
         return self.clocks.mean[self.places], self.clocks.covariance[np.ix_(self.places, self.places)]
 
+    def message(self, mean: Floats, covariance: Floats) -> ClockMessage:
+        """Message of a target of the plate, N(mean, covariance) after its own update, on all clocks."""
+        known, at = self.clocks, list(self.columns)
+        if len(at) == len(known.mean) and list(self.places) == list(range(len(at))):
+            return ClockMessage(mean[at], covariance[np.ix_(at, at)])
+        # Of cameras that this plate has no view of it says nothing: they follow the others, as before.
+        places = np.ix_(self.places, self.places)
+        gain = np.linalg.solve(known.covariance[places], known.covariance[self.places, :]).T
+        spread = covariance[np.ix_(at, at)] - known.covariance[places]
+        moved = mean[at] - known.mean[self.places]
+        return ClockMessage(known.mean + gain @ moved, symmetric(known.covariance + gain @ spread @ gain.T))
+
     def adopted(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """N(mean, covariance) of a state with the clocks' marginal in place of its own."""
         own, (target, spread) = np.ix_(self.columns, self.columns), self.moments
@@ -153,7 +167,8 @@ class PlateClocks:
         mean, covariance = mean.copy(), covariance.copy()
         target, spread = self.moments
         mean[:, self.columns] = target
-        covariance[(slice(None), *np.ix_(self.columns, self.columns))] = spread
+        at = np.array(self.columns)
+        covariance[:, at[:, None], at] = spread
         column = self.of_view.get(view)
         if column is None:
             return mean, covariance
@@ -167,16 +182,3 @@ class PlateClocks:
         for place, more in enumerate(second):
             covariance[:, place, place] += more
         return mean, covariance
-
-
-def seen_by_target(by: PlateClocks, mean: Floats, covariance: Floats) -> Seen:
-    """What a target of a plate, N(mean, covariance) after its own update, says of all clocks."""
-    known, at = by.clocks, list(by.columns)
-    if len(at) == len(known.mean) and list(by.places) == list(range(len(at))):
-        return Seen(mean[at], covariance[np.ix_(at, at)])
-    # Of cameras that this plate has no view of it says nothing: they follow the others, as before.
-    places = np.ix_(by.places, by.places)
-    gain = np.linalg.solve(known.covariance[places], known.covariance[by.places, :]).T
-    spread = covariance[np.ix_(at, at)] - known.covariance[places]
-    moved = mean[at] - known.mean[by.places]
-    return Seen(known.mean + gain @ moved, symmetric(known.covariance + gain @ spread @ gain.T))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayesnet_track.adapt.clocks import Clocks, PlateClocks, Reading, Seen, seen_by_target
+from bayesnet_track.adapt.clocks import ClockMessage, Clocks, PlateClocks, Reading
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -65,18 +65,18 @@ def learn_clocks(
     """The clocks after the frame, the targets with them, and what is reported."""
     before = clocks_now(work, history)
     assert before is not None
-    seen: list[Seen] = []
-    for target, one in filtered.others.items():
-        by, belief = plate_clocks(work.plate_of(target), before), one.step.posterior
+    messages: list[ClockMessage] = []
+    for target, filtered_target in filtered.others.items():
+        by, belief = plate_clocks(work.plate_of(target), before), filtered_target.step.posterior
         if by is not None and isinstance(belief, GaussianPosterior) and surely_moves(belief):
-            seen.append(seen_by_target(by, belief.mean, belief.covariance))
-    clocks, news = before.after(seen).report()
+            messages.append(by.message(belief.mean, belief.covariance))
+    clocks, news = before.after(messages).report()
     events = tuple(
         ClockLearnt(work.frame.index, camera, *reading, *last) for camera, (reading, last) in news.items()
     )
     others = {
-        target: _adopted(plate_clocks(work.plate_of(target), clocks), one)
-        for target, one in filtered.others.items()
+        target: _adopted(plate_clocks(work.plate_of(target), clocks), filtered_target)
+        for target, filtered_target in filtered.others.items()
     }
     return clocks, others, events
 
@@ -121,10 +121,10 @@ def _clocks_of(compiled: CompiledPlate) -> dict[str, tuple[tuple[str, str], floa
     }
 
 
-def _adopted(by: PlateClocks | None, one: Filtered) -> Filtered:
-    belief = one.step.posterior
+def _adopted(by: PlateClocks | None, filtered: Filtered) -> Filtered:
+    belief = filtered.step.posterior
     if by is None or not isinstance(belief, GaussianPosterior):
-        return one
+        return filtered
     mean, covariance = by.adopted(belief.mean, belief.covariance)
     posterior = evolve(belief, mean=mean, covariance=covariance)
-    return evolve(one, step=evolve(one.step, posterior=posterior, find_map=lambda: mean))
+    return evolve(filtered, step=evolve(filtered.step, posterior=posterior, find_map=lambda: mean))

@@ -163,7 +163,7 @@ def test_the_offset_is_learnt_and_said(tmp_path, offset):
 
 
 def test_people_stay_one_each_where_a_camera_is_half_a_second_late(tmp_path):
-    """Taken for right, the late camera starts people of its own, 0.4 m behind; with the clock learnt, none."""
+    """Taken for right, the late camera starts people of its own, 0.4 m behind; learnt, none."""
     numbers = {}
     for clock in (None, {"offset_s": {"sd": 0.5}}):
         path, rng = graph_with(tmp_path, clock), np.random.default_rng(7)

@@ -36,7 +36,7 @@ class CameraBias(Model):
 
 
 class Spread(Model):
-    """How far a number is off before anything is seen: N(0, sd^2)."""
+    """Prior of a number that is to be learnt: N(0, sd^2)."""
 
     sd: Positive = Field(description="standard deviation")
 
