@@ -5,6 +5,7 @@ Of each such target, the first detection beside it since its last one is kept, o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -151,42 +152,74 @@ def _refuse(
         refusal = earlier.get(target)
         if target in earlier and (refusal is None or nearest_px[row] >= NEARER * refusal.distance_px):
             is_beside[row] = False
-    refused: dict[str, Refusal] = {}
     rows, columns = np.nonzero(is_beside)
     if not len(rows):
-        return refused
-    candidates: dict[str, list[Refusal]] = {}
-    for row, candidate in zip(
-        rows.tolist(), _refusals(rule, agent, frame, unmatched, (rows, columns)), strict=True
-    ):
-        candidates.setdefault(unmatched.names[row], []).append(candidate)
-    for target, of_target in candidates.items():
-        nearest, refusal = min(of_target, key=lambda candidate: candidate.excess), earlier.get(target)
-        if refusal is None or nearest.distance_px < NEARER * refusal.distance_px:
-            refused[target] = nearest
-    return refused
+        return {}
+    nearest, d2s, shared = _nearest(rule, unmatched, (rows, columns))
+    rows, columns, closer = rows[nearest], columns[nearest], []
+    for k, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
+        refusal = earlier.get(unmatched.names[row])
+        away = math.dist(_box(unmatched.boxes[column])[:2], _box(unmatched.mean[row])[:2])
+        if refusal is None or away < NEARER * refusal.distance_px:
+            closer.append(k)
+    pairs = rows[closer], columns[closer]
+    refusals = _refusals(
+        rule, agent, frame, unmatched, pairs, (d2s[nearest][closer], shared[nearest][closer])
+    )
+    return {unmatched.names[row]: refusal for row, refusal in zip(pairs[0].tolist(), refusals, strict=True)}
+
+
+def _nearest(
+    rule: AssociationRule, unmatched: Unmatched, pairs: tuple[Ints, Ints]
+) -> tuple[Ints, Floats, Floats]:
+    """Pair of each target that was the least beyond the bounds; (P,) squared distances and overlaps of all.
+
+    Pairs of a target and a detection, rows and columns (P,), are in the order of the rows.
+    """
+    rows, columns = pairs
+    boxes, means = unmatched.boxes[columns], unmatched.mean[rows]
+    shared, d2s = overlap(boxes, means[:, :4]), np.zeros(len(rows))
+    beyond = np.ones(len(rows))
+    if rule.similarity == "density":
+        d2s = _squared_distances(boxes - means[:, :4], _spreads(rule, unmatched, pairs))
+        beyond = np.maximum(d2s / chi_square_quantile(rule.gate, 4), 1.0)
+    excess = beyond + np.maximum(rule.min_overlap - shared, 0.0)
+    order = np.lexsort((np.arange(len(rows)), excess, rows))
+    firsts = np.flatnonzero(np.diff(rows[order], prepend=-1))
+    return order[firsts], d2s, shared
+
+
+def _spreads(rule: AssociationRule, unmatched: Unmatched, pairs: tuple[Ints, Ints]) -> Floats:
+    """(P, 4, 4) covariances of detections about where targets are expected."""
+    rows, columns = pairs
+    variances = rule.variances(unmatched.boxes[columns])
+    return np.asarray(unmatched.covariance[rows, :4, :4] + variances[:, :, None] * np.eye(4))
 
 
 def _refusals(
-    rule: AssociationRule, agent: str, frame: int, unmatched: Unmatched, pairs: tuple[Ints, Ints]
+    rule: AssociationRule,
+    agent: str,
+    frame: int,
+    unmatched: Unmatched,
+    pairs: tuple[Ints, Ints],
+    nearness: tuple[Floats, Floats],
 ) -> list[Refusal]:
-    """The refusals of pairs of a target and a detection, rows and columns (P,)."""
-    rows, columns = pairs
+    """The refusals of pairs of a target and a detection, of these squared distances and overlaps (P,)."""
+    (rows, columns), (d2s, shared) = pairs, nearness
+    if not len(rows):
+        return []
     boxes, means, gaps = unmatched.boxes[columns], unmatched.mean[rows], np.array(unmatched.gaps)[rows]
-    spreads = unmatched.covariance[rows, :4, :4] + rule.variances(boxes)[:, :, None] * np.eye(4)
+    spreads = _spreads(rule, unmatched, pairs)
     offsets, sides = boxes - means[:, :4], np.sqrt(np.maximum(means[:, 2] * means[:, 3], 1e-12))
     ways = (offsets[:, :2], offsets[:, :2] + unmatched.velocity[rows] * gaps[:, None])
     reach = np.minimum(*(np.hypot(*way.T) for way in ways)) / sides / gaps
-    d2s: list[float | None] = [None] * len(rows)
-    if rule.similarity == "density":
-        d2s = [*_squared_distances(offsets, spreads).tolist()]
     numbers = zip(
         boxes,
         means,
         gaps.tolist(),
-        d2s,
+        d2s.tolist() if rule.similarity == "density" else [None] * len(rows),
         _squared_distances(offsets[:, :2], spreads[:, :2, :2]).tolist(),
-        overlap(boxes, means[:, :4]).tolist(),
+        shared.tolist(),
         reach.tolist(),
         strict=True,
     )
@@ -202,13 +235,13 @@ def _refusals(
             place_d2,
             limit,
             rule.gate,
-            shared,
+            area,
             rule.min_overlap,
             distance,
             rule.continue_box,
             unmatched.is_shared,
         )
-        for box, mean, gap, d2, place_d2, shared, distance in numbers
+        for box, mean, gap, d2, place_d2, area, distance in numbers
     ]
 
 
