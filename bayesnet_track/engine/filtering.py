@@ -25,13 +25,12 @@ from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPoster
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.modes import ModeState, kinds_of, with_kinds
 from bayesnet_track.engine.moving.elsewhere import look_elsewhere
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.moving.sudden import search_around
 from bayesnet_track.engine.on_call import call_agents, plan_without_calls
-from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.asking import is_elsewhere

@@ -1,18 +1,88 @@
-"""Context of a frame: what all its stages share, made once per frame."""
+"""Context of a frame: what came from outside with it, what all its stages share, and the planes on which agents look at many targets."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+
+import numpy as np
 
 from bayesnet_track.belief.contract import Stream
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.external_inputs import ByHand
-from bayesnet_track.inference.asking import Availability, Fault, TargetAvailability
+from bayesnet_track.inference.asking import Availability, Fault, TargetAvailability, score
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.journal.events.event import Input
+from bayesnet_track.journal.events.faults import AgentMissed
+from bayesnet_track.journal.events.load import InputRefused, LateFrame, Released, SpareTime, Toggled
 from bayesnet_track.journal.net import Net
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.streams import moment_of
-from bayesnet_track.observation.planes import Frame, PlaneCache
+from bayesnet_track.observation.cue import FAULTS, Hypotheses, Reference
+from bayesnet_track.observation.planes import MANY, Frame, Plane, PlaneCache, Planes, Region
+
+ByHand = Toggled | Released
+
+
+@dataclass(frozen=True, eq=False)
+class ExternalInputs:
+    """The inputs of one frame.
+
+    Attributes:
+        inputs: all but missing agents, in order, with this frame's index.
+        availability: agents that give no answer.
+        by_hand: target -> what a person switched.
+        refused: what a person asked for that cannot be done.
+        timing: what was late, or early.
+    """
+
+    inputs: tuple[Input, ...]
+    availability: Availability
+    by_hand: Mapping[str, tuple[ByHand, ...]]
+    refused: tuple[InputRefused, ...]
+    timing: tuple[LateFrame | SpareTime, ...]
+
+    @property
+    def to_repeat(self) -> tuple[Input, ...]:
+        """What has to be given again for the frame to repeat; complete when the frame is done."""
+        return (*self.inputs, *self.availability.events)
+
+
+def route_inputs(engine: Engine, net: Net, frame: int, given: Iterable[Input]) -> ExternalInputs:
+    """The inputs that are given with `frame`, by whom they concern in the net that it begins with."""
+    inputs = tuple(replace(one, frame=frame) for one in given)
+    if not inputs:
+        return ExternalInputs((), Availability(frame), {}, (), ())
+    by_hand: dict[str, tuple[ByHand, ...]] = {}
+    refused: list[InputRefused] = []
+    for one in inputs:
+        if not isinstance(one, ByHand):
+            continue
+        reason = _impossible(engine, net, one)
+        if reason:
+            refused.append(InputRefused(frame, one.target, one.node, reason))
+        else:
+            by_hand[one.target] = (*by_hand.get(one.target, ()), one)
+    return ExternalInputs(
+        tuple(one for one in inputs if not isinstance(one, AgentMissed)),
+        Availability.of(frame, (one for one in inputs if isinstance(one, AgentMissed))),
+        by_hand,
+        tuple(refused),
+        tuple(one for one in inputs if isinstance(one, LateFrame | SpareTime)),
+    )
+
+
+def _impossible(engine: Engine, net: Net, asked: ByHand) -> str:
+    """Why it cannot be done; empty when it can."""
+    if asked.target not in net.targets:
+        return f"there is no target {asked.target}"
+    live = net.targets[asked.target]
+    if asked.node not in engine.plates[live.template].plate.agents:
+        return f"{live.template} has no agent {asked.node}"
+    if isinstance(asked, Toggled) and asked.on and asked.node in live.quarantined:
+        until = live.faults[asked.node].until
+        return f"{asked.node} failed and is out {'for good' if until is None else f'until frame {until}'}"
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,3 +157,62 @@ class FrameContext:
         now = self.engine.clock()
         self.seconds[part] = self.seconds.get(part, 0.0) + now - started
         return now
+
+
+def planes_of_each(
+    work: FrameContext,
+    needs: Iterable[Plane],
+    boxes: Floats,
+    starts: Ints,
+    grow: float = 0.0,
+    share: bool = False,
+) -> list[Planes]:
+    """For each target planes that hold its boxes, each grown by `grow` of its size per side.
+
+    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes (N, 4), one at least.
+
+    With `share`, the same of the whole frame for all where their crops would take as long: planes do not
+    depend on where they are cut.
+    """
+    from bayesnet_track.numerics.kernels.box_kernels import crops_of_each
+
+    started, frame = work.engine.clock(), work.frame
+    corners = crops_of_each(boxes, starts, grow, frame.width, frame.height)
+    areas = np.clip(corners[:, 2:] - corners[:, :2], 0, None).prod(axis=1)
+    whole, needs = Region(0, 0, frame.width, frame.height), tuple(needs)
+    if share and len(corners) > 1 and (len(corners) > MANY or 2 * areas.sum() > whole.area):
+        found = [work.cache.planes(needs, whole)] * len(corners)
+    else:
+        found = [work.cache.planes(needs, Region(*own)) for own in corners.tolist()]
+    work.charge("planes", started)
+    return found
+
+
+def ask_together(
+    work: FrameContext,
+    group: tuple[CompiledPlate, Plan, Mapping[str, Sequence[Reference]]],
+    hypotheses: Hypotheses,
+    starts: Ints,
+) -> tuple[dict[str, Floats], dict[int, dict[str, Fault]]]:
+    """Agent -> (N,) its log-likelihoods; target t -> agent -> its fault, where one fails.
+
+    Those of target t of the group are `starts[t]` to `starts[t + 1] - 1` of the hypotheses. A group is a
+    plate, the plan whose agents are asked, and what each of them remembers of each target.
+    """
+    compiled, plan, known = group
+    messages: dict[str, Floats] = {}
+    failed: dict[int, dict[str, Fault]] = {}
+    for one in plan.observations:
+        cue, references = compiled.cues[one.agent], known[one.agent]
+        share = hasattr(cue, "log_likelihood_of_each")
+        try:
+            planes = planes_of_each(work, cue.needs, hypotheses.boxes, starts, share=share)
+        except FAULTS:  # of planes: whose is found out where each target is asked by itself
+            return {**messages, one.agent: np.zeros(len(hypotheses))}, {t: {} for t in range(len(references))}
+        started = work.engine.clock()
+        values, faults = score(cue, planes, hypotheses, starts, references)
+        work.charge(one.agent, started)
+        messages[one.agent] = values if one.temperature == 1.0 else values / one.temperature
+        for t, fault in faults.items():
+            failed.setdefault(t, {})[one.agent] = fault
+    return messages, failed

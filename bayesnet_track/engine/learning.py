@@ -16,9 +16,8 @@ from bayesnet_track.adapt.rule_inputs import baseline_level
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, planes_of_each
 from bayesnet_track.engine.judging import JudgedGroup
-from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import inside_frame
 from bayesnet_track.graph.spec import Learn

@@ -11,9 +11,8 @@ from bayesnet_track.adapt.identities import PlateIdentities
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load, balance
-from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.finishing import Results
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import ExternalInputs, FrameContext
 from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.joining import JointBelief, reaches_of
 from bayesnet_track.engine.lines import Lines

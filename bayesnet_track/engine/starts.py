@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.kernel_shrinkage import formulas_in, static_fields
-from bayesnet_track.engine.external_inputs import route_inputs
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, route_inputs
 from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph

@@ -14,10 +14,9 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.clocks import adopt_clocks, first_clocks, learn_clocks
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
-from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_each, filter_target
 from bayesnet_track.engine.finishing import Results, finish_targets
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import ExternalInputs, FrameContext, route_inputs
 from bayesnet_track.engine.joining import JointBelief, join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
 from bayesnet_track.engine.lifecycle.identities import track_identities

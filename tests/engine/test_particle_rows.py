@@ -9,11 +9,10 @@ import pytest
 from bayesnet_track import load_graph
 from bayesnet_track.cues.color_histogram import ColorHistogram
 from bayesnet_track.engine import step as steps
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, planes_of_each
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
 from bayesnet_track.engine.rows.particle_table import ParticleTable
-from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes

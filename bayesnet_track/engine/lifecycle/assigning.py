@@ -19,10 +19,9 @@ from bayesnet_track.adapt.existence import Pairs
 from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.lifecycle.sensing import Found, gate_boxes, with_looks
 from bayesnet_track.engine.lifecycle.sharing import Tracks, update_tentative
-from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan

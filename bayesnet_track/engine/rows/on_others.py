@@ -13,9 +13,8 @@ import numpy as np
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
-from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights

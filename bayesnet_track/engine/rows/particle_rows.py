@@ -22,12 +22,11 @@ from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.particle_set import Clouds
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.moving.predicting import PredictedMotion, jump_share, predict_motion
 from bayesnet_track.engine.moving.sudden import is_sudden, sudden_rule
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.rows.particle_table import ParticleTable
-from bayesnet_track.engine.rows.shared_planes import ask_together
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.engine.targets import Targets
