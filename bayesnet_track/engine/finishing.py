@@ -34,9 +34,9 @@ from bayesnet_track.engine.modes import with_modes
 from bayesnet_track.engine.rows.advancing import FilteredGaussians
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
-from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.targets import ParticleTable
 from bayesnet_track.inference.learn import changes
 from bayesnet_track.inference.measure import StepArrays
 from bayesnet_track.journal.events.beliefs import DegenerateBelief

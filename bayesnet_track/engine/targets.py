@@ -1,17 +1,148 @@
-"""Live targets: columns of tables for those that are alike, an object each for the others."""
+"""Live targets: rows of tables, those held by particles here, and others, an object each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackRecord
+from bayesnet_track.adapt.memory import RuleMemory
+from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet
+from bayesnet_track.engine.attachment import particles
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.rows.columns import Rows
-from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.inference.compile import Plan
 from bayesnet_track.journal.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Ints
+from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.records import evolve
+from bayesnet_track.observation.cue import Reference
+from bayesnet_track.observation.likelihoods import ReferenceRows
+
+_NOBODY = ParticleSet(np.zeros((1, 0)), (), LogWeights.uniform(1))
+"""In the place of the belief of a target whose particles are a row."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleTable:
+    """What is known of targets with the same plan and as many particles each.
+
+    The first rows are columns of all that changes; of the others `base` has the rules' memory.
+
+    Attributes:
+        compiled: their plate.
+        ids: target ids.
+        base: their states when they were last objects; of each, what no column holds is still so.
+        time: time of the last frame, frame intervals.
+        clouds: their beliefs.
+        references: agent -> what it remembers of each.
+        memories: what the rules remember of the first rows; None where there are none.
+        nets: the live nets of these rows, as they were when they were found to fit.
+    """
+
+    compiled: CompiledPlate
+    ids: tuple[str, ...]
+    base: tuple[TargetState, ...]
+    time: float
+    clouds: Clouds
+    references: Mapping[str, Sequence[Reference]]
+    memories: RuleMemory | None = None
+    nets: tuple[TargetNet, ...] = ()
+    _made: dict[int, TargetState] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, compiled: CompiledPlate, states: Mapping[str, TargetState]) -> ParticleTable:
+        """The table of states with the same agents, time and number of particles."""
+        base = tuple(states.values())
+        known = [agent for agent in compiled.cues if all(agent in one.references for one in base)]
+        references = {agent: ReferenceRows.of([one.references[agent] for one in base]) for agent in known}
+        clouds = Clouds.of([particles(one.belief) for one in base])
+        return cls(compiled, tuple(states), base, base[0].time, clouds, references)
+
+    @property
+    def plan(self) -> Plan:
+        """The compiled net that all have."""
+        return self.base[0].plan
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Target -> its row."""
+        return {target: row for row, target in enumerate(self.ids)}
+
+    def state(self, row: int) -> TargetState:
+        """What is known of one target."""
+        if self.memories is None or row >= len(self.nets):
+            return self.base[row]
+        if row not in self._made:
+            self._made[row] = evolve(
+                self.base[row],
+                belief=self.clouds.belief(row),
+                references={agent: of[row] for agent, of in self.references.items()},
+                memory=self.memories.take([row]),
+                time=self.time,
+            )
+        return self._made[row]
+
+    def remembered(self, agent: str, rows: Ints | None = None) -> Sequence[Reference]:
+        """What an agent remembers of each, or of some."""
+        references = self.references[agent]
+        return references if rows is None else ReferenceRows.some(references, rows)
+
+    def columns(self) -> RuleMemory:
+        """What the rules remember of all."""
+        others = [one.memory for one in self.base[len(self.nets) :]]
+        return RuleMemory.join(others if self.memories is None else [self.memories, *others])
+
+    def then(
+        self,
+        time: float,
+        clouds: Clouds,
+        references: Mapping[str, Sequence[Reference]],
+        memories: RuleMemory,
+        nets: Mapping[str, TargetNet],
+    ) -> ParticleTable:
+        """The same targets after a frame, all as columns."""
+        live = tuple(nets[target] for target in self.ids)
+        base = tuple(
+            one if one.belief is _NOBODY else evolve(one, belief=_NOBODY, references={}) for one in self.base
+        )  # else a row of an old frame keeps the arrays of all
+        after = ParticleTable(self.compiled, self.ids, base, time, clouds, references, memories, live)
+        after.__dict__["index"] = self.index
+        return after
+
+    def take(self, rows: Sequence[int]) -> ParticleTable:
+        """Some of the targets, in their order."""
+        chosen, held = np.array(rows, dtype=np.intp), [row for row in rows if row < len(self.nets)]
+        return ParticleTable(
+            self.compiled,
+            tuple(self.ids[row] for row in rows),
+            tuple(self.base[row] for row in rows),
+            self.time,
+            self.clouds.take(rows),
+            {agent: self.remembered(agent, chosen) for agent in self.references},
+            self.memories.take(held) if self.memories is not None and held else None,
+            tuple(self.nets[row] for row in held),
+        )
+
+    def extended(self, others: ParticleTable) -> ParticleTable:
+        """These targets, then others that are no columns."""
+        return replace(
+            self,
+            ids=self.ids + others.ids,
+            base=self.base + others.base,
+            clouds=self.clouds.extended(others.clouds),
+            references={
+                agent: ReferenceRows.joined(own, others.references[agent])
+                for agent, own in self.references.items()
+                if agent in others.references
+            },
+            _made={},
+        )
 
 
 class Targets(Mapping[str, TargetState]):

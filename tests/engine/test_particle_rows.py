@@ -12,8 +12,7 @@ from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.frame_context import FrameContext, planes_of_each
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
-from bayesnet_track.engine.rows.particle_table import ParticleTable
-from bayesnet_track.engine.targets import Targets
+from bayesnet_track.engine.targets import ParticleTable, Targets
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 

@@ -22,8 +22,8 @@ from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages, statuses_of
 from bayesnet_track.engine.moving.predicting import PredictedMotion
-from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.targets import ParticleTable
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan

@@ -26,10 +26,9 @@ from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.moving.predicting import PredictedMotion, jump_share, predict_motion
 from bayesnet_track.engine.moving.sudden import is_sudden, sudden_rule
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
-from bayesnet_track.engine.rows.particle_table import ParticleTable
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
-from bayesnet_track.engine.targets import Targets
+from bayesnet_track.engine.targets import ParticleTable, Targets
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import fit_of
