@@ -1,4 +1,4 @@
-"""Context of a frame: what came from outside with it, what all its stages share, and the planes on which agents look at many targets."""
+"""Context of a frame: external inputs, what all its stages share, and planes for many targets."""
 
 from __future__ import annotations
 
