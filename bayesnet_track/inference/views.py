@@ -378,6 +378,8 @@ def views_of(plate: CheckedTarget) -> Views | None:
 
 def views_below(plate: CheckedTarget) -> tuple[View, ...]:
     """The views of a plate."""
+    if not plate.views:
+        return ()
     motion = plate.inference(plate.root).motion
     noise = 0.0 if motion is None else float(getattr(motion.settings, "sd_velocity_px", None) or 0.0)
     return tuple(
