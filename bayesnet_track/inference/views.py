@@ -12,13 +12,10 @@ import numpy as np
 from bayesnet_track.graph.checked import CLOCK, CheckedTarget, LastingError
 from bayesnet_track.inference.queries import inside_polygon
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.cameras import GroundView
+from bayesnet_track.numerics.cameras import UNSEEN, GroundView
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.protocols import BOX, Seen
-
-UNSEEN = (-1e4, -1e4, 1.0, 1.0)
-"""The box of a hypothesis that the camera cannot see: no pixel of any frame."""
 
 VELOCITY = ("vx", "vy")
 """Fields of a velocity on the ground, those after the box."""

@@ -22,6 +22,7 @@ from bayesnet_track.journal.frame_file import FrameFile, Place, structured
 from bayesnet_track.journal.metrics import NOT_SHOWN, FrameMetrics
 from bayesnet_track.journal.reader import MOST, Measurements
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import UNSEEN
 
 ROWS = 40_000
 """Rows of a block, about."""
@@ -254,8 +255,10 @@ def boxes_of(metrics: Sequence[FrameMetrics], lost: bool) -> Iterator[NumberedBo
         corners[:, :2] -= (corners[:, 2:] - 1.0) / 2.0
         scores, ids = block.numbers("score"), block.codes("target") + np.int32(1)
         gone = [code for code, text in enumerate(blocks.texts["status"].texts) if text in NOT_SHOWN]
+        is_shown = corners[:, 0] > UNSEEN[0]
         if not lost and gone:
-            is_shown = ~np.isin(block.codes("status"), gone)
+            is_shown &= ~np.isin(block.codes("status"), gone)
+        if not is_shown.all():
             yield NumberedBoxes(block.frame[is_shown], ids[is_shown], corners[is_shown], scores[is_shown])
         else:
             yield NumberedBoxes(block.frame, ids, corners, scores)

@@ -25,6 +25,9 @@ from bayesnet_track.numerics import outlines
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.lenses import COUNTS, distort, reach, undistort
 
+UNSEEN = (-1e4, -1e4, 1.0, 1.0)
+"""The box of a hypothesis that the camera cannot see: no pixel of any frame. It is written nowhere."""
+
 
 class CameraError(ValueError):
     """Numbers that are not those of a camera, or not enough of them."""

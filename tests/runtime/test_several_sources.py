@@ -182,3 +182,33 @@ def test_detections_of_one_camera_only_are_refused(room, tmp_path):
         (images / f"{frame}.pgm").write_bytes(b"P5 %d %d 255\n" % (width, height) + bytes(width * height))
     with pytest.raises(ValueError, match=r"no detections of east are given; .*detections=.\"east\": FILE"):
         track(room, {"east": images}, detections={"south": detections_in(room)["south"]})
+
+
+def test_a_target_that_the_first_camera_cannot_see_has_no_box(tmp_path):
+    behind = np.array([-13.0, 9.0])  # the camera `west`
+    assert not np.isfinite(boxes_of("west", behind)).any()
+    files = {}
+    for camera in ("west", "east"):
+        (tmp_path / camera).mkdir()
+        width, height = CAMERAS[camera].size
+        (tmp_path / camera / "seqinfo.ini").write_text(
+            f"[Sequence]\nimWidth={width}\nimHeight={height}\nframeRate=10\nseqLength={COUNT}\n"
+        )
+        places = [behind, PLACE] if camera == "east" else [PLACE]
+        lines = [
+            f"{frame + 1},-1,{x - (w - 1) / 2},{y - (h - 1) / 2},{w},{h},0.9,-1,-1,-1"
+            for frame in range(COUNT)
+            for x, y, w, h in (boxes_of(camera, place)[0] for place in places)
+        ]
+        files[camera] = tmp_path / camera / "boxes.txt"
+        files[camera].write_text("\n".join(lines) + "\n")
+    out = tmp_path / "run"
+    *_, last = track(write_graph(tmp_path, ("west", "east")), None, detections=files, out=out)
+    assert len(last.targets) == 2
+    assert ",-10000." not in (out / "tracks.txt").read_text() + (out / "tracks.csv").read_text()
+    rows = [row for row in csv.DictReader((out / "tracks.csv").open()) if float(row["x_m"]) < -10.0]
+    assert rows
+    assert all(row[name] == "" for row in rows for name in "xywh")
+    assert main(["export", str(out), "--format", "mot", "--out", str(tmp_path / "mot.txt")]) == 0
+    exported, own = (np.loadtxt(path, delimiter=",") for path in (tmp_path / "mot.txt", out / "tracks.txt"))
+    np.testing.assert_allclose(exported, own, atol=1e-5)

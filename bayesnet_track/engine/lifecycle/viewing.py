@@ -21,8 +21,9 @@ from bayesnet_track.engine.lifecycle.measuring import (
 )
 from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.inference.views import UNSEEN, View, Views, cut_covariance, place
+from bayesnet_track.inference.views import View, Views, cut_covariance, place
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import UNSEEN
 from bayesnet_track.numerics.gaussian import chi_square_quantile, symmetric
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair

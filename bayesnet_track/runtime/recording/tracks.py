@@ -21,7 +21,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.cameras import GroundView
+from bayesnet_track.numerics.cameras import UNSEEN, GroundView
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.protocols import BOX
 
@@ -133,8 +133,9 @@ class MotWriter(LineFile):
 
     Frames count from 1, ids from 1 in the order in which targets appear. Pixels count from 0, as everywhere
     here; 3 decimals, the score 6. Without `lost`, a target has no line in frames in which it is lost: a box
-    that nothing speaks for counts as false where several targets are scored. `CsvWriter` has them all. A file
-    that is continued goes on with its `ids`. Of `points` there is no line: they have no box.
+    that nothing speaks for counts as false where several targets are scored. Nor has one that the first
+    camera cannot see. `CsvWriter` has them all. A file that is continued goes on with its `ids`. Of `points`
+    there is no line: they have no box.
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class MotWriter(LineFile):
         rows = zip(tracked.targets, tracked.statuses, tracked.corners, tracked.scores, strict=True)
         for target, status, corner, score in rows:
             identity = self.ids.setdefault(target, len(self.ids) + 1)
-            if self._lost or status not in NOT_SHOWN:
+            if corner[0] > UNSEEN[0] and (self._lost or status not in NOT_SHOWN):
                 cells += (number, identity, *corner, score if abs(score) >= LEAST_SCORE else 0.0)
         if cells:
             self.append("\n".join([MOT_LINE] * (len(cells) // 7)) % tuple(cells))
@@ -176,7 +177,8 @@ class CsvWriter(LineFile):
     """CSV with the header `CSV_COLUMNS`, then a column for each of `number_columns` of a target.
 
     frame (from 0), time_s, target, x, y, w, h (top-left corner, width, height, px), status, score (0..1),
-    ud_px2, active (agents that gave evidence, separated by spaces). Of `points` w and h are empty.
+    ud_px2, active (agents that gave evidence, separated by spaces). Of `points` w and h are empty;
+    of what the first camera cannot see x, y, w and h.
     """
 
     def __init__(
@@ -192,6 +194,7 @@ class CsvWriter(LineFile):
         """Add the lines of one frame to the next flush."""
         first = (tracked.frame, _fix(tracked.time_s, 6))
         cells: list[Any] = []
+        lines: list[str] = []
         rows = zip(
             tracked.targets,
             tracked.corners,
@@ -204,10 +207,11 @@ class CsvWriter(LineFile):
         )
         for target, corner, status, score, ud, active, end in rows:
             score, ud = score if abs(score) >= LEAST_SCORE else 0.0, ud if abs(ud) >= 0.0005 else 0.0
-            place = corner[:2] if self._points else corner
+            is_seen = corner[0] > UNSEEN[0]
+            place = () if not is_seen else corner[:2] if self._points else corner
+            lines.append(_CSV_UNSEEN if not is_seen else _CSV_OF_POINTS if self._points else _CSV)
             cells += (*first, _cell(target), *place, _cell(status), score, ud, _cell(active) + end)
-        line = _CSV_OF_POINTS if self._points else _CSV
-        self.append("\n".join([line] * len(tracked.targets)) % tuple(cells))
+        self.append("\n".join(lines) % tuple(cells))
 
     def _ends(self, tracked: Tracked) -> list[str]:
         """The cells of queries of each line."""
@@ -220,6 +224,7 @@ class CsvWriter(LineFile):
 MOT_LINE = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.6f,-1,-1,-1"
 _CSV = "%d,%s,%s,%.3f,%.3f,%.3f,%.3f,%s,%.6f,%.3f,%s"
 _CSV_OF_POINTS = "%d,%s,%s,%.3f,%.3f,,,%s,%.6f,%.3f,%s"
+_CSV_UNSEEN = "%d,%s,%s,,,,,%s,%.6f,%.3f,%s"
 LEAST_LENGTH, LEAST_SCORE = 0.0005, 0.0000005
 """A length, or a score, below it is written as 0, without a sign."""
 
