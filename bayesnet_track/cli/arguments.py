@@ -154,13 +154,6 @@ gradient = number("a number above 0, at most 100 is needed", most=100.0)
 share = number("a number above 0, at most 1 is needed", most=1.0)
 
 
-def cells(text: str) -> int:
-    """Parser of the cells of a shape grid."""
-    if not (text.isascii() and text.isdigit() and 4 <= int(text[:4]) <= 64 and len(text) < 4):
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 4 to 64 is needed")
-    return int(text)
-
-
 FORMS = ("mot", "boxes", "corners", "polygons")
 """Those of `evaluate.truth`, which is not imported before it is needed."""
 

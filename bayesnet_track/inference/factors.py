@@ -34,7 +34,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.observation.protocols import BOX, Errors, Seen
+from bayesnet_track.observation.protocols import Errors, Seen
 
 Value = Floats | float
 
@@ -392,23 +392,3 @@ def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair)
         return np.stack([np.broadcast_to(values_of(term, names), (size,)) for term in terms], axis=1)
 
     return Seen(values, np.array([period_of(term, functions.constants) for term in terms]))
-
-
-def note_undefined(
-    agent: str, measured: Measurement, hypotheses: Hypotheses, found: MutableMapping[str, Undefined]
-) -> None:
-    """Write down of which quantities hypotheses have no value."""
-    if measured.seen is None:
-        return
-    states = {**{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX)}, **hypotheses.fields}
-    values = measured.seen.function(states)
-    unknown = (~np.isfinite(values)).sum(axis=0)
-    for name, count in zip(measured.fields, unknown.tolist(), strict=True):
-        if count:
-            found.setdefault(f"measures {agent}.{name}", Undefined(count, len(hypotheses)))
-    if measured.errors is None:
-        return
-    without = (~np.isfinite(measured.errors.log_density(states, np.zeros_like(values)))).sum(axis=0)
-    for name, count in zip(measured.fields, without.tolist(), strict=True):
-        if count:
-            found.setdefault(f"sd {agent}.{name}", Undefined(count, len(hypotheses)))

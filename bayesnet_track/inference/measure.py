@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import GroupMeasures, Inside, Measures, PartMeasure
+from bayesnet_track.adapt.rule_inputs import GroupMeasures, Inside, Measures, PartMeasure, PartStatus
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import join_plain, without
-from bayesnet_track.inference.parts import PartBelief, measure_parts, part_beliefs, part_of_agents
+from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import weighted_mass_in_disc
 from bayesnet_track.numerics.log_weights import divergences, select, tilt, uncertainty_deviation
@@ -221,7 +221,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     parts = part_beliefs(plan, evidence, step.support.weights)
     uds = _node_uds(target, step, beliefs, parts)
     silent = silent_of(evidence)
-    at_parts = measure_parts(target, evidence, parts, uds)
+    at_parts = _measure_parts(target, evidence, parts, uds)
     seeing = _that_see(target, agents, silent, at_parts)
     return Measures(
         ud_px2=uds,
@@ -240,6 +240,33 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
             if _asks_for_the_dispensable(target, governor)
         },
     )
+
+
+def _measure_parts(
+    target: CheckedTarget,
+    evidence: Evidence,
+    beliefs: Mapping[str, PartBelief],
+    ud_px2: Mapping[str, float],
+) -> dict[str, PartMeasure]:
+    """Part -> its measures; `ud_px2` holds the UD of every inference node."""
+    part_of = part_of_agents(target) if beliefs else {}
+    found: dict[str, PartMeasure] = {}
+    for part, belief in beliefs.items():
+        own = [agent for agent in target.agents if part_of.get(agent) == part and agent in evidence.messages]
+        status = _status(target, evidence, own, belief.weights.weights)
+        found[part] = PartMeasure(belief.mean, belief.sd, ud_px2[part], status)
+    return found
+
+
+def _status(target: CheckedTarget, evidence: Evidence, agents: list[str], weights: Floats) -> PartStatus:
+    """Seen when the likelihood of the belief, its geometric mean over draws and agents, is high enough."""
+    seeing = [agent for agent in agents if evidence.measured.get(agent, evidence) is not None]
+    if not seeing:
+        return "hidden" if agents else "unwatched"
+    kept = weights > 0
+    fits = [float(weights[kept] @ evidence.messages[agent][kept]) for agent in seeing]
+    lost = target.lost
+    return "seen" if np.exp(np.mean(fits)) >= lost.fit_below else "hidden"
 
 
 def _left(target: CheckedTarget, plan: Plan, step: Step[Posterior], agents: Sequence[str]) -> list[Floats]:

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from types import MappingProxyType
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
+from bayesnet_track.belief.motion.composed import field_of
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.asking import Missing
 from bayesnet_track.inference.compile import Observe, Plan
-from bayesnet_track.inference.factors import (
-    at_prediction,
-    draw_given,
-    log_given,
-    note_undefined,
-    read_as,
-    weigh,
-)
+from bayesnet_track.inference.factors import at_prediction, draw_given, log_given, read_as, weigh
 from bayesnet_track.inference.gaussian_messages import (
     grid_message,
     kernel_message,
@@ -32,7 +26,7 @@ from bayesnet_track.inference.gaussian_messages import (
     to_power,
 )
 from bayesnet_track.inference.observe import Answer, Observer, Question, ask_each, known_answers, remember
-from bayesnet_track.inference.parts import deviating_boxes, part_boxes
+from bayesnet_track.inference.parts import part_boxes
 from bayesnet_track.inference.views import through
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociatingCue, Hypotheses, Measurement
@@ -88,7 +82,7 @@ def evaluate(
                 answer = read_as(answer, step.functions, observer.cache.frames)
                 if answer.errors is not None:
                     answer = _at_prediction(answer, step, observer, at[step.at], prior_log)
-                note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
+                _note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
             if not answer.choices and not isinstance(observer.cues[step.agent], AssociatingCue):
                 constants[step.agent] = answer.log_constant / step.temperature
             answer = to_power(answer, 1.0 / step.temperature)
@@ -113,6 +107,26 @@ def evaluate(
     at_root = _log_constants(plan, constants, present)
     heard = (joined.gaussians, joined.sampled, measured, factors, at_root)
     return Evidence(total, said, latent, faults, *heard)
+
+
+def _note_undefined(
+    agent: str, measured: Measurement, hypotheses: Hypotheses, found: MutableMapping[str, Undefined]
+) -> None:
+    """Write down of which quantities hypotheses have no value."""
+    if measured.seen is None:
+        return
+    states = {**{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX)}, **hypotheses.fields}
+    values = measured.seen.function(states)
+    unknown = (~np.isfinite(values)).sum(axis=0)
+    for name, count in zip(measured.fields, unknown.tolist(), strict=True):
+        if count:
+            found.setdefault(f"measures {agent}.{name}", Undefined(count, len(hypotheses)))
+    if measured.errors is None:
+        return
+    without = (~np.isfinite(measured.errors.log_density(states, np.zeros_like(values)))).sum(axis=0)
+    for name, count in zip(measured.fields, without.tolist(), strict=True):
+        if count:
+            found.setdefault(f"sd {agent}.{name}", Undefined(count, len(hypotheses)))
 
 
 def _log_constants(plan: Plan, constants: Mapping[str, float], present: set[str]) -> dict[str, float]:
@@ -316,11 +330,22 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
             continue
         around = part_boxes(step.given, above.boxes)
         if step.moves:
-            boxes = deviating_boxes(step.node, around, hypotheses.fields)
+            boxes = _deviating_boxes(step.node, around, hypotheses.fields)
         else:
             boxes = sample_noise(step.given, around, rng)
         at[step.node] = Hypotheses(boxes, above.fields)
     return {**views, **{step.node: at[step.node] for step in plan.draws}}
+
+
+def _deviating_boxes(node: str, places: Floats, fields: Mapping[str, Floats]) -> Floats:
+    """(N, 4) boxes of a node that moves, from its places (N, 4) and the deviations in fields of the state."""
+    boxes = places.copy()
+    for column, axis in enumerate(BOX_FIELDS):
+        own = fields.get(field_of(node, axis))
+        if own is not None:
+            boxes[:, column] += own
+    np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+    return boxes
 
 
 def _region(at: Mapping[str, Hypotheses]) -> Region:

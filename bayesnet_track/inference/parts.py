@@ -22,9 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import PartMeasure, PartStatus
-from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
-from bayesnet_track.belief.motion.composed import field_of
+from bayesnet_track.adapt.rule_inputs import PartMeasure
+from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given, Learn
 from bayesnet_track.inference.compile import Fusion, Plan
@@ -60,17 +59,6 @@ def part_boxes(given: Given, above: Floats) -> Floats:
     if matrix is None:
         return above
     boxes = above @ matrix.T
-    np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
-    return boxes
-
-
-def deviating_boxes(node: str, places: Floats, fields: Mapping[str, Floats]) -> Floats:
-    """(N, 4) boxes of a node that moves, from its places (N, 4) and the deviations in fields of the state."""
-    boxes = places.copy()
-    for column, axis in enumerate(BOX_FIELDS):
-        own = fields.get(field_of(node, axis))
-        if own is not None:
-            boxes[:, column] += own
     np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
     return boxes
 
@@ -166,33 +154,6 @@ def _weigh(posterior: LogWeights, further: Floats | float) -> LogWeights:
         return posterior.times(further)[0]
     except DegenerateWeights:
         return posterior
-
-
-def measure_parts(
-    target: CheckedTarget,
-    evidence: Evidence,
-    beliefs: Mapping[str, PartBelief],
-    ud_px2: Mapping[str, float],
-) -> dict[str, PartMeasure]:
-    """Part -> its measures; `ud_px2` holds the UD of every inference node."""
-    part_of = part_of_agents(target) if beliefs else {}
-    found: dict[str, PartMeasure] = {}
-    for part, belief in beliefs.items():
-        own = [agent for agent in target.agents if part_of.get(agent) == part and agent in evidence.messages]
-        status = _status(target, evidence, own, belief.weights.weights)
-        found[part] = PartMeasure(belief.mean, belief.sd, ud_px2[part], status)
-    return found
-
-
-def _status(target: CheckedTarget, evidence: Evidence, agents: list[str], weights: Floats) -> PartStatus:
-    """Seen when the likelihood of the belief, its geometric mean over draws and agents, is high enough."""
-    seeing = [agent for agent in agents if evidence.measured.get(agent, evidence) is not None]
-    if not seeing:
-        return "hidden" if agents else "unwatched"
-    kept = weights > 0
-    fits = [float(weights[kept] @ evidence.messages[agent][kept]) for agent in seeing]
-    lost = target.lost
-    return "seen" if np.exp(np.mean(fits)) >= lost.fit_below else "hidden"
 
 
 def part_rates(

@@ -81,16 +81,6 @@ def stack_of(path: Path) -> Stack | None:
         ) from error
 
 
-def is_animated_png(path: Path) -> bool:
-    """True if a file is a PNG of several frames, which is read as a video."""
-    try:
-        with path.open("rb") as file:
-            pages = pages_of(path.name, file.read(HEAD_BYTES)) if path.suffix.lower() == ".png" else None
-    except OSError:
-        return False
-    return pages is not None
-
-
 def _bytes_of(path: Path) -> bytearray:
     """All of a file, to be changed; raises OSError, PictureError."""
     size = path.stat().st_size

@@ -215,24 +215,6 @@ def corner_boxes(box: Floats, sizes: Floats, numbers: Sequence[int], name: str) 
     return found * np.tile(sizes, 2) if shares else found
 
 
-def check_rivals(layout: Layout, rows: Sequence[NumberedRow], name: str) -> None:
-    """Raise ValueError where two columns say differently which frame or which target a row is of."""
-    for (read, at), (other, beside) in layout.rivals:
-        pairs = [(words[at].strip(), words[beside].strip()) for _, words in rows]
-        known = dict(pairs)
-        back = {second: first for first, second in pairs}
-        if len(known) != len(set(pairs)) or len(back) != len(set(pairs)):
-            line = next(
-                number
-                for (number, _), (first, second) in zip(rows, pairs, strict=True)
-                if known[first] != second or back[second] != first
-            )
-            raise ValueError(
-                f"{name}:{line}: the header fits two readings: the columns {read!r} and {other!r} part the "
-                "rows in different ways; remove the one that is not meant, or rename it"
-            )
-
-
 LARGE = 1 << 22
 """Bytes from which on a file is read in blocks."""
 _BLOCK = 1 << 23

@@ -30,15 +30,7 @@ from bayesnet_track.sources.entrances.text_lines import (
     split_lines,
     whole,
 )
-from bayesnet_track.sources.mot_blocks import (
-    KITTI,
-    Layout,
-    NumberedRow,
-    check_rivals,
-    corner_boxes,
-    is_kitti,
-    layout_of,
-)
+from bayesnet_track.sources.mot_blocks import KITTI, Layout, NumberedRow, corner_boxes, is_kitti, layout_of
 
 COLUMNS = "frame,id,left,top,width,height,confidence,..."
 LEAST, MOST = 6, 10
@@ -182,7 +174,7 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
     rows = np.full((len(numbers), MOST), np.nan)
     if values:
         rows[:, 2:7] = values
-    check_rivals(layout, doubled, lines.name)
+    _check_rivals(layout, doubled, lines.name)
     if layout.sizes is not None and values:
         rows[:, 2:6] = corner_boxes(rows[:, 2:6], np.array(sizes), numbers, lines.name)
     elif layout.has_corners:
@@ -191,6 +183,24 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
     if layout is KITTI:
         rows[classes == NOT_COUNTED, 6] = 0.0
     return Rows(numbers, frames, _ids_of(id_words), rows, classes, wrong, odd, layout.first_frame)
+
+
+def _check_rivals(layout: Layout, rows: Sequence[NumberedRow], name: str) -> None:
+    """Raise ValueError where two columns say differently which frame or which target a row is of."""
+    for (read, at), (other, beside) in layout.rivals:
+        pairs = [(words[at].strip(), words[beside].strip()) for _, words in rows]
+        known = dict(pairs)
+        back = {second: first for first, second in pairs}
+        if len(known) != len(set(pairs)) or len(back) != len(set(pairs)):
+            line = next(
+                number
+                for (number, _), (first, second) in zip(rows, pairs, strict=True)
+                if known[first] != second or back[second] != first
+            )
+            raise ValueError(
+                f"{name}:{line}: the header fits two readings: the columns {read!r} and {other!r} part the "
+                "rows in different ways; remove the one that is not meant, or rename it"
+            )
 
 
 def _class_name(word: str) -> str:

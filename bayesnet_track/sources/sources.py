@@ -7,11 +7,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayesnet_track.observation.image_files import pages_of
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceItem
-from bayesnet_track.sources.images import is_animated_png
+from bayesnet_track.sources.images import HEAD_BYTES
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import (
     _SCHEME,
@@ -132,7 +133,7 @@ def make_reader(
         if path.is_file():
             if not os.access(path, os.R_OK):
                 raise SourceError(text, "permission denied", KINDS, "make the file readable")
-            if path.suffix.lower() in IMAGE_SUFFIXES and not is_animated_png(path):
+            if path.suffix.lower() in IMAGE_SUFFIXES and not _is_animated_png(path):
                 return _images(text, [path], value_range)
             if path.suffix.lower() in DETECTION_SUFFIXES:
                 return _without_images(text)
@@ -146,6 +147,16 @@ def make_reader(
     if glob.has_magic(text):
         return _images(text, _matching(text), value_range)
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def _is_animated_png(path: Path) -> bool:
+    """True if a file is a PNG of several frames, which is read as a video."""
+    try:
+        with path.open("rb") as file:
+            pages = pages_of(path.name, file.read(HEAD_BYTES)) if path.suffix.lower() == ".png" else None
+    except OSError:
+        return False
+    return pages is not None
 
 
 def _without_images(text: str) -> Reader:

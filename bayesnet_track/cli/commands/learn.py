@@ -11,7 +11,6 @@ from bayesnet_track.cli.arguments import (
     OK,
     UsageError,
     add_truth_format,
-    cells,
     complain,
     gradient,
     say,
@@ -141,7 +140,7 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
     add_truth_format(shape)
     add_range_option(shape)
     shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
-    shape.add_argument("--grid", type=cells, default=16, metavar="G", help="cells per side (default 16)")
+    shape.add_argument("--grid", type=_cells, default=16, metavar="G", help="cells per side (default 16)")
     shape.add_argument(
         "--keep",
         type=share,
@@ -163,6 +162,13 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="G",
         help="gradient where an edge starts, gray levels per pixel (default 8)",
     )
+
+
+def _cells(text: str) -> int:
+    """Parser of the cells of a shape grid."""
+    if not (text.isascii() and text.isdigit() and 4 <= int(text[:4]) <= 64 and len(text) < 4):
+        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 4 to 64 is needed")
+    return int(text)
 
 
 ESTIMATED = ("sd_depth_m", "sd_spread_m", "sd_height_m", "sd_log_shape", "sd_valid")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -15,7 +16,6 @@ from bayesnet_track.graph.checks.plates import (
     Check,
     Plate,
     discrete_fields,
-    discrete_numbers,
     fields_of_motion,
     further_fields,
     is_seen,
@@ -37,7 +37,7 @@ from bayesnet_track.graph.expressions.terms import (
     names_in,
     walk,
 )
-from bayesnet_track.graph.spec import AgentNode, FactorNode, Given, GraphSpec
+from bayesnet_track.graph.spec import AgentNode, FactorNode, Given, GraphSpec, InferenceNode
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions, nearest
 from bayesnet_track.graphs import graph_folder
 from bayesnet_track.observation.image_files import Mask, PictureError, read_mask
@@ -289,9 +289,17 @@ def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
     errors = {quantity: parse(text, error=True) for quantity, text in noises_of(plate, node).items()}
     used = {one for term in (*terms.values(), *errors.values()) for one in names_in(term)}
     constants = {name: value for name, value in _constants(plate).items() if name in used}
-    discrete = discrete_numbers(plate.inference[plate.roots[0]])
+    discrete = _discrete_numbers(plate.inference[plate.roots[0]])
     late = _late_fields(plate, node) if delay_of(node) else ()
     return MeasuredAs(terms, constants, errors, discrete, delay_of(node), late)
+
+
+def _discrete_numbers(root: InferenceNode) -> dict[str, tuple[int, ...]]:
+    """The number of the mode, and of each category's value, in each of their combinations, in order."""
+    sizes = {"mode": len(root.modes or [""])}
+    sizes |= {name: len(one.values) for name, one in (root.category or {}).items()}
+    combinations = zip(*product(*map(range, sizes.values())), strict=True)
+    return dict(zip(sizes, combinations, strict=True)) if discrete_fields(root) else {}
 
 
 def delay_of(node: AgentNode) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 
 from bayesnet_track.graph.checked import Calibration
 from bayesnet_track.graph.expressions.terms import WORDS
@@ -200,14 +199,6 @@ def ground_fields(target: Target) -> tuple[str, ...]:
 def discrete_fields(root: InferenceNode) -> tuple[str, ...]:
     """Names in expressions of a root that has modes or categories."""
     return (*(("mode",) if root.modes else ()), *(root.category or ()))
-
-
-def discrete_numbers(root: InferenceNode) -> dict[str, tuple[int, ...]]:
-    """The number of the mode, and of each category's value, in each of their combinations, in order."""
-    sizes = {"mode": len(root.modes or [""])}
-    sizes |= {name: len(one.values) for name, one in (root.category or {}).items()}
-    combinations = zip(*product(*map(range, sizes.values())), strict=True)
-    return dict(zip(sizes, combinations, strict=True)) if discrete_fields(root) else {}
 
 
 def numbers_of(root: InferenceNode) -> dict[str, float]:

@@ -17,9 +17,17 @@ from bayesnet_track.graph.checks.plates import (
     numbers_of_kinds,
     root_of,
 )
-from bayesnet_track.graph.expressions.evaluate import is_condition
+from bayesnet_track.graph.expressions.evaluate import CONDITIONS
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import FRAME_NAMES, FRAME_S, WORDS, ExpressionError, names_in
+from bayesnet_track.graph.expressions.terms import (
+    FRAME_NAMES,
+    FRAME_S,
+    WORDS,
+    Call,
+    ExpressionError,
+    Term,
+    names_in,
+)
 from bayesnet_track.graph.settings.queries import MOST_CORNERS, Query
 from bayesnet_track.graph.spec import GraphSpec, Target
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
@@ -77,9 +85,9 @@ def queries_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[Graph
                 yield positions.inside(_explain(message, error, query), error.at)
                 continue
             names_read = names_in(term)
-            if query.kind == "value" and is_condition(term):
+            if query.kind == "value" and _is_condition(term):
                 yield positions.message(path, "a condition, which is true or false", f'probability: "{text}"')
-            if query.kind != "value" and not is_condition(term):
+            if query.kind != "value" and not _is_condition(term):
                 problem = "a number, which has no probability"
                 yield positions.message(
                     path, problem, f'a condition such as "{text[:60]} > 0", or value: for the number'
@@ -90,6 +98,16 @@ def queries_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[Graph
                 problem = "a pair of which only one target is read"
                 advice = f"a.x and b.x in the expression, or of: {query.kinds[0]} with x"
                 yield positions.message(path, problem, advice)
+
+
+def _is_condition(term: Term) -> bool:
+    """True of a comparison, or of conditions joined by and, or, not.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> is_condition(parse("x > 3 and not y < 2")), is_condition(parse("where(x > 3, 1, 0)"))
+    (True, False)
+    """
+    return isinstance(term, Call) and term.function in CONDITIONS
 
 
 def names_in_query(spec: GraphSpec, query: Query) -> tuple[str, ...]:

@@ -11,17 +11,9 @@ from pydantic import BaseModel, Tag, ValidationError
 
 from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
 from bayesnet_track.graph.settings.net import node_kind
-from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
+from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.graph.text.document import MAX_BYTES
-from bayesnet_track.graph.text.hints import (
-    Shape,
-    expects,
-    hint_of,
-    is_like_node,
-    misplaced,
-    shape_of,
-    without_nodes,
-)
+from bayesnet_track.graph.text.hints import A_NODE, NODE_KEYS, Shape, expects, hint_of, is_like_node, shape_of
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
     GraphError,
@@ -149,7 +141,7 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Ke
         message = at.message(path[:-1], f"key {name!r} is missing", _allowed(steps))
         if owner is not Target or name != "nodes":
             return message
-        return replace(message, allowed="nodes by name, indented below it", hint=without_nodes(parent.value))
+        return replace(message, allowed="nodes by name, indented below it", hint=_without_nodes(parent.value))
     if isinstance(owner, type) and issubclass(owner, PluginChoice):
         if kind == "value_error":
             found, allowed = "parameters that are not plain data", "words, finite numbers, lists and mappings"
@@ -170,6 +162,14 @@ def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Ke
     found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
     word = last.value if isinstance(last.value, str) else ""
     return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
+
+
+def _without_nodes(target: Any) -> str:
+    """Hint for a target without the key `nodes`; empty where nothing in it looks like a node."""
+    nodes = [name for name, value in target.items() if name not in NODE_KEYS and is_like_node(value)]
+    if nodes:
+        return f"`{nodes[0]}` looks like a node: write `nodes:` above it and indent the nodes under it"
+    return A_NODE if is_like_node(target) else ""
 
 
 def _allowed(steps: list[_Step]) -> str:
@@ -197,8 +197,42 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, at: Positi
     elif owner in NODES:
         found += f" of {NODES[owner]} node"
     message = at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
-    hint = misplaced(word, parent.value, owner) if fields else ""
+    hint = _misplaced(word, parent.value, owner) if fields else ""
     return replace(message, nearest="", hint=hint) if hint else message
+
+
+def _misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
+    """Place where an unknown key of `around`, a value of `model`, belongs: below `nodes` or a key beside it.
+
+    Empty where nothing says so.
+    """
+    if not isinstance(around, Mapping) or word not in around:
+        return ""
+    if issubclass(model, (GraphSpec, Target)) and is_like_node(around[word]):
+        return A_NODE
+    if issubclass(model, Target) and word in GraphSpec.model_fields:
+        return f"`{word}` stands beside `targets:`, not inside a target"
+    names = list(around)
+    before = names.index(word)
+    # A key that stands too far left follows what it belongs to.
+    for name in (*reversed(names[:before]), *names[before:]):
+        inside = {} if around[name] is None else around[name]
+        if isinstance(inside, Mapping) and word not in inside and word in _keys_below(model, name):
+            return f"`{word}` is a key of `{name}`: indent it under `{name}:`"
+    return ""
+
+
+def _keys_below(model: type[BaseModel], name: str) -> set[str]:
+    """The keys that the value of a field may have."""
+    field = model.model_fields.get(name)
+    kinds = shape_of(field.annotation).kinds if field is not None else ()
+    models = [kind for kind in (shape_of(kind).only for kind in kinds) if isinstance(kind, type)]
+    return {
+        key
+        for kind in models
+        if issubclass(kind, BaseModel) and not issubclass(kind, PluginChoice)
+        for key in kind.model_fields
+    }
 
 
 def _bad_choice(last: _Step, name: str, said: str, path: KeyPath, at: Positions) -> GraphMessage:

@@ -7,35 +7,30 @@ of latent nodes with a motion are a part of what the belief is about.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.parse import latex_of, parse, text_of
+from bayesnet_track.graph.expressions.terms import Variable
 from bayesnet_track.graph.settings.lifecycle import Join
+from bayesnet_track.graph.settings.motion import Mode
 from bayesnet_track.graph.settings.net import pool_exponents
-from bayesnet_track.graph.spec import Given, Motion
+from bayesnet_track.graph.spec import Given, Motion, OffsetBox, SizeBox
 from bayesnet_track.graph.text.formula_parts import (
-    describe_held,
     escape,
     given_lines,
     latent_nodes,
     latex_given_lines,
-    latex_mode_lines,
     latex_motion_lines,
-    latex_state,
-    measured_latex_lines,
-    measured_lines,
     mode_lines,
     motion_lines,
     moves,
     noise,
     own_state,
-    place,
     text_state,
-    text_step,
 )
 
 
@@ -89,7 +84,7 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
     before = ", ".join(f"{state}-1" for state in whole.split(", "))
     predicted = f"p({whole} | e_1:t-1)"
     said = "" if factor is None else f" · {_text(factor, inside=False)}"
-    steps = [text_step(own, above) for own, above in moving]
+    steps = [_text_step(own, above) for own, above in moving]
     lines = [
         f"p({whole} | e_1:t) ∝ {predicted}{said}",
         f"{predicted} = ∫ p({whole} | {before}) p({before} | e_1:t-1) d {before}",
@@ -103,16 +98,24 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         if name in target.givens:
             lines += given_lines(target.givens[name], text_state(name))
     lines += [f"{name}({text_state(at)}) = {_expression(one)}" for name, at, one in _weights(target)]
-    lines += measured_lines(target)
+    lines += _measured_lines(target)
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
+
+
+def _measured_lines(target: CheckedTarget) -> Iterator[str]:
+    """Measurements of agents: ``radar: range = hypot(x, y) + noise``, with the constants used."""
+    for agent, functions in target.measures.items():
+        for quantity, term in functions.terms.items():
+            yield f"{agent}: {quantity} = {text_of(term)} + noise"
+        yield from (f"{name} = {value:g}" for name, value in functions.constants.items())
 
 
 def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) -> str:
     """The factorisation as LaTeX (amsmath's `align*`); agents outside `active` are named in a comment."""
     factor = factor_of(target, active)
     states = [target.root, *(own for own, _, _ in latent_nodes(target) if moves(target, own))]
-    root, before = (", ".join(latex_state(one, time) for one in states) for time in ("t", "t-1"))
+    root, before = (", ".join(_latex_state(one, time) for one in states) for time in ("t", "t-1"))
     predicted = rf"p({root} \mid e_{{1:t-1}})"
     said = "" if factor is None else rf" \, {_latex(factor, inside=False)}"
     lines = [
@@ -120,18 +123,18 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
         rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
         rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
     ]
-    rows = [*latex_motion_lines(target), *latex_mode_lines(target, root, before)]
+    rows = [*latex_motion_lines(target), *_latex_mode_lines(target, root, before)]
     comments = [f"% {line}" for line in mode_lines(target, _motion)]
     for name, given, law_of in latent_nodes(target):
         if name in target.givens:
-            rows += latex_given_lines(target.givens[name], latex_state(name))
+            rows += latex_given_lines(target.givens[name], _latex_state(name))
         else:
             comments.append(f"% {_law(target, name, given, law_of)}")
     rows += [
         rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}"
         for name, at, one in _weights(target)
     ]
-    for row in (*rows, *measured_latex_lines(target)):
+    for row in (*rows, *_measured_latex_lines(target)):
         lines[-1] += r" \\"
         lines.append(row)
     lines += [r"\end{align*}", *comments]
@@ -139,15 +142,85 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
     return "\n".join([*lines, f"% left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
 
+def _latex_mode_lines(target: CheckedTarget, now: str, before: str) -> list[str]:
+    """The joint prediction of state and mode, and how modes follow, as rows of `align*`; none without modes.
+
+    `now` and `before` are the root's state in this frame and the last. Rows and columns of the matrix are in
+    the order of the graph.
+    """
+    modes = target.inference(target.root).modes
+    if modes is None:
+        return []
+    kernel = rf"p({now} \mid {before}, m_{{t}}) \, p({before}, m_{{t-1}} \mid e_{{1:t-1}})"
+    predicted = rf"p({now}, m_{{t}} \mid e_{{1:t-1}})"
+    chain = r"P(m_{t} \mid m_{t-1})"
+    rows = r" \\ ".join(" & ".join(f"{value:.3g}" for value in row) for row in _matrix(modes))
+    matrix = rf"\begin{{pmatrix}} {rows} \end{{pmatrix}}"
+    by_steps = next(iter(modes.values())).next is not None
+    power = rf"{matrix}^{{\Delta t}}" if by_steps else rf"\exp\left(\Delta t \, {matrix}\right)"
+    return [
+        rf"{predicted} &= \sum_{{m_{{t-1}}}} {chain} \int {kernel} \, d{before}",
+        rf"{chain} &= \left[{power}\right]_{{m_{{t-1}}, m_{{t}}}}",
+    ]
+
+
+def _matrix(modes: Mapping[str, Mode]) -> list[list[float]]:
+    """Transition probabilities of one frame interval, or rates, of each mode (rows) to each (columns)."""
+    rows = []
+    for name, mode in modes.items():
+        if mode.next is not None:
+            rows.append([mode.next.get(other, 0.0) for other in modes])
+            continue
+        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
+        rate, total = 1.0 / (mode.mean_frames or 1.0), sum(follow.values())
+        rows.append([-rate if other == name else rate * follow.get(other, 0.0) / total for other in modes])
+    return rows
+
+
+def _measured_latex_lines(target: CheckedTarget) -> Iterator[str]:
+    """The same as rows of amsmath's `align*`, without the ends of lines."""
+    for agent, functions in target.measures.items():
+        for quantity, term in functions.terms.items():
+            left = latex_of(Variable(f"{agent}.{quantity}"))
+            yield rf"{left} &= {latex_of(term)} + \varepsilon"
+        yield from (f"{latex_of(Variable(name))} &= {value:g}" for name, value in functions.constants.items())
+
+
 def _law(target: CheckedTarget, name: str, given: str, law_of: Given) -> str:
     """The law of a latent state given the one above, in words."""
-    law = f"Gaussian{place(law_of)}, {noise(law_of)}"
+    law = f"Gaussian{_place(law_of)}, {noise(law_of)}"
     if name not in target.givens and moves(target, name):
         walk = target.inference(name).motion
         assert walk is not None
-        return f"{text_step(name, given)}: {law} in the long run, {noise(walk.settings)} a frame"
+        return f"{_text_step(name, given)}: {law} in the long run, {noise(walk.settings)} a frame"
     said = "by expressions" if name in target.givens else law
-    return f"p({text_state(name)} | {text_state(given)}): {said}{describe_held(target, name)}"
+    return f"p({text_state(name)} | {text_state(given)}): {said}{_describe_held(target, name)}"
+
+
+def _place(given: Given) -> str:
+    """Place of a part in its parent's box."""
+    if not given.is_part:
+        return ""
+    at, size = given.offset_box or OffsetBox(), given.size_box or SizeBox()
+    x, y = (
+        name if share == 0 else f"{name} {'-' if share < 0 else '+'} {abs(share):g} {side}"
+        for name, share, side in (("x", at.x, "w"), ("y", at.y, "h"))
+    )
+    return f" around ({x}, {y}), {size.w:g} w by {size.h:g} h"
+
+
+def _describe_held(target: CheckedTarget, state: str) -> str:
+    """Form of a latent state that is not held by hypotheses."""
+    belief = target.inference(state).belief if state in target.children else None
+    if belief is None or belief.particles is not None:
+        return ""
+    return "; its likelihood a Gaussian" if belief.gaussian is not None else "; its likelihood on a grid"
+
+
+def _text_step(own: str, above: str) -> str:
+    """Motion of a state that is remembered."""
+    state, given = text_state(own), text_state(above)
+    return f"p({state} | {given}, {state}-1, {given}-1)"
 
 
 def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> Factor | None:
@@ -191,12 +264,12 @@ def _text(factor: Factor, inside: bool) -> str:
 def _latex(factor: Factor, inside: bool) -> str:
     match factor:
         case Likelihood(agent, state):
-            return rf"p(e_{{\mathrm{{{escape(agent)}}}}} \mid {latex_state(state)})"
+            return rf"p(e_{{\mathrm{{{escape(agent)}}}}} \mid {_latex_state(state)})"
         case Weight(name, state):
             return _latex_weight(name, state)
         case Integral(own, given, inner):
-            state = latex_state(own)
-            kernel = rf"p({state} \mid {latex_state(given)})"
+            state = _latex_state(own)
+            kernel = rf"p({state} \mid {_latex_state(given)})"
             return rf"\left[\int {kernel} \, {_latex(inner, inside=False)} \, d{state}\right]"
         case Product(factors):
             parts = (_latex(one, inside=True) + _latex_power(weight) for one, weight in factors)
@@ -245,7 +318,12 @@ def _expression(factor: Expression) -> str:
 
 
 def _latex_weight(name: str, state: str) -> str:
-    return rf"\mathrm{{{escape(name)}}}({latex_state(state)})"
+    return rf"\mathrm{{{escape(name)}}}({_latex_state(state)})"
+
+
+def _latex_state(name: str, time: str = "t") -> str:
+    """A state as LaTeX."""
+    return rf"\mathit{{{escape(name)}}}_{{{time}}}"
 
 
 def _latex_constants(factor: Expression) -> str:

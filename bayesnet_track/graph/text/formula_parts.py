@@ -9,17 +9,12 @@ from bayesnet_track.graph.checks.motion import drift_of, sds_of
 from bayesnet_track.graph.expressions.parse import latex_of, text_of
 from bayesnet_track.graph.expressions.terms import DRAWN, Call, Number, Term, Variable, names_in
 from bayesnet_track.graph.settings.motion import Mode, Motion
-from bayesnet_track.graph.spec import Given, Noise, OffsetBox, SizeBox
+from bayesnet_track.graph.spec import Given, Noise
 
 
 def text_state(name: str) -> str:
     """A state at the time of a frame."""
     return f"{name}_t"
-
-
-def latex_state(name: str, time: str = "t") -> str:
-    """A state as LaTeX."""
-    return rf"\mathit{{{escape(name)}}}_{{{time}}}"
 
 
 def escape(name: str) -> str:
@@ -54,32 +49,6 @@ def moves(target: CheckedTarget, state: str) -> bool:
     return state in target.children and state != target.root and target.inference(state).motion is not None
 
 
-def text_step(own: str, above: str) -> str:
-    """Motion of a state that is remembered."""
-    state, given = text_state(own), text_state(above)
-    return f"p({state} | {given}, {state}-1, {given}-1)"
-
-
-def describe_held(target: CheckedTarget, state: str) -> str:
-    """Form of a latent state that is not held by hypotheses."""
-    belief = target.inference(state).belief if state in target.children else None
-    if belief is None or belief.particles is not None:
-        return ""
-    return "; its likelihood a Gaussian" if belief.gaussian is not None else "; its likelihood on a grid"
-
-
-def place(given: Given) -> str:
-    """Place of a part in its parent's box."""
-    if not given.is_part:
-        return ""
-    at, size = given.offset_box or OffsetBox(), given.size_box or SizeBox()
-    x, y = (
-        name if share == 0 else f"{name} {'-' if share < 0 else '+'} {abs(share):g} {side}"
-        for name, share, side in (("x", at.x, "w"), ("y", at.y, "h"))
-    )
-    return f" around ({x}, {y}), {size.w:g} w by {size.h:g} h"
-
-
 def noise(noise: Noise) -> str:
     """The sds of noise, with their units."""
     parts = (
@@ -110,23 +79,6 @@ def latex_given_lines(given: Conditional, state: str) -> Iterator[str]:
         drawn = _distribution(term)
         sign, shown = ("=", latex_of(term)) if drawn is None else (r"\sim", _latex(drawn))
         yield rf"{name}({state}) &{sign} {shown}"
-
-
-def measured_lines(target: CheckedTarget) -> Iterator[str]:
-    """Measurements of agents: ``radar: range = hypot(x, y) + noise``, with the constants used."""
-    for agent, functions in target.measures.items():
-        for quantity, term in functions.terms.items():
-            yield f"{agent}: {quantity} = {text_of(term)} + noise"
-        yield from (f"{name} = {value:g}" for name, value in functions.constants.items())
-
-
-def measured_latex_lines(target: CheckedTarget) -> Iterator[str]:
-    """The same as rows of amsmath's `align*`, without the ends of lines."""
-    for agent, functions in target.measures.items():
-        for quantity, term in functions.terms.items():
-            left = latex_of(Variable(f"{agent}.{quantity}"))
-            yield rf"{left} &= {latex_of(term)} + \varepsilon"
-        yield from (f"{latex_of(Variable(name))} &= {value:g}" for name, value in functions.constants.items())
 
 
 def _latex(drawn: Call) -> str:
@@ -199,41 +151,6 @@ def mode_lines(target: CheckedTarget, describe: Callable[[Motion], str]) -> list
         prior = one.prior or dict.fromkeys(one.values, 1.0 / len(one.values))
         lines.append(f"{name}: {', '.join(f'{value} {prior[value]:.3g}' for value in one.values)}, and stays")
     return lines
-
-
-def latex_mode_lines(target: CheckedTarget, now: str, before: str) -> list[str]:
-    """The joint prediction of state and mode, and how modes follow, as rows of `align*`; none without modes.
-
-    `now` and `before` are the root's state in this frame and the last. Rows and columns of the matrix are in
-    the order of the graph.
-    """
-    modes = target.inference(target.root).modes
-    if modes is None:
-        return []
-    kernel = rf"p({now} \mid {before}, m_{{t}}) \, p({before}, m_{{t-1}} \mid e_{{1:t-1}})"
-    predicted = rf"p({now}, m_{{t}} \mid e_{{1:t-1}})"
-    chain = r"P(m_{t} \mid m_{t-1})"
-    rows = r" \\ ".join(" & ".join(f"{value:.3g}" for value in row) for row in _matrix(modes))
-    matrix = rf"\begin{{pmatrix}} {rows} \end{{pmatrix}}"
-    by_steps = next(iter(modes.values())).next is not None
-    power = rf"{matrix}^{{\Delta t}}" if by_steps else rf"\exp\left(\Delta t \, {matrix}\right)"
-    return [
-        rf"{predicted} &= \sum_{{m_{{t-1}}}} {chain} \int {kernel} \, d{before}",
-        rf"{chain} &= \left[{power}\right]_{{m_{{t-1}}, m_{{t}}}}",
-    ]
-
-
-def _matrix(modes: Mapping[str, Mode]) -> list[list[float]]:
-    """Transition probabilities of one frame interval, or rates, of each mode (rows) to each (columns)."""
-    rows = []
-    for name, mode in modes.items():
-        if mode.next is not None:
-            rows.append([mode.next.get(other, 0.0) for other in modes])
-            continue
-        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
-        rate, total = 1.0 / (mode.mean_frames or 1.0), sum(follow.values())
-        rows.append([-rate if other == name else rate * follow.get(other, 0.0) / total for other in modes])
-    return rows
 
 
 def _said(modes: Mapping[str, Mode], name: str, describe: Callable[[Motion], str]) -> list[str]:

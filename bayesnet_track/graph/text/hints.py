@@ -12,7 +12,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from bayesnet_track.graph.settings.base import Choice, PluginChoice
-from bayesnet_track.graph.spec import GraphSpec, Target
 from bayesnet_track.graph.text.messages import GraphMessage, listed, shown_name
 from bayesnet_track.observation.settings import setting
 
@@ -138,51 +137,9 @@ def hint_of(message: GraphMessage) -> str:
     return ""
 
 
-def misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
-    """Place where an unknown key of `around`, a value of `model`, belongs: below `nodes` or a key beside it.
-
-    Empty where nothing says so.
-    """
-    if not isinstance(around, Mapping) or word not in around:
-        return ""
-    if issubclass(model, (GraphSpec, Target)) and is_like_node(around[word]):
-        return A_NODE
-    if issubclass(model, Target) and word in GraphSpec.model_fields:
-        return f"`{word}` stands beside `targets:`, not inside a target"
-    names = list(around)
-    before = names.index(word)
-    # A key that stands too far left follows what it belongs to.
-    for name in (*reversed(names[:before]), *names[before:]):
-        inside = {} if around[name] is None else around[name]
-        if isinstance(inside, Mapping) and word not in inside and word in _keys_below(model, name):
-            return f"`{word}` is a key of `{name}`: indent it under `{name}:`"
-    return ""
-
-
-def without_nodes(target: Any) -> str:
-    """Hint for a target without the key `nodes`; empty where nothing in it looks like a node."""
-    nodes = [name for name, value in target.items() if name not in NODE_KEYS and is_like_node(value)]
-    if nodes:
-        return f"`{nodes[0]}` looks like a node: write `nodes:` above it and indent the nodes under it"
-    return A_NODE if is_like_node(target) else ""
-
-
 def is_like_node(value: Any) -> bool:
     """True if a value has a key by which a node is known."""
     return isinstance(value, Mapping) and not NODE_KEYS.isdisjoint(value)
-
-
-def _keys_below(model: type[BaseModel], name: str) -> set[str]:
-    """The keys that the value of a field may have."""
-    field = model.model_fields.get(name)
-    kinds = shape_of(field.annotation).kinds if field is not None else ()
-    models = [kind for kind in (shape_of(kind).only for kind in kinds) if isinstance(kind, type)]
-    return {
-        key
-        for kind in models
-        if issubclass(kind, BaseModel) and not issubclass(kind, PluginChoice)
-        for key in kind.model_fields
-    }
 
 
 def _nested(found: re.Match[str], _: GraphMessage) -> str:

@@ -151,20 +151,6 @@ def newest_checkpoint(directory: RunDirectory, say: Callable[[str], None] | None
     return None
 
 
-def drop_damaged(directory: RunDirectory) -> None:
-    """Remove checkpoints that cannot be read: a new one must not push a good one out by renaming them.
-
-    Raises:
-        OutputError: one cannot be removed.
-    """
-    for path in (directory.checkpoint, directory.previous):
-        try:
-            if path.exists():
-                read_checkpoint(path)
-        except CheckpointError:
-            remove(path)
-
-
 def read_checkpoint(path: Path) -> Checkpoint:
     """The checkpoint in a file.
 

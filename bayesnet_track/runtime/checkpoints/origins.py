@@ -23,7 +23,6 @@ import numpy as np
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.journal.writer import read_position
-from bayesnet_track.observation.cue_files import CueFile
 from bayesnet_track.observation.detector import detectors_of_graphs
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.origin import changed_since, stamps
@@ -216,11 +215,6 @@ def steady(paths: Iterable[str | PathLike[str] | None]) -> Iterator[Callable[[],
 def given_file(path: str | PathLike[str]) -> GivenFile:
     """A file as it is now; raises OSError when it cannot be read."""
     return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
-
-
-def given_cue(file: CueFile) -> GivenFile:
-    """The file of a cue, as it was read."""
-    return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
 
 
 def file_sha256(path: str | PathLike[str]) -> str:

@@ -28,9 +28,9 @@ from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import describe_other
 from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
-from bayesnet_track.observation.cue_files import GivenCue, file_of
+from bayesnet_track.observation.cue_files import CueFile, GivenCue, file_of
 from bayesnet_track.observation.image_files import AnyMask, Mask, PictureError, read_mask
-from bayesnet_track.runtime.checkpoints.origins import GivenFile, given_cue, given_file, model_files, versions
+from bayesnet_track.runtime.checkpoints.origins import GivenFile, given_file, model_files, versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
 
@@ -375,7 +375,7 @@ def make_recipe(
         inputs=None if inputs is None else given_file(inputs),
         has_video=has_video,
         own_motion=own_motion,
-        cue_files={name: given_cue(file) for name, file in files.items() if file is not None},
+        cue_files={name: _given_cue(file) for name, file in files.items() if file is not None},
         own_cues=tuple(name for name, file in files.items() if file is None),
         masks={
             name: GivenFile(str(mask.path), str(mask.path.absolute()), mask.sha256)
@@ -388,6 +388,11 @@ def make_recipe(
         models={path: given_file(path) for path in model_files(graph)},
         options=dict(sorted(options.items())),
     )
+
+
+def _given_cue(file: CueFile) -> GivenFile:
+    """The file of a cue, as it was read."""
+    return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
 
 
 def _directory(given: RunDirectory | str | PathLike[str]) -> RunDirectory:

@@ -13,9 +13,11 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import check_depth
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
+from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.event import Input
+from bayesnet_track.journal.events.runs import MachineChanged
 from bayesnet_track.journal.reader import Notice
-from bayesnet_track.journal.writer import PART, OutputError
+from bayesnet_track.journal.writer import PART, OutputError, write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.detector import GIVEN
@@ -33,23 +35,26 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
     EVERY_S,
     Checkpoint,
     CheckpointError,
-    drop_damaged,
     newest_checkpoint,
+    read_checkpoint,
     remove,
     write_checkpoint,
 )
-from bayesnet_track.runtime.checkpoints.origins import file_sha256, steady
+from bayesnet_track.runtime.checkpoints.origins import (
+    describe_machine,
+    file_sha256,
+    name_differences,
+    steady,
+    versions,
+)
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.standing import (
     ResumeError,
     check_cues,
     check_files,
     check_outputs,
-    check_plain,
     check_same,
     inputs_before,
-    keep_pending,
-    permit_move,
     standing,
 )
 from bayesnet_track.runtime.executors import Executing, make_executor
@@ -138,7 +143,7 @@ def resume(
             tidy(directory)
             totals.complete, totals.reason = True, "end_of_source"
             return
-        check_plain(directory)
+        _check_plain(directory)
         cues = tuple(cues)
         check_cues(recipe, cues)
         read_whole = (recipe.detections, recipe.inputs, *recipe.models.values())
@@ -152,7 +157,7 @@ def resume(
             )
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, say)
-        moves = permit_move(recipe, checkpoint, allow_other_machine, say)
+        moves = _permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         resizing = resizing_of(opened, recipe.max_side)
         seen = resizing.graph(graph)
@@ -177,7 +182,7 @@ def resume(
             reach = partial(_reach, checkpoint, engine, resizing)
             after = replace(_skip(opened, checkpoint.frame, reach, totals, say), events=moves)
         # From here on files are changed.
-        keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
+        _keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
         if checkpoint is not None and "mot" in checkpoint.written.positions and not directory.mot.exists():
             checkpoint = _without_mot(directory, checkpoint)
@@ -225,6 +230,50 @@ def resume(
         yield from results if after is None else _first_guarded(results, after.reached.frame.index)
         if totals.frames:
             finish(directory, recorder.finish(), own)
+
+
+def _permit_move(
+    recipe: Recipe, checkpoint: Checkpoint | None, is_allowed: bool, say: Notice
+) -> tuple[MachineChanged, ...]:
+    """The event to write where the run goes on elsewhere; raises ResumeError if that is not allowed."""
+    if checkpoint is None:
+        changes = name_differences(recipe.versions, versions())
+    else:
+        changes = name_differences(checkpoint.machine, describe_machine())
+    if not changes:
+        return ()
+    what = "; ".join(changes)
+    if not is_allowed:
+        raise ResumeError(
+            "it was computed on another machine or with other libraries, which give other last digits: "
+            f"{what}; {setting('--allow-other-machine')} goes on all the same, and the result equals no "
+            "unbroken run's"
+        )
+    say(f"it goes on although the machine or libraries differ: {what}")
+    return () if checkpoint is None else (MachineChanged(checkpoint.frame + 1, changes),)
+
+
+def _check_plain(directory: RunDirectory) -> None:
+    """Refuse files that are links or no files: what is written here must not end up elsewhere.
+
+    Raises:
+        ResumeError: names the file.
+    """
+    for name in FILES.values():
+        path = directory.path / name
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise ResumeError(f"{path}: it is a link or no plain file; put the file itself there")
+
+
+def _keep_pending(directory: RunDirectory, before: Mapping[int, Sequence[Input]], frame: int) -> None:
+    """Write down what came for the frames after `frame`.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    later = [one for index, given in sorted(before.items()) if index > frame for one in given]
+    if later or directory.ahead.exists():
+        write_atomically(directory.ahead, "".join(f"{to_json(one)}\n" for one in later).encode("utf-8"))
 
 
 def _first_guarded(results: Generator[Result, None, None], frame: int) -> Generator[Result, None, None]:
@@ -316,7 +365,7 @@ def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
     kept_files = {"recipe", "graph", "truth", "ahead"}
     if checkpoint is not None:
         kept_files |= {"checkpoint", "previous", *checkpoint.written.positions}
-        drop_damaged(directory)
+        _drop_damaged(directory)
     else:
         for path in (directory.checkpoint, directory.previous):
             if path.exists():
@@ -329,3 +378,17 @@ def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
                 disk.unlink(directory.path / name)
     except OSError as error:
         raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(error.filename)) from error
+
+
+def _drop_damaged(directory: RunDirectory) -> None:
+    """Remove checkpoints that cannot be read: a new one must not push a good one out by renaming them.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in (directory.checkpoint, directory.previous):
+        try:
+            if path.exists():
+                read_checkpoint(path)
+        except CheckpointError:
+            remove(path)

@@ -12,17 +12,16 @@ from os import PathLike
 from pathlib import Path
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.journal.codec import JournalError, from_json, to_json
+from bayesnet_track.journal.codec import JournalError, from_json
 from bayesnet_track.journal.events.event import Event, Input
-from bayesnet_track.journal.events.runs import MachineChanged, RunEnded
+from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.reader import Notice, read_inputs
-from bayesnet_track.journal.writer import read_position, write_atomically
+from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP
 from bayesnet_track.observation.cue_files import GivenCue, file_of, own_cues
 from bayesnet_track.observation.plugins import given
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoint, newest_checkpoint
-from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences, versions
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.recording.manifest import read_manifest
 from bayesnet_track.runtime.recording.measured import MOST_BOXES, crowd_boxes
@@ -106,31 +105,8 @@ def _by_frame(path: Path) -> dict[int, list[Input]]:
     return by_frame
 
 
-def keep_pending(directory: RunDirectory, before: Mapping[int, Sequence[Input]], frame: int) -> None:
-    """Write down what came for the frames after `frame`.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    later = [one for index, given in sorted(before.items()) if index > frame for one in given]
-    if later or directory.ahead.exists():
-        write_atomically(directory.ahead, "".join(f"{to_json(one)}\n" for one in later).encode("utf-8"))
-
-
 class ResumeError(ValueError):
     """A run that cannot go on: it, its source or this program is another than it was."""
-
-
-def check_plain(directory: RunDirectory) -> None:
-    """Refuse files that are links or no files: what is written here must not end up elsewhere.
-
-    Raises:
-        ResumeError: names the file.
-    """
-    for name in FILES.values():
-        path = directory.path / name
-        if path.is_symlink() or (path.exists() and not path.is_file()):
-            raise ResumeError(f"{path}: it is a link or no plain file; put the file itself there")
 
 
 def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel | None) -> None:
@@ -191,27 +167,6 @@ def check_cues(recipe: Recipe, cues: Iterable[GivenCue]) -> None:
             f"it was tracked with the cue {missing[0]!r} of a program of one's own: give it again, in Python "
             "(cues=)"
         )
-
-
-def permit_move(
-    recipe: Recipe, checkpoint: Checkpoint | None, is_allowed: bool, say: Notice
-) -> tuple[MachineChanged, ...]:
-    """The event to write where the run goes on elsewhere; raises ResumeError if that is not allowed."""
-    if checkpoint is None:
-        changes = name_differences(recipe.versions, versions())
-    else:
-        changes = name_differences(checkpoint.machine, describe_machine())
-    if not changes:
-        return ()
-    what = "; ".join(changes)
-    if not is_allowed:
-        raise ResumeError(
-            "it was computed on another machine or with other libraries, which give other last digits: "
-            f"{what}; {setting('--allow-other-machine')} goes on all the same, and the result equals no "
-            "unbroken run's"
-        )
-    say(f"it goes on although the machine or libraries differ: {what}")
-    return () if checkpoint is None else (MachineChanged(checkpoint.frame + 1, changes),)
 
 
 def check_outputs(directory: RunDirectory, checkpoint: Checkpoint, say: Notice) -> None:
