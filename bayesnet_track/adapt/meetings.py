@@ -25,6 +25,7 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
@@ -47,7 +48,9 @@ MISSED = 0
 GAPS = (1, 2, 4, 8)
 """Classes of frames since a target's last detection: from so many frames on."""
 LAPSE = 0.01
-"""Share of meetings in which what happened is nothing that the motion expects: nobody is surer than that."""
+"""Share of meetings in which what happened is nothing that the motion expects, so that it tells nothing."""
+SWAPPED = 0.04
+"""Share of meetings with an exchange of identities: what is believed of one that tells nothing."""
 NEW = "new"
 """Identity of what is none of those that are known."""
 SHARED_SD = 0.3
@@ -393,11 +396,30 @@ def place_tracks(meeting: Meeting, tracks: Sequence[str], mean: Floats, covarian
     looks = (np.exp(log) @ meeting.looks) / np.maximum(probability, 1e-300)
     left_out = (choices == count).sum(axis=1)
     alike = left_out == left_out[np.argmax(probability)]
-    probability = (1.0 - LAPSE) * probability + LAPSE * alike / alike.sum()
+    known = [k for k, track in enumerate(tracks) if track in meeting.members]
+    own = [meeting.members.index(tracks[k]) for k in known]
+    unchanged = ((choices[:, known] == own) | (choices[:, known] == count)).all(axis=1)
+    probability = _with_lapses(probability, alike, unchanged)
     order = np.argsort(-probability, kind="stable")
     order = order[probability[order] > LEAST]
     share = probability[order] / probability[order].sum()
     return Placing(tuple(tracks), meeting.members, choices[order], share, looks[order])
+
+
+def _with_lapses(probability: Floats, alike: NDArray[np.bool_], unchanged: NDArray[np.bool_]) -> Floats:
+    """Probabilities (P,) of who is who where a share `LAPSE` of meetings tells nothing of it.
+
+    Of those the share `SWAPPED` is as it was not before, in equal parts of the namings that are `alike`.
+    A meeting that tells nothing seems to tell every one of them equally often: a swap of which the model is
+    sure is one of the many meetings without a swap more often than the share of lapses says.
+    """
+    same, other = alike & unchanged, alike & ~unchanged
+    swapped = SWAPPED if same.any() and other.any() else 0.5
+    prior = same * (1.0 - swapped) / max(same.sum(), 1) + other * swapped / max(other.sum(), 1)
+    prior /= prior.sum()
+    evidence = np.divide(probability, prior, out=np.zeros_like(prior), where=prior > 0)
+    mixed = (1.0 - LAPSE) * probability + LAPSE * prior * evidence[alike].mean()
+    return np.asarray(mixed / mixed.sum())
 
 
 def close_pairs(mean: Floats, spread: Floats, limit: float) -> list[tuple[int, int]]:
