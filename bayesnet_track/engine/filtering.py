@@ -147,11 +147,8 @@ Stepped = tuple[Observer, Step[Posterior]]
 """The step of a target, and what asked its agents."""
 
 
-def filter_each(work: FrameContext, before: Mapping[str, TargetState]) -> dict[str, Filtered]:
-    """Predict the targets' beliefs and weigh them by what their active agents see.
-
-    Gaussian beliefs that move alike are stepped at once.
-    """
+def ready_each(work: FrameContext, before: Mapping[str, TargetState]) -> list[tuple[Ready, Stepped | None]]:
+    """The targets, each with its step where Gaussian beliefs that move alike have been stepped at once."""
     ready = [Ready.of(work, target, state) for target, state in before.items()]
     groups: dict[Hashable, list[Ready]] = {}
     for target in ready:
@@ -163,15 +160,15 @@ def filter_each(work: FrameContext, before: Mapping[str, TargetState]) -> dict[s
     for group in groups.values():
         if len(group) > 1:
             steps |= _step_each(work, group)
-    return {target.target: _filter(work, target, steps.get(target.target)) for target in ready}
+    return [(target, steps.get(target.target)) for target in ready]
 
 
 def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
     """Predict the target's belief and weigh it by what its active agents see."""
-    return _filter(work, Ready.of(work, target, before, ride))
+    return filter_ready(work, Ready.of(work, target, before, ride))
 
 
-def _filter(work: FrameContext, ready: Ready, stepped: Stepped | None = None) -> Filtered:
+def filter_ready(work: FrameContext, ready: Ready, stepped: Stepped | None = None) -> Filtered:
     """The first half of a target's frame, whose belief was `stepped` already or is now.
 
     It is weighed anew, without them, when agents fail that have answered before in the same frame. Those that

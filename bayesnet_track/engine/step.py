@@ -14,7 +14,7 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.clocks import adopt_clocks, first_clocks, learn_clocks
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
-from bayesnet_track.engine.filtering import Filtered, filter_each, filter_target
+from bayesnet_track.engine.filtering import Filtered, filter_ready, filter_target, ready_each
 from bayesnet_track.engine.finishing import Results, finish_targets
 from bayesnet_track.engine.frame_context import ExternalInputs, FrameContext, route_inputs
 from bayesnet_track.engine.joining import JointBelief, join_targets
@@ -138,7 +138,7 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
     """The stages of a graph: only what it asks for."""
     plates = engine.plates.values()
     has_tables = any(row_rule(engine, plate) is not None for plate in engine.plates)
-    stages = [Stage("filter", filter_targets, (filter_rows, filter_each))]
+    stages = [Stage("filter", filter_targets, (filter_rows, ready_each, filter_ready))]
     if any(join.attachment is not None for join in engine.joins):
         stages = [Stage("carry and filter", filter_carried, (Rides.of, filter_rows, filter_target))]
     if has_tables:
@@ -212,7 +212,8 @@ def filter_targets(batch: Batch) -> Batch:
         return batch
     work, before, alone = batch.work, batch.targets, dict[str, Filtered]()
     filtered = Together(filter_rows(work, before), alone, before.order)
-    alone |= filter_each(work, {target: before[target] for target in filtered.missing()})
+    for ready, stepped in ready_each(work, {target: before[target] for target in filtered.missing()}):
+        alone[ready.target] = filter_ready(work, ready, stepped)
     return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
 
 

@@ -180,10 +180,8 @@ def test_targets_with_a_motion_of_their_own_and_nodes_below_the_root_go_together
             FRAME, index=index, time=float(index), image=np.roll(FRAME.image, shifts[index], axis=1)
         ),
     )
-    alone, apart = steps.filter_each, list[str]()
-    monkeypatch.setattr(
-        steps, "filter_each", lambda work, before: apart.extend(before) or alone(work, before)
-    )
+    alone, apart = steps.ready_each, list[str]()
+    monkeypatch.setattr(steps, "ready_each", lambda work, before: apart.extend(before) or alone(work, before))
     together, _ = run(graph, PLACES, len(shifts))
     assert len(apart) < len(PLACES) * len(shifts) // 2  # those that are lost or searched for
     for target in ("c", "d"):
@@ -196,7 +194,7 @@ def test_targets_with_fewer_hypotheses_for_want_of_time_are_groups_as_well(monke
     together, _ = run(graph, PLACES, 6, cap=cap)
     for name in ("c", "d", "e"):
         assert run(graph, [name], 6, cap=cap)[0] == {name: together[name]}
-    monkeypatch.setattr(steps, "filter_each", lambda work, before: {} if not before else 1 / 0)
+    monkeypatch.setattr(steps, "ready_each", lambda work, before: {} if not before else 1 / 0)
     assert run(graph, PLACES, 6, cap=cap)[0] == together
 
 
