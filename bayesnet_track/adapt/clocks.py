@@ -36,7 +36,8 @@ class ClockMessage(NamedTuple):
     covariance: Floats
 
 
-class Reading(NamedTuple):
+@dataclass(frozen=True)
+class ClockReading:
     """A camera's clock: by how much the times of its frames are late, s, and its sd."""
 
     offset_s: float
@@ -61,7 +62,7 @@ class Clocks:
     rates: tuple[tuple[int, int], ...]
     mean: Floats
     covariance: Floats
-    reported: Mapping[str, Reading] = field(default_factory=dict)
+    reported: Mapping[str, ClockReading] = field(default_factory=dict)
 
     def later(self, seconds: float) -> Clocks:
         """The clocks so much later."""
@@ -92,12 +93,12 @@ class Clocks:
         covariance = np.asarray(lower @ np.linalg.solve(information, lower.T), dtype=np.float64)
         return replace(self, mean=mean, covariance=symmetric(covariance))
 
-    def reading(self, camera: str) -> Reading:
+    def reading(self, camera: str) -> ClockReading:
         """The clock of a camera."""
         place = self.offsets[camera]
-        return Reading(float(self.mean[place]), float(np.sqrt(self.covariance[place, place])))
+        return ClockReading(float(self.mean[place]), float(np.sqrt(self.covariance[place, place])))
 
-    def report(self) -> tuple[Clocks, dict[str, tuple[Reading, Reading]]]:
+    def report(self) -> tuple[Clocks, dict[str, tuple[ClockReading, ClockReading]]]:
         """The clocks, and those to report: camera -> its clock, and as it was reported last.
 
         It is reported when it is much surer than last time, or when it is elsewhere.

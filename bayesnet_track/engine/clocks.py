@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayesnet_track.adapt.clocks import ClockMessage, Clocks, PlateClocks, Reading
+from bayesnet_track.adapt.clocks import ClockMessage, ClockReading, Clocks, PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -30,7 +30,7 @@ def first_clocks(engine: Engine) -> Clocks | None:
     names = tuple(sds)
     offsets = {camera: place for place, (camera, axis) in enumerate(names) if axis == CLOCK}
     rates = tuple((offsets[camera], place) for place, (camera, axis) in enumerate(names) if axis != CLOCK)
-    reported = {camera: Reading(0.0, sds[camera, CLOCK]) for camera in offsets}
+    reported = {camera: ClockReading(0.0, sds[camera, CLOCK]) for camera in offsets}
     spread = np.diag(np.array([*sds.values()]) ** 2)
     return Clocks(names, offsets, rates, np.zeros(len(names)), spread, reported)
 
@@ -72,7 +72,8 @@ def learn_clocks(
             messages.append(by.message(belief.mean, belief.covariance))
     clocks, news = before.after(messages).report()
     events = tuple(
-        ClockLearnt(work.frame.index, camera, *reading, *last) for camera, (reading, last) in news.items()
+        ClockLearnt(work.frame.index, camera, reading.offset_s, reading.sd_s, last.offset_s, last.sd_s)
+        for camera, (reading, last) in news.items()
     )
     others = {
         target: _adopted(plate_clocks(work.plate_of(target), clocks), filtered_target)

@@ -207,3 +207,20 @@ def test_a_start_by_a_late_camera_stands_where_it_is_now(tmp_path):
     assert marked["east"].tracker_id.tolist() == [int(new.target)]
     assert abs(new.state["y_m"] - way[19][1]) < 2.5 * new.state["y_m_sd"]
     assert abs(new.state["y_m"] - (way[19][1] - 0.36)) > abs(new.state["y_m"] - way[19][1])
+
+
+def test_clocks_are_stored_with_the_state(tmp_path):
+    """A tracker that is saved and loaded between two steps learns on as one that went on."""
+    path, rng = graph_with(tmp_path, {"offset_s": {"sd": SD}}), np.random.default_rng(3)
+    tracker, seen = DetectionsTracker(path, fps=FPS), list(steps(rng, 16))
+    seen = [(when, {camera: detections_of(one) for camera, one in boxes.items()}) for when, boxes in seen]
+    for time_s, given in seen[:10]:
+        tracker.update(given, time_s=time_s)
+    tracker.save(tmp_path / "state.bin")
+    loaded = DetectionsTracker.load(tmp_path / "state.bin")
+    for time_s, given in seen[10:]:
+        for one in (tracker, loaded):
+            one.update(given, time_s=time_s)
+    assert len(tracker.targets) == len(WALKS)
+    for one, other in zip(tracker.targets, loaded.targets, strict=True):
+        assert one.centre_box == other.centre_box

@@ -479,7 +479,13 @@ def everything() -> dict[str, Any]:
         "constants": {"slope": 0.32},
         "about": "two\nlines: \u00e9 # \U0001f600",
         "inputs": {"pan": {"file": "camera.csv"}},
-        "cameras": {"north": {"calibration": "north.yaml", "name": "back", "bias_px": {"sd": 3.0}}},
+        "cameras": {
+            "north": {"calibration": "north.yaml", "name": "back", "bias_px": {"sd": 3.0}},
+            "south": {
+                "calibration": "south.yaml",
+                "clock": {"offset_s": {"sd": 0.2}, "rate": {"sd": 1e-5}},
+            },
+        },
         "targets": {
             "t": {"nodes": nodes, **life},
             "walker": {

@@ -50,8 +50,7 @@ class CameraClock(Model):
     """
 
     offset_s: Spread = Field(
-        description="by how much the times of its frames are later than those of the first camera, s; above "
-        "0.3 it is first looked for on a grid"
+        description="by how much the times of its frames are later than those of the first camera, s"
     )
     rate: Spread | None = Field(
         default=None, description="by how much the offset grows per second; default: it does not"
