@@ -409,17 +409,14 @@ def place_tracks(meeting: Meeting, tracks: Sequence[str], mean: Floats, covarian
 def _with_lapses(probability: Floats, alike: NDArray[np.bool_], unchanged: NDArray[np.bool_]) -> Floats:
     """Probabilities (P,) of who is who where a share `LAPSE` of meetings tells nothing of it.
 
-    Of those the share `SWAPPED` is as it was not before, in equal parts of the namings that are `alike`.
-    A meeting that tells nothing seems to tell every one of them equally often: a swap of which the model is
-    sure is one of the many meetings without a swap more often than the share of lapses says.
+    Such a meeting seems to tell every naming equally often, but the share `SWAPPED` of them has changed it.
     """
     same, other = alike & unchanged, alike & ~unchanged
-    swapped = SWAPPED if same.any() and other.any() else 0.5
-    prior = same * (1.0 - swapped) / max(same.sum(), 1) + other * swapped / max(other.sum(), 1)
+    prior = same * (1.0 - SWAPPED) / max(same.sum(), 1) + other * SWAPPED / max(other.sum(), 1)
     prior /= prior.sum()
     evidence = np.divide(probability, prior, out=np.zeros_like(prior), where=prior > 0)
-    mixed = (1.0 - LAPSE) * probability + LAPSE * prior * evidence[alike].mean()
-    return np.asarray(mixed / mixed.sum())
+    probability = (1.0 - LAPSE) * probability + LAPSE * prior * evidence[alike].mean()
+    return np.asarray(probability / probability.sum())
 
 
 def close_pairs(mean: Floats, spread: Floats, limit: float) -> list[tuple[int, int]]:

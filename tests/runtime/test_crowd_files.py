@@ -136,7 +136,7 @@ def short_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_long_crowd_has_its_boxes_once_and_every_reader_finds_them(
     crowd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.warns(UserWarning, match="more than 40 boxes .* --format mot` writes them"):
+    with pytest.warns(UserWarning, match="more than 40 boxes .* writes them as text"):
         run = begun(crowd, tmp_path / "run")
     assert not (run / "tracks.txt").exists() and verify(run).status == "verified"
     monkeypatch.setattr(record, "MOST_BOXES", 10_000)

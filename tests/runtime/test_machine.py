@@ -36,7 +36,7 @@ def run(tmp_path: Path) -> Path:
 def elsewhere(monkeypatch: pytest.MonkeyPatch, change: Mapping[str, str]) -> None:
     """From now on this is another machine."""
     other = {**describe_machine(), **change}
-    for module in ("checkpoint", "standing"):
+    for module in ("checkpoint", "resume"):
         monkeypatch.setattr(f"bayesnet_track.runtime.checkpoints.{module}.describe_machine", lambda: other)
 
 
@@ -88,7 +88,7 @@ def test_a_run_without_a_checkpoint_is_compared_by_its_versions(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (run / "checkpoint").unlink()
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.standing.versions", lambda: {"numpy": "1.0"})
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.resume.versions", lambda: {"numpy": "1.0"})
     with pytest.raises(ResumeError, match=r"numpy .*, now 1\.0"):
         list(resume(run))
 

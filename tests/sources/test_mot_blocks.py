@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.evaluate import calibration_data
+from bayesnet_track.evaluate import paired_boxes
 from bayesnet_track.sources import mot_blocks
 from bayesnet_track.sources.mot_blocks import read_plain_boxes
 
@@ -35,7 +35,7 @@ def in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every file counts as large, and a block holds a few lines."""
     monkeypatch.setattr(mot_blocks, "LARGE", 0)
     monkeypatch.setattr(mot_blocks, "_BLOCK", 500)
-    monkeypatch.setattr(calibration_data, "MOST_HELD", 0)
+    monkeypatch.setattr(paired_boxes, "MOST_HELD", 0)
 
 
 def test_scores_are_those_of_a_small_file(

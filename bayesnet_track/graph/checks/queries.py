@@ -104,7 +104,7 @@ def _is_condition(term: Term) -> bool:
     """True of a comparison, or of conditions joined by and, or, not.
 
     >>> from bayesnet_track.graph.expressions.parse import parse
-    >>> is_condition(parse("x > 3 and not y < 2")), is_condition(parse("where(x > 3, 1, 0)"))
+    >>> _is_condition(parse("x > 3 and not y < 2")), _is_condition(parse("where(x > 3, 1, 0)"))
     (True, False)
     """
     return isinstance(term, Call) and term.function in CONDITIONS

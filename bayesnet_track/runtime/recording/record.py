@@ -291,8 +291,8 @@ class Recorder:
             self._mot = None
             notice(
                 f"{self._directory.mot}: removed, since the run has more than {MOST_BOXES:,} boxes in frames "
-                f"of more than {FEW} targets: they are in {self._directory.frames.name}, and `bayesnet-track "
-                f"export {self._directory.path} --format mot` writes them as text"
+                f"of more than {FEW} targets: they are in {self._directory.frames.name}, and "
+                f"`bayesnet-track export {self._directory.path}` writes them as text, in the format mot"
             )
 
     def _take(self, external_inputs: tuple[Input, ...]) -> None:

@@ -63,7 +63,8 @@ FRAMES = (
         "files of several images",
         "`--source FILE`: TIFF, Netpbm, animated PNG, WebP, GIF",
         (
-            "sources.images: stack_of is_animated_png _bytes_of Animation.read",
+            "sources.images: stack_of _bytes_of Animation.read",
+            "sources.sources: _is_animated_png",
             "observation.image_files: pages_of",
         ),
         "nothing: every image is a frame; thumbnails and masks of other pages are none",
@@ -258,6 +259,14 @@ BOXES = (
         "columns beside t, id, x and y",
         "a missing column, what is no finite number, an id twice in an instant, no time in common",
         "a header line t,id,x,y without a width or height: metres; else boxes in px",
+    ),
+    Entrance(
+        "answers about identities",
+        "`annotate --identities RUN --answers FILE`",
+        ("cli.commands.annotate_identities: _answer",),
+        "nothing: every answer is carried out, or the file is refused",
+        "a line that is no answer, or is about no question of the run; the file then changes nothing",
+        "nothing: one format",
     ),
     Entrance(
         "imported annotations",

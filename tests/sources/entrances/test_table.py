@@ -55,8 +55,10 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "view.run_page.is_page",
         ),
         SESSION: (
+            "cli.commands.annotate_identities.annotate_identities",
             "runtime.annotation.answers.read_answers",
             "runtime.annotation.frame_store.FrameStore.image",
+            "runtime.annotation.identity_files.open_answers",
             "runtime.annotation.session.open_session",
         ),
         WRITES: (
