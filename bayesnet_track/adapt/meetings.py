@@ -25,7 +25,6 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
@@ -48,9 +47,7 @@ MISSED = 0
 GAPS = (1, 2, 4, 8)
 """Classes of frames since a target's last detection: from so many frames on."""
 LAPSE = 0.01
-"""Share of meetings in which what happened is nothing that the motion expects, so that it tells nothing."""
-SWAPPED = 0.04
-"""Share of meetings with an exchange of identities: what is believed of one that tells nothing."""
+"""Share of meetings in which what happened is nothing that the motion expects: nobody is surer than that."""
 NEW = "new"
 """Identity of what is none of those that are known."""
 SHARED_SD = 0.3
@@ -396,27 +393,11 @@ def place_tracks(meeting: Meeting, tracks: Sequence[str], mean: Floats, covarian
     looks = (np.exp(log) @ meeting.looks) / np.maximum(probability, 1e-300)
     left_out = (choices == count).sum(axis=1)
     alike = left_out == left_out[np.argmax(probability)]
-    known = [k for k, track in enumerate(tracks) if track in meeting.members]
-    own = [meeting.members.index(tracks[k]) for k in known]
-    unchanged = ((choices[:, known] == own) | (choices[:, known] == count)).all(axis=1)
-    probability = _with_lapses(probability, alike, unchanged)
+    probability = (1.0 - LAPSE) * probability + LAPSE * alike / alike.sum()
     order = np.argsort(-probability, kind="stable")
     order = order[probability[order] > LEAST]
     share = probability[order] / probability[order].sum()
     return Placing(tuple(tracks), meeting.members, choices[order], share, looks[order])
-
-
-def _with_lapses(probability: Floats, alike: NDArray[np.bool_], unchanged: NDArray[np.bool_]) -> Floats:
-    """Probabilities (P,) of who is who where a share `LAPSE` of meetings tells nothing of it.
-
-    Such a meeting seems to tell every naming equally often, but the share `SWAPPED` of them has changed it.
-    """
-    same, other = alike & unchanged, alike & ~unchanged
-    prior = same * (1.0 - SWAPPED) / max(same.sum(), 1) + other * SWAPPED / max(other.sum(), 1)
-    prior /= prior.sum()
-    evidence = np.divide(probability, prior, out=np.zeros_like(prior), where=prior > 0)
-    probability = (1.0 - LAPSE) * probability + LAPSE * prior * evidence[alike].mean()
-    return np.asarray(probability / probability.sum())
 
 
 def close_pairs(mean: Floats, spread: Floats, limit: float) -> list[tuple[int, int]]:
