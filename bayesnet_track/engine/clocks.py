@@ -98,7 +98,7 @@ def adopt_clocks(work: FrameContext, history: TrackHistory, clocks: Clocks) -> T
 
 
 MOVES = 4.0
-"""A target tells of a clock if its speed is so many standard deviations."""
+"""A target is evidence of a clock if its speed is so many standard deviations."""
 
 
 def surely_moves(belief: GaussianPosterior) -> bool:
