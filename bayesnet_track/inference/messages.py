@@ -94,12 +94,7 @@ def evaluate(
             messages[step.agent] = np.zeros(len(hypotheses))
         else:
             messages[step.agent] = answer if step.temperature == 1.0 else answer / step.temperature
-    factors: dict[str, Floats] = {}
-    for one in plan.factors:
-        above = hypotheses if one.given_from == one.at else at[one.given_from]
-        log = weigh(one, at[one.at], above, observer.cache.frames, observer.factors)
-        if log is not None:
-            factors[one.factor] = log
+    factors = _weigh_factors(plan, observer, hypotheses, at)
     joined = join_messages(plan, messages | factors, measured, latent, hypotheses, prior_log)
     total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
     said = {node: message for node, message in joined.messages.items() if node not in factors}
@@ -107,6 +102,19 @@ def evaluate(
     at_root = _log_constants(plan, constants, present)
     heard = (joined.gaussians, joined.sampled, measured, factors, at_root)
     return Evidence(total, said, latent, faults, *heard)
+
+
+def _weigh_factors(
+    plan: Plan, observer: Observer, hypotheses: Hypotheses, clouds: Mapping[str, Hypotheses]
+) -> dict[str, Floats]:
+    """Factor -> its (N,) log-likelihoods, of those that have a value; `clouds` are hypotheses by node."""
+    logs: dict[str, Floats] = {}
+    for factor in plan.factors:
+        parents = hypotheses if factor.given_from == factor.at else clouds[factor.given_from]
+        log = weigh(factor, clouds[factor.at], parents, observer.cache.frames, observer.factors)
+        if log is not None:
+            logs[factor.factor] = log
+    return logs
 
 
 def _note_undefined(
