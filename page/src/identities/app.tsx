@@ -148,7 +148,7 @@ export function IdentitiesApp({ queue }: { queue: Queue }) {
   const { about } = standing;
   const figures: [string, number][] = [
     ["answers", standing.answers],
-    ["go on as another", standing.changed],
+    ["tracks renamed", standing.changed],
     ["still doubtful", standing.left_over],
   ];
   return (
@@ -179,6 +179,14 @@ export function IdentitiesApp({ queue }: { queue: Queue }) {
   );
 }
 
+/** The part of the frame with the shape of the whole frame, around a part of it. */
+function widened([x, y, w, h]: Box, width: number, height: number): Box {
+  const scale = Math.max(w / width, h / height);
+  const left = Math.min(Math.max(x + (w - scale * width) / 2, 0), (1 - scale) * width);
+  const top = Math.min(Math.max(y + (h - scale * height) / 2, 0), (1 - scale) * height);
+  return [left, top, scale * width, scale * height];
+}
+
 function Sight({ queue }: { queue: Queue }) {
   const { width, height } = queue.standing.value!.about;
   const question = queue.question;
@@ -189,11 +197,11 @@ function Sight({ queue }: { queue: Queue }) {
   const all = names.flatMap((name) => question.boxes[name]!.filter((box): box is Box => box !== null));
   const low = [0, 1].map((k) => Math.max(Math.min(...all.map((box) => box[k]!)) - 40, 0));
   const high = [0, 1].map((k) => Math.min(Math.max(...all.map((box) => box[k]! + box[k + 2]!)) + 40, [width, height][k]!));
-  const [x, y, w, h] = [low[0]!, low[1]!, high[0]! - low[0]!, high[1]! - low[1]!];
+  const [x, y, w, h] = widened([low[0]!, low[1]!, high[0]! - low[0]!, high[1]! - low[1]!], width, height);
   const unit = Math.max(w, h) / 700;
   return (
-    <section class="sheet" aria-label="Frame">
-      <div class="frame" style={{ aspectRatio: `${w} / ${h}`, maxWidth: `min(100%, calc(62vh * ${w / h}))` }}>
+    <section class="shown" aria-label="Frame" style={{ maxWidth: `calc(74vh * ${w / h})` }}>
+      <div class="sheet frame" style={{ aspectRatio: `${w} / ${h}` }}>
         <svg viewBox={`${x} ${y} ${w} ${h}`} role="img" aria-label={`Frame ${frame}`}>
           <image href={`picture?frame=${frame}`} x="0" y="0" width={width} height={height} />
           {names.map((name, index) => {
@@ -213,7 +221,9 @@ function Sight({ queue }: { queue: Queue }) {
       </div>
       <div class="transport">
         <label class="now">
-          frame <b>{frame}</b> <small>plain again in {question.frame}</small>
+          <span>
+            frame <b>{frame}</b> <small>clear again from frame {question.frame}</small>
+          </span>
           <input
             type="range"
             aria-label="Frame"
@@ -237,7 +247,7 @@ function Panel({ queue }: { queue: Queue }) {
         <i class="lamp" aria-hidden="true" />
         <b>
           {question === undefined
-            ? "Nothing is left to ask. Press Finish."
+            ? "No doubtful decision remains. Press Finish."
             : `Who is target ${question.target} from frame ${question.frame} on?`}
         </b>
       </p>
@@ -246,7 +256,7 @@ function Panel({ queue }: { queue: Queue }) {
           <dl class="numbers">
             {question.candidates.slice(0, 4).map((one) => (
               <div key={`${one.target}/${one.frame}`}>
-                <dt>{one.frame === null ? "new" : `who ${one.target} was until frame ${one.frame}`}</dt>
+                <dt>{one.frame === null ? "a new target" : `target ${one.target} of frame ${one.frame}`}</dt>
                 <dd>{Math.round(100 * one.probability)} %</dd>
               </div>
             ))}
@@ -303,7 +313,7 @@ function Panel({ queue }: { queue: Queue }) {
         <button type="button" disabled={standing.left} onClick={() => void queue.ask({ do: "leave" })}>
           {standing.left ? "Writing …" : "Finish"}
         </button>
-        <span class="hint">Every answer is kept at once. The tracks are written to {standing.about.out} at the end.</span>
+        <span class="hint">Answers are saved at once; the tracks are written to {standing.about.out} when you finish.</span>
       </div>
     </section>
   );
