@@ -46,10 +46,12 @@ def alike(a: Floats, b: Floats, apart: float, covered: float | None = COVERED) -
     """(N, K) whether boxes (N, 4) and (K, 4) are one object: no farther apart, or so much covered."""
     if covered is None:
         return np.asarray(distances(a, b) <= apart)
-    low = np.maximum(a[:, None, :2] - a[:, None, 2:] / 2, b[None, :, :2] - b[None, :, 2:] / 2)
-    high = np.minimum(a[:, None, :2] + a[:, None, 2:] / 2, b[None, :, :2] + b[None, :, 2:] / 2)
-    shared = np.prod(np.clip(high - low, 0.0, None), axis=2)
-    smaller = np.minimum(np.prod(a[:, 2:], axis=1)[:, None], np.prod(b[:, 2:], axis=1)[None])
+    half_a, half_b = a[:, 2:] / 2, b[:, 2:] / 2
+    low = np.maximum((a[:, :2] - half_a)[:, None], b[:, :2] - half_b)
+    high = np.minimum((a[:, :2] + half_a)[:, None], b[:, :2] + half_b)
+    sides = np.maximum(high - low, 0.0)
+    shared = sides[..., 0] * sides[..., 1]
+    smaller = np.minimum((a[:, 2] * a[:, 3])[:, None], b[:, 2] * b[:, 3])
     return np.asarray((distances(a, b) <= apart) | (shared >= covered * smaller))
 
 

@@ -282,24 +282,25 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
     expected[:, :2] += np.array([one.step for one in candidates]).reshape(-1, 2)
     near, far = _follow(candidates, expected, free)
     owner = np.maximum(near, far)
-    found = {int(k): row for row, k in enumerate(owner) if k != UNASSIGNED}
+    found = {k: row for row, k in enumerate(owner.tolist()) if k != UNASSIGNED}
+    scores, is_near = free.scores.tolist(), (far == UNASSIGNED).tolist()
     kept = []
     for number, one in enumerate(candidates):
         row = found.get(number)
-        looks = (*one.looks, None if row is None else float(free.scores[row]))[-confirm.of :]
+        looks = (*one.looks, None if row is None else scores[row])[-confirm.of :]
         if row is None:
             if not _is_hopeless(looks, confirm):
                 kept.append(evolve(one, box=expected[number].copy(), looks=looks))
             continue
-        box, is_far = free.boxes[row].copy(), one.is_far or bool(far[row] != UNASSIGNED)
+        box, is_far = free.boxes[row].copy(), one.is_far or not is_near[row]
         track = (*one.track, (free.time, box))[-confirm.of :]
         step = box[:2] - one.box[:2]
         after = evolve(one, looks=looks, box=box, step=step, track=track, is_far=is_far)
         kept.append(free.label_of(after, row))
+    first = Candidate(np.empty(4), np.zeros(2), (), free.frame, "")
     for new in np.flatnonzero(near == UNASSIGNED).tolist():  # one far from a candidate may be another's first
-        box, looks = free.boxes[new].copy(), (float(free.scores[new]),)
-        track = ((free.time, box),)
-        one = Candidate(box, np.zeros(2), looks, free.frame, free.births[new], track=track)
+        box = free.boxes[new].copy()
+        one = evolve(first, box=box, looks=(scores[new],), birth=free.births[new], track=((free.time, box),))
         kept.append(free.label_of(one, new))
     return keep_best(kept, rule)
 
@@ -314,7 +315,7 @@ def _follow(candidates: Sequence[Candidate], expected: Floats, free: FreeDetecti
     far = np.full_like(owner, UNASSIGNED)
     near = away <= free.alone_box
     alone = near & (near.sum(axis=0) == 1) & (near.sum(axis=1, keepdims=True) == 1)
-    for row, column in zip(*np.nonzero(alone), strict=True):
+    for row, column in np.argwhere(alone).tolist():
         if owner[row] == UNASSIGNED and len(candidates[column].track) == 1:
             far[row] = column
     return owner, far

@@ -18,8 +18,6 @@ from bayesnet_track.engine.lifecycle.recognise import (
 )
 from bayesnet_track.graph.spec import Motion, Reidentify
 
-NOWHERE = AppearanceMemory("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {}, "birth")
-
 
 def test_the_cheapest_pairs_come_first_one_to_one():
     cost = np.array([[1.0, 0.5], [0.4, 0.6], [0.3, 9.0]])
@@ -99,14 +97,16 @@ def test_looks_are_compared_with_what_is_elsewhere():
     assert weigh_appearance(boxes, log_l, [])[0] == pytest.approx(np.log(0.8))
 
 
-def compared(name, odds):
-    log = np.log(odds)
-    one = AppearanceMemory(name, "t", NOWHERE.mean, NOWHERE.covariance, 0.0, {}, "birth")
-    return Compared(one, 1.0, np.zeros(len(log)), 0.0, log, np.zeros(len(log)), ())
+def compared(*odds):
+    """Targets "1", "2", ... of these odds in each detection."""
+    log, count = np.log(odds), len(odds)
+    names = [str(number) for number in range(1, count + 1)]
+    nothing = np.zeros(log.shape)
+    return Compared(names, np.ones(count), nothing, np.zeros(count), log, nothing, [()] * count)
 
 
 def test_a_target_is_taken_once_and_what_is_left_is_new():
-    found = match([compared("1", [9.0, 6.0]), compared("2", [3.0, 0.5])], 2, Reidentify(min_probability=0.5))
+    found = match(compared([9.0, 6.0], [3.0, 0.5]), Reidentify(min_probability=0.5))
     first, second = found
     assert (first.detection, first.recognition.target, first.is_sure) == (0, "1", True)
     assert first.recognition.probability == pytest.approx(9 / 13) and first.recognition.rival == "2"
@@ -119,9 +119,9 @@ def test_what_is_not_contested_turns_at_its_probability():
     """Any odds of three targets in three detections, matched again at levels beyond each probability."""
     rng, free = np.random.default_rng(0), 0
     for _ in range(300):
-        known = [compared(str(k), odds) for k, odds in enumerate(np.exp(rng.normal(0.0, 2.5, (3, 3))))]
+        known = compared(*np.exp(rng.normal(0.0, 2.5, (3, 3))))
         level = float(rng.uniform(0.1, 0.9))
-        for one in match(known, 3, Reidentify(min_probability=level)):
+        for one in match(known, Reidentify(min_probability=level)):
             by = one.recognition
             if by.contested:
                 continue
@@ -129,7 +129,7 @@ def test_what_is_not_contested_turns_at_its_probability():
             high = by.probability + 1e-9
             levels = np.linspace(high, 1.0, 5) if one.is_sure else np.linspace(by.probability, 1e-3, 5)
             for other in levels[levels > 0.0]:
-                again = match(known, 3, Reidentify(min_probability=min(float(other), 1.0)))
+                again = match(known, Reidentify(min_probability=min(float(other), 1.0)))
                 sure = {(two.detection, two.recognition.target) for two in again if two.is_sure}
                 assert ((one.detection, by.target) in sure) != one.is_sure
                 if one.is_sure:
@@ -139,9 +139,9 @@ def test_what_is_not_contested_turns_at_its_probability():
 
 def test_a_match_is_contested_where_a_better_one_would_come_first():
     """At no level is the second detection target 1: the first one, which has better odds, takes it."""
-    first, second = match([compared("1", [9.0, 3.0])], 2, Reidentify(min_probability=0.95))
+    first, second = match(compared([9.0, 3.0]), Reidentify(min_probability=0.95))
     assert (first.recognition.contested, second.recognition.contested) == (False, True)
     # Since target 1 is taken, the second is target 2 with a probability of 9 in 10, else of 9 in 18.
-    both = [compared("1", [20.0, 8.0]), compared("2", [1.0, 9.0])]
-    first, second = match(both, 2, Reidentify(min_probability=0.3))
+    both = compared([20.0, 8.0], [1.0, 9.0])
+    first, second = match(both, Reidentify(min_probability=0.3))
     assert (first.recognition.contested, second.recognition.contested) == (False, True)

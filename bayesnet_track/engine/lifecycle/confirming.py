@@ -293,7 +293,7 @@ def match_known(
         return ()
     others = np.concatenate([now.tracks.boxes(now.tracks.held(now.plate)), detections[:TESTED]])
     compared = compare(now.work, now.plate, reidentify, boxes, others, known)
-    return match(compared, len(boxes), reidentify)
+    return match(compared, reidentify)
 
 
 def start_record(state: TargetState, since: int, frame: Frame) -> TrackRecord:

@@ -48,25 +48,30 @@ DETECTOR_SD = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One remembered target against M detections: the summands of its log-odds.
+    """K remembered targets against M detections: the summands of their log-odds.
 
     Attributes:
-        known: the target.
-        away: frame intervals since it was last well seen.
-        distance_px: (M,) distances from where its motion leads it.
-        fading: log g.
-        place: (M,) log(A p_k).
-        appearance: (M,) log r_k.
-        agents: those that were asked.
+        targets: their ids.
+        away: (K,) frame intervals since each was last well seen.
+        distance_px: (K, M) distances from where their motion leads them.
+        fading: (K,) log g.
+        place: (K, M) log(A p_k).
+        appearance: (K, M) log r_k.
+        agents: of each target, those that were asked.
     """
 
-    known: AppearanceMemory
-    away: float
+    targets: Sequence[str]
+    away: Floats
     distance_px: Floats
-    fading: float
+    fading: Floats
     place: Floats
     appearance: Floats
-    agents: tuple[str, ...]
+    agents: Sequence[tuple[str, ...]]
+
+    @property
+    def odds(self) -> Floats:
+        """(K, M) log-odds."""
+        return self.fading[:, None] + self.place + self.appearance
 
 
 @dataclass(frozen=True)
@@ -145,28 +150,23 @@ def weigh_appearance(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats
     return result
 
 
-def match(compared: Sequence[Compared], detections: int, rule: Reidentify) -> tuple[Match, ...]:
+def match(compared: Compared, rule: Reidentify) -> tuple[Match, ...]:
     """Each detection's most probable target, one to one: the best odds of all first, then of what is left.
 
     A pair that is not sure takes nothing away from others. Detections for which no target is left, or all of
     odds 0, are left out.
     """
-    if not compared or not detections:
-        return ()
-    fading, place, appearance = zip(
-        *((one.fading, one.place, one.appearance) for one in compared), strict=True
-    )
-    odds = np.array(fading)[:, None] + np.array(place) + np.array(appearance)
+    odds = compared.odds
     matches: list[Match] = []
-    rows, columns = list(range(len(compared))), list(range(detections))
+    rows, columns = (list(range(count)) for count in odds.shape)
     while rows and columns:
-        left = odds[np.ix_(rows, columns)]
-        probability = np.exp(left - np.logaddexp(0.0, _log_sums(left)))
+        left = odds if len(matches) == 0 else odds[np.ix_(rows, columns)]
         if not np.isfinite(left).any():
             break
-        i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(left), left, -np.inf))), left.shape)
-        k, m = rows[int(i)], columns[int(j)]
-        one = Match(m, _recognition(compared, rows, probability[:, int(j)], int(i), m, rule))
+        i, j = divmod(int(np.argmax(np.where(np.isfinite(left), left, -np.inf))), len(columns))
+        shares = np.exp(left[:, j] - np.logaddexp(0.0, np.logaddexp.reduce(left[:, j])))
+        k, m = rows[i], columns[j]
+        one = Match(m, _recognition(compared, rows, shares, i, m, rule))
         columns.remove(m)
         if _is_contested(odds, k, columns, one):
             one = replace(one, recognition=replace(one.recognition, contested=True))
@@ -193,25 +193,25 @@ def _is_contested(odds: Floats, k: int, others: Sequence[int], match: Match) -> 
 
 
 def _recognition(
-    compared: Sequence[Compared], rows: Sequence[int], shares: Floats, best: int, m: int, rule: Reidentify
+    compared: Compared, rows: Sequence[int], shares: Floats, best: int, m: int, rule: Reidentify
 ) -> Recognition:
-    one = compared[rows[best]]
+    k = rows[best]
     rival, rival_probability = "new", max(0.0, 1.0 - float(shares.sum()))
     others = np.delete(shares, best)
     if len(others) and others.max() >= rival_probability:
         second = int(others.argmax())
         rival_probability = float(others[second])
-        rival = compared[rows[second + (second >= best)]].known.target
+        rival = compared.targets[rows[second + (second >= best)]]
     return Recognition(
-        target=one.known.target,
+        target=compared.targets[k],
         probability=float(shares[best]),
         min_probability=rule.min_probability,
-        away=one.away,
-        distance_px=float(one.distance_px[m]),
-        fading=one.fading,
-        place=float(one.place[m]),
-        appearance=float(one.appearance[m]),
-        agents=one.agents,
+        away=float(compared.away[k]),
+        distance_px=float(compared.distance_px[k, m]),
+        fading=float(compared.fading[k]),
+        place=float(compared.place[k, m]),
+        appearance=float(compared.appearance[k, m]),
+        agents=compared.agents[k],
         rival=rival,
         rival_probability=rival_probability,
     )
@@ -220,8 +220,3 @@ def _recognition(
 def _log_mean(values: Floats) -> float:
     top = float(values.max())
     return top if not math.isfinite(top) else top + math.log(float(np.mean(np.exp(values - top))))
-
-
-def _log_sums(values: Floats) -> Floats:
-    """(M,) log of the sums of exp over the rows."""
-    return np.asarray(np.logaddexp.reduce(values, axis=0))

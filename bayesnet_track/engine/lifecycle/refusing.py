@@ -159,9 +159,11 @@ def _refuse(
     rows, columns, closer = rows[nearest], columns[nearest], []
     for k, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
         refusal = earlier.get(unmatched.names[row])
-        away = math.dist(_box(unmatched.boxes[column])[:2], _box(unmatched.mean[row])[:2])
-        if refusal is None or away < NEARER * refusal.distance_px:
-            closer.append(k)
+        if refusal is not None:
+            away = math.dist(_box(unmatched.boxes[column])[:2], _box(unmatched.mean[row])[:2])
+            if away >= NEARER * refusal.distance_px:
+                continue
+        closer.append(k)
     pairs = rows[closer], columns[closer]
     refusals = _refusals(
         rule, agent, frame, unmatched, pairs, (d2s[nearest][closer], shared[nearest][closer])
@@ -251,8 +253,8 @@ def _squared_distances(offsets: Floats, spreads: Floats) -> Floats:
 
 
 def _box(values: Floats) -> tuple[float, float, float, float]:
-    x, y, w, h = (round(value, 2) for value in values[:4].tolist())
-    return x, y, w, h
+    x, y, w, h = values[:4].tolist()
+    return round(x, 2), round(y, 2), round(w, 2), round(h, 2)
 
 
 def _is_gone(nets: Mapping[str, TargetNet], target: str) -> bool:

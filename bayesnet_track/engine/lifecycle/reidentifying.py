@@ -29,20 +29,18 @@ def compare(
     boxes: Floats,
     others: Floats,
     known: Sequence[AppearanceMemory],
-) -> list[Compared]:
+) -> Compared:
     """Remembered targets against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
-    if not known or not len(boxes):
-        return []
     compiled, frame = work.engine.plates[plate], work.frame
     motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
     area = float(frame.width * frame.height)
     fading, place, distance = weigh_places(known, motion, boxes, frame.time, area, rule)
-    compared = []
-    nothing = np.zeros(len(boxes)), ()
-    for one, faded, places, distances in zip(known, fading.tolist(), place, distance, strict=True):
-        looks = _compare_looks(work, compiled, boxes, others, one) if compiled.looks else nothing
-        compared.append(Compared(one, frame.time - one.time, distances, faded, places, *looks))
-    return compared
+    appearance, agents = np.zeros(place.shape), list[tuple[str, ...]]([()] * len(known))
+    if compiled.looks:
+        looks = [_compare_looks(work, compiled, boxes, others, one) for one in known]
+        appearance, agents = np.array([log for log, _ in looks]), [asked for _, asked in looks]
+    away = frame.time - np.array([one.time for one in known])
+    return Compared([one.target for one in known], away, distance, fading, place, appearance, agents)
 
 
 def _compare_looks(
