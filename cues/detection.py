@@ -9,6 +9,7 @@ so that its belief predicts.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -209,7 +210,7 @@ class Detection:
             return p.continue_box
         return 0.0 if p.similarity == "iou" else CONTINUE_BOX
 
-    @property
+    @cached_property
     def rule(self) -> AssociationRule:
         """Rule by which a detection is the target's."""
         p = self.parameters

@@ -46,7 +46,9 @@ class View:
 
     def boxes(self, states: Mapping[str, Floats], agent: str = "") -> Floats:
         """(N, 4) boxes in the image of states, field -> (N,), as the camera shows and `agent` finds them."""
-        at = np.stack([states[name] for name in BOX], axis=1)
+        at = np.empty((len(states[BOX[0]]), len(BOX)))
+        for column, name in enumerate(BOX):  # a fifth of the time of `np.stack`
+            at[:, column] = states[name]
         if self.clock is not None:  # it shows how targets were by so much earlier
             at[:, :2] -= states[self.clock][:, None] * np.stack([states[name] for name in VELOCITY], axis=1)
         boxes = self.camera.boxes(at)
@@ -147,10 +149,10 @@ def cut_covariance(camera: GroundView, boxes: Floats) -> Floats:
         return cut
     size = np.array(camera.size, dtype=np.float64)
     low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
-    away = np.column_stack([low + 0.5, high - size + 0.5])
-    for k, edge in enumerate(_EDGES):
-        at_border = np.abs(away[:, k]) <= AT_BORDER
-        cut[at_border] += size[k % 2] ** 2 * np.outer(edge, edge)
+    is_cut = np.abs(np.concatenate([low + 0.5, high - size + 0.5], axis=1)) <= AT_BORDER
+    if is_cut.any():
+        for k, edge in enumerate(_EDGES):
+            cut[is_cut[:, k]] += size[k % 2] ** 2 * np.outer(edge, edge)
     return cut
 
 
@@ -165,7 +167,7 @@ def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
     def function(states: Mapping[str, Floats]) -> Floats:
         if inner is not None:
             return inner.function(in_image(states))
-        return np.stack([*in_image(states).values()], axis=1)[:, columns]
+        return view.boxes(states, agent)[:, columns]
 
     if errors is not None:
         of_boxes = errors.function

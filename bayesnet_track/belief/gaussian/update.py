@@ -33,6 +33,7 @@ from bayesnet_track.numerics.gaussian import (
     update_by_fields,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 PRIOR_SDS = np.arange(-9.0, 10.0)
@@ -378,20 +379,22 @@ def update_seen(
     measured = centre + seen.less(one.mean, centre)
     if seen.beyond is not None:
         shift, spread = seen.beyond(mean, covariance)
-        one = replace(one, covariance=one.covariance + spread)
+        one = evolve(one, covariance=one.covariance + spread)
         measured = measured if is_unscented else measured - shift  # sigma points see it by themselves
 
     def unwrapped(states: Floats) -> Floats:
         return np.asarray(centre + seen.less(of(states), centre))
 
     try:
-        if not np.isfinite(derivative(unwrapped, mean)).all():
+        slopes = derivative(unwrapped, mean)
+        if not np.isfinite(slopes).all():
             return None
         if is_unscented:
             kappa = max(3.0 - root(covariance).shape[1], 0.0)
             after = unscented_update(mean, covariance, measured, one.covariance, unwrapped, kappa)
         else:
-            after = extended_update(mean, covariance, measured, one.covariance, unwrapped)
+            functions = (lambda _: centre[None]), (lambda _: slopes)
+            after = extended_update(mean, covariance, measured, one.covariance, *functions)
     except np.linalg.LinAlgError:
         return None
     if not (np.isfinite(after.mean).all() and np.isfinite(after.covariance).all()):
@@ -399,7 +402,7 @@ def update_seen(
     if seen.shared:
         columns = columns_of(seen.shared, fields)
         held = allow_for(columns, (mean, covariance), (after.mean, after.covariance))
-        after = replace(after, mean=held[0], covariance=held[1])
+        after = evolve(after, mean=held[0], covariance=held[1])
     return after
 
 
