@@ -30,7 +30,7 @@ from readers import frames_of
 from bayesnet_track import open_run, track
 from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.truth import Tracks, pair, read_mot_tracks
-from bayesnet_track.runtime.annotation.identity_files import write_tracks
+from bayesnet_track.runtime.annotation.identity_desk import write_tracks
 from bayesnet_track.runtime.annotation.identity_queue import IdentityQueue, Question, Tracklets
 
 SIZE, FRAMES = (1280, 720), 250

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.tracklets import Links, Path, Tracklet
+from bayesnet_track.adapt.tracklets import Links, Tracklet, TrackPath
 from bayesnet_track.numerics.arrays import Floats, Ints
 
 HIDDEN, LASTING, FARTHEST = 0.5, 0.3, 2.0
@@ -90,7 +90,7 @@ def _most_probable(links: Links) -> dict[int, int]:
 
 
 def label_rows(
-    paths: Sequence[Path], tracklets: Sequence[Tracklet], chosen: Mapping[int, int]
+    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], chosen: Mapping[int, int]
 ) -> list[list[str]]:
     """The identity of every row of every path: that of the first tracklet of its chain.
 
@@ -165,7 +165,7 @@ class _Between:
 
 
 def _label_doubtful(
-    paths: Sequence[Path], tracklets: Sequence[Tracklet], between: _Between, rows: list[list[str]]
+    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], between: _Between, rows: list[list[str]]
 ) -> None:
     """Label the rows between tracklets, frame by frame: each with the identity that is expected nearest."""
     waiting: dict[int, list[tuple[int, int]]] = {}
@@ -198,7 +198,7 @@ def assign_least(cost: Floats) -> tuple[Ints, Ints]:
     return linear_sum_assignment(cost)  # type: ignore[no-any-return]
 
 
-def _without_two(paths: Sequence[Path], rows: list[list[str]]) -> list[list[str]]:
+def _without_two(paths: Sequence[TrackPath], rows: list[list[str]]) -> list[list[str]]:
     """The same with no identity twice in a frame: the path that comes later keeps it."""
     owner: dict[tuple[str, int], tuple[int, int]] = {}
     for number, path in enumerate(paths):

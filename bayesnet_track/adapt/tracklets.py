@@ -45,7 +45,7 @@ LEAST_ODDS = -9.0
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class TrackPath:
     """What a run says of one target.
 
     Attributes:
@@ -130,7 +130,7 @@ class Links:
     count: int
 
 
-def cut(paths: Sequence[Path]) -> list[Tracklet]:
+def cut(paths: Sequence[TrackPath]) -> list[Tracklet]:
     """The tracklets of all paths, by path and row. A path that is never clear is one tracklet."""
     close = _close_rows(paths)
     pieces = []
@@ -150,7 +150,7 @@ def _runs(clear: Bools) -> list[tuple[int, int]]:
     return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _tracklet(number: int, path: Path, rows: tuple[int, int, int]) -> Tracklet:
+def _tracklet(number: int, path: TrackPath, rows: tuple[int, int, int]) -> Tracklet:
     begin, first, last = rows
     states = np.array(
         [_state(path, first, min(first + WINDOW, last), 0), _state(path, max(last - WINDOW, first), last, 1)]
@@ -158,7 +158,7 @@ def _tracklet(number: int, path: Path, rows: tuple[int, int, int]) -> Tracklet:
     return Tracklet(number, begin, first, last, (int(path.frame[first]), int(path.frame[last])), states)
 
 
-def _state(path: Path, first: int, last: int, at_end: int) -> Floats:
+def _state(path: TrackPath, first: int, last: int, at_end: int) -> Floats:
     """Place, velocity and size at one end of rows of a path."""
     boxes, at = path.boxes, last if at_end else first
     steps = max(float(path.frame[last] - path.frame[first]), 1.0)
@@ -167,7 +167,7 @@ def _state(path: Path, first: int, last: int, at_end: int) -> Floats:
     return np.concatenate([boxes[at, :2], velocity, np.median(sizes, axis=0)])
 
 
-def _close_rows(paths: Sequence[Path]) -> list[Bools]:
+def _close_rows(paths: Sequence[TrackPath]) -> list[Bools]:
     """Of each path in which rows another one is close."""
     from scipy.spatial import cKDTree
 
@@ -193,7 +193,7 @@ def _close_rows(paths: Sequence[Path]) -> list[Bools]:
     return close
 
 
-def measure_spreads(paths: Sequence[Path], tracklets: Sequence[Tracklet]) -> Spreads:
+def measure_spreads(paths: Sequence[TrackPath], tracklets: Sequence[Tracklet]) -> Spreads:
     """The spreads of a run; where it has too few pieces, those of a slow walk."""
     tables = np.full((3, len(GAPS)), np.nan)
     pooled = [_moves(paths, tracklets, gap) for gap in GAPS]
@@ -219,7 +219,7 @@ def measure_spreads(paths: Sequence[Path], tracklets: Sequence[Tracklet]) -> Spr
 
 
 def _moves(
-    paths: Sequence[Path], tracklets: Sequence[Tracklet], gap: int, most: int = 4000
+    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], gap: int, most: int = 4000
 ) -> tuple[Floats, Floats, Floats]:
     """r, dv and ds of pieces of tracklets that are `gap` frames apart."""
     found: list[tuple[Floats, Floats, Floats]] = []

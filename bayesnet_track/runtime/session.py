@@ -40,11 +40,8 @@ from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import check_scans, given_detector, source_or_times
 from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.recording.beliefs import check_kept
-from bayesnet_track.runtime.recording.forecasts import Forecaster
-from bayesnet_track.runtime.recording.lock import lock_run
-from bayesnet_track.runtime.recording.manifest import finish
-from bayesnet_track.runtime.recording.record import Recorder
-from bayesnet_track.runtime.recording.replace import replace_run, settle
+from bayesnet_track.runtime.recording.manifest import finish, lock_run, replace_run, settle
+from bayesnet_track.runtime.recording.record import Forecaster, Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import (
     FrameSource,

@@ -13,7 +13,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.annotation.desk import AnnotationServer
-from bayesnet_track.runtime.recording.lock import lock_run
+from bayesnet_track.runtime.recording.manifest import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.scenes import make_scene
 

@@ -22,7 +22,7 @@ from bayesnet_track.cli.batch.work import ROW, do
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.runtime.recording.lock import lock_run
+from bayesnet_track.runtime.recording.manifest import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.scenes import make_scene
 

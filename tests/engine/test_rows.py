@@ -23,8 +23,7 @@ from bayesnet_track.journal.frame_file import record
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
-from bayesnet_track.runtime.recording.measured import FEW, measured
-from bayesnet_track.runtime.recording.tracks import Tracked
+from bayesnet_track.runtime.recording.tracks import FEW, Tracked, measured
 from bayesnet_track.sources.detection_files import FileDetector
 from simulated.crowd_detector import DetectorSettings, detect_crowd
 from simulated.walkers import CrowdSettings, make_crowd

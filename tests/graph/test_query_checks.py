@@ -10,7 +10,7 @@ from bayesnet_track.graph.checks.queries import COLUMNS
 from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS
+from bayesnet_track.runtime.recording.interchange import TRACK_COLUMNS
 from bayesnet_track.runtime.recording.tracks import CSV_COLUMNS
 
 HEAD = """bayesnet: 1

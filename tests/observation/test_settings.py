@@ -19,7 +19,7 @@ from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.observation.settings import PARAMETERS, by_command_line, setting
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.executors import make_executor, parse_places
-from bayesnet_track.runtime.recording.arviz_file import write_arviz
+from bayesnet_track.runtime.recording.exports import write_arviz
 from bayesnet_track.runtime.smoothing import smooth
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.sources import open_source

@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.recording.background import Background
+from bayesnet_track.runtime.recording.videowriter import Background
 
 LONGEST = ("test_soak.py", "test_kill.py", "test_signals.py", "test_crash.py", "test_damaged.py")
 FRAMES = 40

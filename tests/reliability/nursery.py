@@ -25,8 +25,7 @@ import numpy as np
 from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.recording.background import Background
-from bayesnet_track.runtime.recording.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import Background, VideoWriter
 from bayesnet_track.sources.sources import open_source
 
 FRAMES, SIDE = 36, 10

@@ -19,9 +19,8 @@ from bayesnet_track import Start, track
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
-from bayesnet_track.runtime.checkpoints.standing import standing
+from bayesnet_track.runtime.checkpoints.standing import standing, verify
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
-from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6

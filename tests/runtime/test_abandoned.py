@@ -7,7 +7,7 @@ import cv2
 import pytest
 
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.recording.verify import verify
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource
 

@@ -12,7 +12,7 @@ from bayesnet_track import open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.change import set_value
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.runtime.recording.afterwards import DriftCheck, judge_afterwards
+from bayesnet_track.runtime.recording.exports import DriftCheck, judge_afterwards
 from bayesnet_track.sources.scenes import make_scene
 
 ROOT = ("targets", "target", "nodes", "target", "guarantee")

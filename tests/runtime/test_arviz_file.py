@@ -8,9 +8,9 @@ import pytest
 
 from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.recording import arviz_file
-from bayesnet_track.runtime.recording.arviz_file import ArvizError, beliefs_as_dataset, write_arviz
+from bayesnet_track.runtime.recording import exports
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
+from bayesnet_track.runtime.recording.exports import ArvizError, beliefs_as_dataset, write_arviz
 from bayesnet_track.runtime.smoothing import KeptBeliefsError
 from bayesnet_track.sources.scenes.library import SceneSource
 
@@ -114,7 +114,7 @@ def test_a_run_without_beliefs_is_refused_with_the_cure(particle_run, tmp_path):
 
 
 def test_too_many_numbers_are_refused(particle_run, monkeypatch):
-    monkeypatch.setattr(arviz_file, "MAX_NUMBERS", 1000)
+    monkeypatch.setattr(exports, "MAX_NUMBERS", 1000)
     with pytest.raises(ArvizError, match="fewer draws"):
         beliefs_as_dataset(particle_run)
 
@@ -125,7 +125,7 @@ def test_what_is_not_installed_is_named_with_the_cure(particle_run, tmp_path, mo
             raise ModuleNotFoundError("No module named 'xarray'", name=name)
         return import_module("json")
 
-    monkeypatch.setattr(arviz_file, "import_module", missing)
+    monkeypatch.setattr(exports, "import_module", missing)
     with pytest.raises(ArvizError, match=r"xarray is not installed; pip install 'bayesnet-track\[arviz\]'"):
         write_arviz(particle_run, tmp_path / "run.nc")
 
@@ -157,7 +157,7 @@ def test_what_cannot_be_written_whole_leaves_the_file_as_it_was(particle_run, tm
 
     path = tmp_path / "one.nc"
     path.write_bytes(b"old")
-    monkeypatch.setattr(arviz_file, "beliefs_as_dataset", lambda *_: Broken())
+    monkeypatch.setattr(exports, "beliefs_as_dataset", lambda *_: Broken())
     with pytest.raises(OSError, match="full"):
         write_arviz(particle_run, path)
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]

@@ -17,8 +17,8 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.journal.frame_file import FrameFile
 from bayesnet_track.runtime.checkpoints import standing
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.runtime.recording import record
-from bayesnet_track.runtime.recording.verify import verify
 
 PEOPLE, FRAMES = 12, 8
 

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track import Start, Tracker, track
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.recording.verify import verify
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES, HORIZON = 8, 3

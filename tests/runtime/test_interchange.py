@@ -12,7 +12,7 @@ import pytest
 from bayesnet_track import Detections, Start, Tracker, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.recording.exports import as_coco, as_csv, as_jsonl, as_mot
-from bayesnet_track.runtime.recording.tables import AGENT_COLUMNS, TRACK_COLUMNS
+from bayesnet_track.runtime.recording.interchange import AGENT_COLUMNS, TRACK_COLUMNS
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.scenes import make_scene
 

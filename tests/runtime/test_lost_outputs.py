@@ -13,10 +13,10 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.runtime.recording.manifest import FOREIGN
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.library import SceneSource

@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.recording.pictures import pictures_of
+from bayesnet_track.runtime.recording.run_reader import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.view import run_page

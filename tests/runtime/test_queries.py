@@ -320,7 +320,7 @@ def test_velocities_are_measured_too(whole: Path, capsys: pytest.CaptureFixture[
 
 def test_velocities_of_rows_are_those_of_their_lines() -> None:
     from bayesnet_track.journal.frame_columns import lines_of
-    from bayesnet_track.runtime.recording.measured import measured
+    from bayesnet_track.runtime.recording.tracks import measured
 
     tracker = crowd({})
     lines = tracker._now.metrics

@@ -14,10 +14,9 @@ from bayesnet_track.journal import disk
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.checkpoints.standing import standing
-from bayesnet_track.runtime.recording.replace import replace_run, settle
+from bayesnet_track.runtime.checkpoints.standing import standing, verify
+from bayesnet_track.runtime.recording.manifest import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.sources.scenes.library import SceneSource
 
 

@@ -7,7 +7,7 @@ import pytest
 from bayesnet_track import open_run
 from bayesnet_track.cli.main import main
 from bayesnet_track.evaluate.truth import read_truth
-from bayesnet_track.runtime.recording.report_page import page_html
+from bayesnet_track.runtime.recording.run_reader import page_html
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.view.run_page import LARGEST
 

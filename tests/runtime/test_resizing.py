@@ -29,7 +29,7 @@ from bayesnet_track.runtime.annotation.asking import TrackerRuns
 from bayesnet_track.runtime.arguments import resizing_of
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.recording.pictures import pictures_of
+from bayesnet_track.runtime.recording.run_reader import pictures_of
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.smoothing import smooth
 from bayesnet_track.sources.scenes import make_scene

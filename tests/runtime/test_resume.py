@@ -19,7 +19,7 @@ from bayesnet_track.runtime import arguments
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.checkpoints.standing import Standing, standing
-from bayesnet_track.runtime.recording.lock import lock_run
+from bayesnet_track.runtime.recording.manifest import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.results import Summary, Switchboard
 from bayesnet_track.sources.scenes.library import SceneSource

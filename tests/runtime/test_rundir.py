@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesnet_track.runtime.recording.lock import is_locked, lock_run
+from bayesnet_track.runtime.recording.manifest import is_locked, lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
 
 

@@ -9,10 +9,10 @@ from bayesnet_track import Start, open_run, track
 from bayesnet_track.belief.smoothing import Move, smooth_gaussians
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
+from bayesnet_track.runtime.recording.manifest import write_smoothed
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
-from bayesnet_track.runtime.recording.smoothed import write_smoothed
-from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.runtime.smoothing import KeptBeliefsError, motion_into, root_of, smooth
 from bayesnet_track.sources.scenes.library import SceneSource
 

@@ -15,7 +15,7 @@ from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.recording.pictures import pictures_of
+from bayesnet_track.runtime.recording.run_reader import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.scenes import make_scene
 

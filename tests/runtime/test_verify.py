@@ -14,11 +14,9 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.checkpoints.standing import standing
-from bayesnet_track.runtime.recording.lock import lock_run
-from bayesnet_track.runtime.recording.manifest import ManifestError, read_manifest
+from bayesnet_track.runtime.checkpoints.standing import standing, verify
+from bayesnet_track.runtime.recording.manifest import ManifestError, lock_run, read_manifest
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 4

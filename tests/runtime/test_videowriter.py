@@ -10,8 +10,7 @@ import pytest
 
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.recording.remux import remux
-from bayesnet_track.runtime.recording.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import VideoWriter, remux
 from bayesnet_track.sources.sources import open_source
 
 NAMES = ["v.mkv", "v.mp4"]

@@ -17,7 +17,7 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.recording.verify import verify
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.sources import video
 from bayesnet_track.sources.frames import DecodedFrame
 from bayesnet_track.sources.sources import open_source

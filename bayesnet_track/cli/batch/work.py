@@ -59,7 +59,7 @@ def do(job: Job, progress: Progressing) -> Row:
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.checkpoints.resume import resume
     from bayesnet_track.runtime.checkpoints.standing import standing
-    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.manifest import settle_broken
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track

@@ -47,7 +47,7 @@ def annotate(options: argparse.Namespace) -> int:
     if options.answers is not None:
         raise UsageError("--answers: of --identities RUN; boxes come by --import")
     from bayesnet_track.runtime.annotation.answers import AnswersFileError
-    from bayesnet_track.runtime.recording.lock import lock_run
+    from bayesnet_track.runtime.recording.manifest import lock_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     stop: StopRequest = options.stop
@@ -70,7 +70,7 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.runtime.annotation.answers import NAME, read_answers
     from bayesnet_track.runtime.annotation.asking import TrackerRuns
-    from bayesnet_track.runtime.annotation.formats.formats import read_annotations, write_formats
+    from bayesnet_track.runtime.annotation.desk import read_annotations, write_formats
     from bayesnet_track.runtime.annotation.frame_store import FrameStore
     from bayesnet_track.runtime.annotation.session import open_session
     from bayesnet_track.sources.paths import image_names

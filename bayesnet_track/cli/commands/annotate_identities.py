@@ -44,14 +44,14 @@ OF_VIDEOS = (
 def annotate_identities(options: argparse.Namespace) -> int:
     """Ask about the identities of a run, in the browser, the terminal or by a file; write what follows."""
     from bayesnet_track.journal.codec import JournalError
-    from bayesnet_track.runtime.annotation.identity_files import (
+    from bayesnet_track.runtime.annotation.identity_desk import (
         NAME,
         IdentityFileError,
         open_answers,
         write_tracks,
     )
     from bayesnet_track.runtime.annotation.identity_queue import IdentityQueue, Tracklets
-    from bayesnet_track.runtime.recording.lock import is_locked, lock_run
+    from bayesnet_track.runtime.recording.manifest import is_locked, lock_run
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 
@@ -88,7 +88,7 @@ def annotate_identities(options: argparse.Namespace) -> int:
 
 def _answer(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: LineFile) -> None:
     """Take answers from a file, from the page, or without a page from the terminal, if there is a person."""
-    from bayesnet_track.runtime.annotation.identity_files import give_lines, keep_answer
+    from bayesnet_track.runtime.annotation.identity_desk import give_lines, keep_answer
 
     if options.answers is not None:
         name, text = options.answers, ""
@@ -108,7 +108,7 @@ def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: Lin
     """Open the page until the person leaves."""
     from bayesnet_track.cli.following import announce
     from bayesnet_track.runtime.annotation.identity_desk import IdentityServer, Pictures
-    from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.runtime.recording.run_reader import pictures_of
 
     frames = max((int(path.frame[-1]) for path in queue.tracklets.paths), default=0) + 1
     about = {
@@ -136,7 +136,7 @@ def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: Lin
 
 def _converse(options: argparse.Namespace, queue: IdentityQueue, file: LineFile) -> None:
     """Ask in the terminal until there is no doubt, or the person leaves."""
-    from bayesnet_track.runtime.annotation.identity_files import keep_answer
+    from bayesnet_track.runtime.annotation.identity_desk import keep_answer
     from bayesnet_track.runtime.annotation.identity_queue import IdentityAnswerError
 
     complain("k keep, s swap, n new, x skip, u undo, a target's name: the same as it; q or Ctrl-D leaves")

@@ -128,7 +128,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
 
 def _pictures(first: Run, second: Run, compared: Comparison) -> list[str]:
     """The frames in which they part, as figures; none, with a word, where the images cannot be had."""
-    from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.runtime.recording.run_reader import pictures_of
     from bayesnet_track.view.compare_charts import draw_pictures, telling_frames
 
     telling = telling_frames(compared)

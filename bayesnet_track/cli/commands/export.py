@@ -24,9 +24,7 @@ from bayesnet_track.cli.arguments import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from bayesnet_track.runtime.recording.pictures import Found
-    from bayesnet_track.runtime.recording.report_page import Data
-    from bayesnet_track.runtime.recording.run_reader import Run
+    from bayesnet_track.runtime.recording.run_reader import Data, Found, Run
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
@@ -39,8 +37,7 @@ def report(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.blocks import Blocks
     from bayesnet_track.journal.events.runs import RunStarted
     from bayesnet_track.journal.reader import Measurements, read_events
-    from bayesnet_track.runtime.recording.pictures import pictures_of
-    from bayesnet_track.runtime.recording.report_page import page_data, page_in_one
+    from bayesnet_track.runtime.recording.run_reader import page_data, page_in_one, pictures_of
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
@@ -211,7 +208,7 @@ def export(options: argparse.Namespace) -> int:
 def _judged(run: Run) -> Run:
     """The run judged as a whole; says what changed."""
     from bayesnet_track.journal.text.wording import plural
-    from bayesnet_track.runtime.recording.afterwards import judge_afterwards
+    from bayesnet_track.runtime.recording.exports import judge_afterwards
 
     run, found = judge_afterwards(run)
     if not found:
@@ -229,7 +226,7 @@ def _judged(run: Run) -> Run:
 
 def _export_beliefs(options: argparse.Namespace) -> int:
     """Write draws of the kept beliefs for ArviZ."""
-    from bayesnet_track.runtime.recording.arviz_file import ArvizError, write_arviz
+    from bayesnet_track.runtime.recording.exports import ArvizError, write_arviz
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.smoothing import KeptBeliefsError
 

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from bayesnet_track.evaluate.truth import Tracks
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.journal.metrics import FrameMetrics
+    from bayesnet_track.runtime.checkpoints.standing import Verified
     from bayesnet_track.runtime.recording.rundir import RunDirectory
-    from bayesnet_track.runtime.recording.verify import Verified
 
 
 def log(options: argparse.Namespace) -> int:
@@ -356,7 +356,7 @@ WITHOUT = {
 
 def verify(options: argparse.Namespace) -> int:
     """Compare a run with its manifest."""
-    from bayesnet_track.runtime.recording.verify import verify
+    from bayesnet_track.runtime.checkpoints.standing import verify
 
     found = verify(options.run)
     if options.json:

@@ -175,7 +175,7 @@ def resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
     from bayesnet_track.runtime.checkpoints.resume import resume
     from bayesnet_track.runtime.checkpoints.standing import standing
-    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.manifest import settle_broken
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.results import Summary
 
@@ -244,9 +244,9 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
 
 def smooth(options: argparse.Namespace) -> int:
     """Smooth a run and write the result."""
+    from bayesnet_track.runtime.recording.manifest import write_smoothed
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
-    from bayesnet_track.runtime.recording.smoothed import write_smoothed
     from bayesnet_track.runtime.smoothing import KeptBeliefsError
     from bayesnet_track.runtime.smoothing import smooth as smooth_run
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesnet_track.adapt.chains import Posterior, infer, label_rows
-from bayesnet_track.adapt.tracklets import Links, Path, Tracklet, cut, find_links, measure_spreads
+from bayesnet_track.adapt.tracklets import Links, Tracklet, TrackPath, cut, find_links, measure_spreads
 from bayesnet_track.journal.blocks import courses
 from bayesnet_track.journal.events.lives import Returned
 from bayesnet_track.journal.events.statuses import IdentityDoubtful
@@ -109,7 +109,7 @@ class Tracklets:
         links: between them.
     """
 
-    paths: tuple[Path, ...]
+    paths: tuple[TrackPath, ...]
     pieces: tuple[Tracklet, ...]
     links: Links
 
@@ -118,7 +118,7 @@ class Tracklets:
         """Cut the tracks of a run, and weigh their links by motion, and by what the run itself says."""
         found = courses(run.metrics, ("box", "status"))
         paths = tuple(
-            Path(
+            TrackPath(
                 target,
                 np.asarray(course.frame, dtype=np.int64),
                 np.asarray(course.block.columns["box"], dtype=np.float64).T,
@@ -130,7 +130,7 @@ class Tracklets:
         return cls.of(paths, (run.started.width, run.started.height), run.events)
 
     @classmethod
-    def of(cls, paths: Sequence[Path], size: tuple[int, int], events: Iterable[Any] = ()) -> Tracklets:
+    def of(cls, paths: Sequence[TrackPath], size: tuple[int, int], events: Iterable[Any] = ()) -> Tracklets:
         """The same of paths; `events` are those of the run."""
         pieces = cut(paths)
         links = find_links(pieces, measure_spreads(paths, pieces), size)

@@ -34,9 +34,9 @@ from bayesnet_track.runtime.checkpoints.state_codec import (
     encode_state,
     state_format,
 )
-from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.record import FilePositions, Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.recording.videowriter import Background
 from bayesnet_track.runtime.run import RunPosition
 
 CHECKPOINT_FORMAT = 4

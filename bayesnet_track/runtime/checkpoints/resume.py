@@ -60,11 +60,8 @@ from bayesnet_track.runtime.checkpoints.standing import (
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import given_detector
 from bayesnet_track.runtime.pace import Deadline
-from bayesnet_track.runtime.recording.forecasts import Forecaster
-from bayesnet_track.runtime.recording.lock import lock_run
-from bayesnet_track.runtime.recording.manifest import finish, tidy
-from bayesnet_track.runtime.recording.record import FilePositions, Recorder
-from bayesnet_track.runtime.recording.replace import settle, settle_broken
+from bayesnet_track.runtime.recording.manifest import finish, lock_run, settle, settle_broken, tidy
+from bayesnet_track.runtime.recording.record import FilePositions, Forecaster, Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import (

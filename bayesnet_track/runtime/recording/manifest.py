@@ -2,28 +2,127 @@
 
 It is written after every other output is closed and on the disk, whole or not at all. A run without one is
 unfinished, whatever its journal says.
+
+One process at a time writes a run directory; the system releases the lock when that process is gone.
+
+The lock is on an empty file of its own, `.lock`, which is made once and never written, renamed, replaced or
+removed: not at the end of a run, not by `resume`, and not by an overwrite, which changes only the files
+beside it. So whoever wants to write this folder asks for the same lock.
+
+Let a new run take the place of an earlier one in the same folder, by one rename that decides.
+
+The new run's small files are written into a folder of their own inside the run directory. Renaming that
+folder from ``.staged`` to ``.replacing`` decides: before it the earlier run is untouched, after it the new
+run counts. What then remains, to remove the earlier run's files and to copy those of the new one into their
+place, can be repeated as often as it is broken off. Nothing is open meanwhile, so that it works on Windows,
+too, and the run directory itself stays where it is: it may be a mount point, and its parent read-only.
+
+Only the process that holds the directory's lock does any of this.
+
+Write a smoothed run as a run directory, which every command that reads runs can read.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal import disk
+from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.writer import (
     PART,
+    JournalWriter,
+    LineFile,
     OutputError,
     Position,
     read_position,
     write_atomically,
     writing,
 )
-from bayesnet_track.runtime.recording.lock import lock_run
-from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.recording.run_reader import Run
+from bayesnet_track.runtime.recording.rundir import FILES, REPLACING, STAGED, RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.tracks import (
+    CsvWriter,
+    MotWriter,
+    has_csv,
+    has_only_points,
+    measured,
+    number_columns,
+)
+from bayesnet_track.runtime.smoothing import SmoothedRun
+
+TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+"""What systems answer when another process has the lock."""
+AT_BYTE = 1 << 30
+"""Windows locks a range of bytes, which may lie behind the end of the file."""
+
+
+@contextmanager
+def lock_run(directory: RunDirectory) -> Iterator[None]:
+    """Inside it no other process writes the run.
+
+    Some disks, of a network for example, have no locks: there it is not checked.
+
+    Raises:
+        RunDirectoryError: another process has the lock, or the folder cannot be written.
+    """
+    try:
+        handle = os.open(directory.lock, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise RunDirectoryError(
+            f"{directory.path}: cannot make the run directory: {error.strerror}"
+        ) from error
+    try:
+        _take(handle, directory)
+        yield
+    finally:
+        os.close(handle)
+
+
+def is_locked(directory: RunDirectory) -> bool:
+    """True if another process writes the run now; changes nothing."""
+    if not directory.lock.is_file():
+        return False
+    try:
+        with lock_run(directory):
+            return False
+    except RunDirectoryError:
+        return os.access(directory.lock, os.W_OK)
+
+
+def _take(handle: int, directory: RunDirectory) -> None:
+    try:
+        _lock(handle)
+    except OSError as error:
+        if error.errno not in TAKEN:  # a file system without locks
+            return
+        raise RunDirectoryError(
+            f"{directory.path}: another process is writing this run; wait for it, or give another folder"
+        ) from None
+
+
+def _lock(handle: int) -> None:
+    try:
+        import fcntl
+    except ImportError:
+        try:
+            import msvcrt
+        except ImportError:  # `runtime.stop` says so at the start of a run
+            return
+        os.lseek(handle, AT_BYTE, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+    else:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
 
 FORMAT = 1
 
@@ -177,3 +276,125 @@ def passing() -> set[str]:
 
 def _varies(key: str) -> str:
     return VARIES.get(key, SAME)
+
+
+def replace_run(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
+    """Replace the run in a directory by a new one that has so far only these `files`, by key in `FILES`.
+
+    Raises:
+        OutputError: it cannot be done. The earlier run is untouched, or the next start completes this.
+    """
+    settle(directory)
+    staged = directory.path / STAGED
+    with writing(staged):
+        disk.make_folder(staged)
+        for key, data in files.items():
+            with closing(disk.open_raw(staged / FILES[key], "wb")) as file:
+                disk.write_whole(file, data)
+                disk.sync(file)
+        disk.sync_folder(staged)
+        disk.replace(staged, directory.path / REPLACING)
+        disk.sync_folder(directory.path)
+    settle(directory)
+
+
+def settle(directory: RunDirectory) -> None:
+    """Complete a replacement that was decided, and remove what is left of one that was not.
+
+    Raises:
+        OutputError: it cannot be done; the next start tries again.
+    """
+    with writing(directory.path):
+        if (directory.path / REPLACING).is_dir():
+            _complete(directory)
+        _remove(directory.path / STAGED)
+
+
+def settle_broken(directory: RunDirectory) -> None:
+    """Complete a replacement that its process left behind; takes the lock only if there is one.
+
+    Raises:
+        RunDirectoryError: the process is still there.
+        OutputError: it cannot be done.
+    """
+    if directory.is_replacing:
+        with lock_run(directory):
+            settle(directory)
+
+
+def _complete(directory: RunDirectory) -> None:
+    """Make the run directory that of the new run; repeated from its start, it ends the same."""
+    replacing = directory.path / REPLACING
+    new = {path.name: path.read_bytes() for path in replacing.iterdir()}
+    held = {path.name for path in directory.path.iterdir()}
+    own = {*FILES.values(), *(name + PART for name in FILES.values())}
+    for name in sorted(held & (own - new.keys())):
+        disk.unlink(directory.path / name)
+    for name, data in sorted(new.items()):
+        write_atomically(directory.path / name, data)
+    # With an empty journal the folder counts as a run.
+    disk.open_raw(directory.journal, "wb").close()
+    disk.sync_folder(directory.path)
+    disk.replace(replacing, directory.path / STAGED)
+    disk.sync_folder(directory.path)
+
+
+def _remove(folder: Path) -> None:
+    if folder.is_dir():
+        for path in sorted(folder.iterdir()):
+            disk.unlink(path)
+        disk.remove_folder(folder)
+
+
+COPIED = ("graph", "recipe", "truth", "inputs", "timings")
+"""Files that are the same for the smoothed run."""
+
+
+def write_smoothed(run: Run, smoothed: SmoothedRun, out: Path, overwrite: bool = False) -> None:
+    """Write the smoothed run beside the one that it was made from.
+
+    Raises:
+        RunDirectoryError: `out` is the run itself, or holds something else.
+        OutputError: a file cannot be written.
+    """
+    if out.resolve() == run.directory.path.resolve():
+        raise RunDirectoryError(f"{out}: the run that is smoothed; give another folder")
+    directory = RunDirectory.create(out, overwrite)
+    with lock_run(directory):
+        settle(directory)
+        directory.refuse(overwrite)
+        files = {key: (run.directory.path / FILES[key]) for key in COPIED}
+        held = {key: path.read_bytes() for key, path in files.items() if path.is_file()}
+        # Empty, a journal makes the folder a run, which may be overwritten.
+        replace_run(directory, {"journal": b"", **held})
+        with_csv = run.directory.csv.is_file()
+        finish(directory, _write_lines(directory, smoothed, run.spec, with_csv), held)
+
+
+def _write_lines(
+    directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpec, with_csv: bool
+) -> dict[str, Position]:
+    has_births = any(plate.birth is not None for plate in graph.targets.values())
+    with ExitStack() as files:
+        journal = files.enter_context(JournalWriter(directory.journal))
+        frames = files.enter_context(FrameWriter(directory.frames))
+        points = has_only_points(graph)
+        mot = files.enter_context(MotWriter(directory.mot, not has_births, points=points))
+        written: dict[str, LineFile] = {"journal": journal, "frames": frames, "mot": mot}
+        csv: CsvWriter | None = None
+        if with_csv or has_csv(graph):
+            csv = CsvWriter(directory.csv, queries=number_columns(graph), points=points)
+            written["csv"] = files.enter_context(csv)
+        for event in smoothed.events:
+            journal.write(event)
+        for _, group in groupby(smoothed.metrics, key=lambda line: line.frame):
+            lines = list(group)
+            columns, tracked = measured(lines)
+            frames.write_columns(columns)
+            mot.write(tracked)
+            if csv is not None:
+                csv.write(tracked)
+        for file in written.values():
+            file.flush()
+            file.sync()
+        return {key: file.position for key, file in written.items()}

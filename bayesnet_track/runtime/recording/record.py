@@ -1,4 +1,7 @@
-"""Write a run down: journal, measurements, tracks, timings and the annotated video, frame by frame."""
+"""Write a run down: journal, measurements, tracks, timings and the annotated video, frame by frame.
+
+Where targets are expected, as lines of ``forecasts.jsonl``: one per frame, target and frames ahead.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ from typing import Self
 
 import numpy as np
 
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.forecasting import forecast
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
@@ -31,30 +36,79 @@ from bayesnet_track.journal.writer import (
 )
 from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.recording.background import Background
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
-from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
-from bayesnet_track.runtime.recording.measured import (
-    FEW,
-    MOST_BOXES,
-    crowd_boxes,
-    measured,
-)
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import (
+    FEW,
+    MOST_BOXES,
     NO_IDS,
     CameraWriter,
     CsvWriter,
     MotWriter,
     QueryWriter,
+    crowd_boxes,
     has_csv,
     has_only_points,
+    measured,
     number_columns,
     views_of_cameras,
 )
-from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, VideoWriter
+from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, Background, VideoWriter
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.entrances.notices import notice
+
+DIGITS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Forecaster:
+    """Looks `horizon` frames ahead with an engine."""
+
+    engine: Engine
+    horizon: int
+    resizing: Resizing
+
+
+class ForecastWriter(LineFile):
+    """``forecasts.jsonl``: a new file, or one that is continued."""
+
+    def __init__(self, path: Path, forecaster: Forecaster, after: int | None = None) -> None:
+        super().__init__(path, after)
+        self._forecaster = forecaster
+
+    def write(self, result: Result) -> None:
+        """Add what is expected of every target after one frame to the next flush."""
+        forecaster, resizing = self._forecaster, self._forecaster.resizing
+        for line in result.targets:
+            if line.target not in result.states:
+                continue
+            start = result.states[line.target], result.births[line.target], line
+            for seen in forecast(forecaster.engine, *start, forecaster.horizon, resizing.tracked):
+                one = resizing.estimate(seen)
+                self.append(
+                    json.dumps(
+                        {
+                            "frame": line.frame,
+                            "target": line.target,
+                            "ahead": one.ahead,
+                            "box": _short(one.centre_box),
+                            "sd": _short(one.sd),
+                            "region50": _short(one.region50),
+                            "region90": _short(one.region90),
+                            **({"queries": _rounded(one.queries)} if one.queries else {}),
+                        }
+                    )
+                )
+
+
+def _short(values: tuple[float, ...]) -> list[float]:
+    return [round(value, DIGITS) for value in values]
+
+
+def _rounded(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(f"{number:.6g}") for name, number in numbers.items()}
+
 
 MOST_WAITING = 4
 """Frames that wait for the encoder; with more, tracking waits."""

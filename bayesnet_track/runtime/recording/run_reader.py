@@ -1,16 +1,22 @@
-"""An earlier run, read back: `open_run(folder)` gives its measurements, events and tables."""
+"""An earlier run, read back: `open_run(folder)` gives its measurements, events and tables.
+
+The page of a run, made from its directory: for `report`, and for a notebook.
+
+The pictures that a run was tracked in, read again: from its source, or from the video that it wrote.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
@@ -23,19 +29,227 @@ from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import Measurements, Notice, read_events, read_seconds
 from bayesnet_track.journal.text.wording import plural
-from bayesnet_track.runtime.recording.interchange import Detections
-from bayesnet_track.runtime.recording.report_page import page_html
-from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.recording.tables import (
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.recording.interchange import (
     AGENT_COLUMNS,
     TRACK_COLUMNS,
+    Detections,
     Row,
     agent_rows,
     columns,
     track_rows,
 )
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.view.notebook import Page, run_html
+from bayesnet_track.view.run_page import LARGEST
 from bayesnet_track.view.timeline import draw_timeline
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.results import FrameSource
+
+SCENE = "scene:"
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Pictures of a run.
+
+    Attributes:
+        images: frame, and (H, W, 3) uint8 BGR, in order; of a damaged source as far as it can be read.
+        annotated: whether what was believed is drawn into them.
+    """
+
+    images: Iterator[tuple[int, NDArray[np.uint8]]]
+    annotated: bool = False
+
+
+@contextmanager
+def pictures_of(
+    directory: RunDirectory, started: RunStarted, first: int, last: int
+) -> Iterator[tuple[Found | None, str]]:
+    """The pictures of frames `first` to `last`, with why they are not those of the source, or not there.
+
+    The source is opened as it was for the run, but never over the network; where it is gone, or its pictures
+    have another size now, the run's own annotated video takes its place.
+    """
+    reasons = []
+    for open_one in (_source, _video):
+        try:
+            source = open_one(directory, started)
+        except (SourceError, OSError, ValueError) as error:
+            reasons.append(str(error))
+            continue
+        try:
+            annotated = open_one is _video
+            size = started.width, started.height
+            sizes = (size, _video_size(directory, size)) if annotated else (size,)
+            if (source.width, source.height) in sizes:
+                # The video has the frames that were tracked, one after the other.
+                place = (first, _stride(directory)) if annotated else (0, 1)
+                images = _between(source, first, last, place)
+                yield Found(_of_size(images, size), annotated), ""
+                return
+            was = f"{started.width}x{started.height}"
+            reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
+        finally:
+            close = getattr(source, "close", None)
+            if close is not None:
+                close()
+    yield None, "; ".join(reasons)
+
+
+def _between(
+    source: FrameSource, first: int, last: int, place: tuple[int, int]
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The images of frames `first` to `last`; `place`: number of the source's first one, and the step."""
+    for item in source:
+        index = place[0] + place[1] * item.index if isinstance(item, Frame) else -1
+        if not isinstance(item, Frame) or index < first:
+            continue
+        if index > last:
+            return
+        yield index, item.image
+
+
+def _of_size(
+    images: Iterator[tuple[int, NDArray[np.uint8]]], size: tuple[int, int]
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The same images in the size of the source, in which boxes are given."""
+    import cv2
+
+    for index, image in images:
+        has_size = image.shape[1::-1] == size
+        yield index, image if has_size else np.asarray(cv2.resize(image, size), dtype=np.uint8)
+
+
+def _video_size(directory: RunDirectory, size: tuple[int, int]) -> tuple[int, int]:
+    """The size of the annotated video of a run whose source has frames of `size`."""
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.runtime.recording.videowriter import LONGEST_SIDE, video_size
+
+    side = Recipe.read(directory).video_side if directory.recipe.is_file() else None
+    return video_size(*size, side or LONGEST_SIDE)
+
+
+def _stride(directory: RunDirectory) -> int:
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+
+    return Recipe.read(directory).origin.stride if directory.recipe.is_file() else 1
+
+
+def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
+    """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.sources.reopen import reopen
+    from bayesnet_track.sources.scenes import make_scene
+    from bayesnet_track.sources.scenes.library import SceneSource
+    from bayesnet_track.sources.sources import open_source
+
+    if directory.recipe.is_file():
+        origin = Recipe.read(directory).origin
+        if origin.only_once is not None:
+            raise SourceError(started.source, origin.only_once, "a source of files", "keep the video")
+        return reopen(replace(origin, allow_network=False))
+    if started.source.startswith(SCENE):
+        return SceneSource(make_scene(started.source[len(SCENE) :], seed=started.seed), started.source)
+    if started.source.isascii() and started.source.isdigit():
+        raise SourceError(started.source, "it was a camera", "a source of files", "keep the video")
+    return open_source(started.source)
+
+
+def _video(directory: RunDirectory, started: RunStarted) -> FrameSource:
+    from bayesnet_track.sources.sources import open_source
+
+    video = directory.mp4 if directory.mp4.is_file() else directory.video
+    if not video.is_file():
+        raise FileNotFoundError(f"and the run wrote no {video.name}")
+    return open_source(str(video))
+
+
+Data = tuple[dict[str, Any], dict[str, Any]]
+"""What is embedded in a page: its header, and its columns."""
+
+
+def page_data(
+    directory: RunDirectory,
+    events: Sequence[Event],
+    metrics: Sequence[FrameMetrics],
+    truth: NDArray[Any] | None,
+    notice: Notice,
+) -> Data:
+    """What a page shows of a run, but for its pictures; `notice` is told of what cannot be shown.
+
+    Raises:
+        JournalError: a line of timings.jsonl is malformed.
+    """
+    from bayesnet_track.view.page_data import read_timings, run_data
+
+    timings = read_timings(directory.timings)
+    return run_data(events, metrics, timings, _graph(directory, notice), truth, directory.path.resolve().name)
+
+
+def page_in_one(
+    data: Data, found: Found | None, missing: str, expected: int, largest: int = LARGEST
+) -> Iterator[str]:
+    """The text of a page in one file, in pieces.
+
+    Args:
+        data: from `page_data`.
+        found: its pictures, if there are any; read before the first piece is given.
+        missing: why there are none.
+        expected: how many there may be.
+        largest: bytes of the page, unless what was measured alone takes more.
+    """
+    from bayesnet_track.view.run_page import Pictures, gather, one_file, room_for_pictures
+
+    pictures = Pictures((), ())
+    if found is not None:
+        wanted = {row["frame"] for row in data[0]["events"] if row["sort"] != "note"}
+        pictures = gather(found.images, expected, wanted, room_for_pictures(*data, largest), found.annotated)
+    return one_file(*data, pictures, missing)
+
+
+def page_html(
+    directory: RunDirectory,
+    events: Sequence[Event],
+    metrics: Sequence[FrameMetrics],
+    truth: NDArray[Any] | None,
+    largest: int,
+) -> str:
+    """The page of a run as a text of at most `largest` bytes; see `page_in_one`.
+
+    Raises:
+        ValueError: it does not begin with `run_started`.
+    """
+
+    if not events or not isinstance(events[0], RunStarted):
+        raise ValueError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
+    data = page_data(directory, events, metrics, truth, lambda text: None)
+    frames = Blocks(metrics, ()).frames().tolist()
+    if not frames:
+        return "".join(page_in_one(data, None, "no frame was tracked", 0, largest))
+    with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
+        return "".join(page_in_one(data, found, missing, len(frames), largest))
+
+
+def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
+    """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
+    from bayesnet_track.graph.checks.cameras import AnyCalibration
+    from bayesnet_track.graph.checks.run import check, cues_named
+    from bayesnet_track.graph.text.load import read_graph
+    from bayesnet_track.graph.text.messages import GraphError
+    from bayesnet_track.observation.cue import stand_ins
+    from bayesnet_track.observation.image_files import AnyMask
+
+    try:
+        spec, at = read_graph(directory.graph)
+        return check(spec, at, stand_ins(cues_named(spec)), AnyMask(), AnyCalibration())
+    except (GraphError, OSError) as error:
+        notice(f"{directory.graph}: the page shows no net: {error}")
+        return None
+
 
 MOST_KEPT = 10_000
 """Lines of measurements that are kept in memory, at some 10 kB each; those of a longer run are read anew."""

@@ -1,18 +1,196 @@
-"""The annotated video as a file that stays readable when the writer is killed: MKV, or fragmented MP4."""
+"""The annotated video as a file that stays readable when the writer is killed: MKV, or fragmented MP4.
+
+A fragmented MP4 as a plain one, with one index at its end, which every player can seek in.
+
+Calls that are made in the background, in order: a frame does not wait for the disk or the encoder.
+"""
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import ExitStack, suppress
 from fractions import Fraction
+from hashlib import sha256
+from io import FileIO
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.recording.remux import DiskFile, remux
+from bayesnet_track.journal.writer import PART, OutputError
+
+Call = tuple[Future[None], Callable[..., None], tuple[Any, ...]]
+
+
+class Background:
+    """Makes calls one after the other on a thread of its own, which starts with the first one.
+
+    Unlike that of a `ThreadPoolExecutor` it works until a program has called everything that it left for its
+    end. Where no thread can start any more, calls are made at once, by the caller.
+
+    Args:
+        name: of the thread.
+        most: calls that may wait; with more, the caller waits.
+
+    >>> seen = []
+    >>> background = Background("example")
+    >>> background.submit(seen.append, 1).result()
+    >>> background.submit(seen.append, 2)  # doctest: +ELLIPSIS
+    <Future at ...>
+    >>> background.shutdown()
+    >>> seen
+    [1, 2]
+    """
+
+    def __init__(self, name: str, most: int = 1) -> None:
+        self._name, self._most = name, most
+        self._calls: Queue[Call | None] = Queue(most)
+        self._thread: Thread | None = None
+
+    def submit(self, call: Callable[..., None], *arguments: Any) -> Future[None]:
+        """Have a call made; what it raises is raised by the `result` of what is returned."""
+        made: Future[None] = Future()
+        if self._is_at_work():
+            self._calls.put((made, call, arguments))
+        else:
+            _make(made, call, arguments)
+        return made
+
+    def shutdown(self) -> None:
+        """Wait until every call is made; safe to call twice."""
+        thread, self._thread = self._thread, None
+        if thread is not None and thread.is_alive():
+            self._calls.put(None)
+            thread.join()
+
+    def _is_at_work(self) -> bool:
+        """True if there is a thread, which is started where there is none; a forked process has none."""
+        if self._thread is None or not self._thread.is_alive():
+            self._calls = Queue(self._most)
+            thread = Thread(target=_work, args=(self._calls,), name=self._name, daemon=True)
+            try:
+                thread.start()
+            except RuntimeError:  # the interpreter ends, or the system has no more threads
+                return False
+            self._thread = thread
+        return True
+
+
+def _work(calls: Queue[Call | None]) -> None:
+    while (item := calls.get()) is not None:
+        _make(*item)
+        del item  # the arguments of the last call may be large
+
+
+def _make(made: Future[None], call: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    try:
+        call(*arguments)
+    except BaseException as error:
+        made.set_exception(error)
+        if not isinstance(error, Exception):
+            raise
+    else:
+        made.set_result(None)
+
+
+CHANGED = "something else changed it while it was being written"
+
+
+PART_BYTES = 1 << 20
+
+
+class DiskFile:
+    """A new file as PyAV writes one: it does not look how much of its bytes was taken.
+
+    Nearly all is appended. What is written over, such as the sizes of clusters, is kept, so that `check` can
+    tell the bytes that were written from those of something else.
+    """
+
+    def __init__(self, file: FileIO) -> None:
+        self._file, self.size = file, 0
+        self.seek, self.tell = file.seek, file.tell
+        self._appended = sha256()
+        self._replaced: list[tuple[int, bytes, bytes]] = []
+
+    def write(self, data: bytes | memoryview) -> int:
+        """Write all of it."""
+        written, at = bytes(data), self._file.tell()
+        over = min(len(written), max(self.size - at, 0))
+        if over:
+            self._replaced.append((at, self._file.read(over), written[:over]))
+            self._file.seek(at)
+        disk.write_whole(self._file, written)
+        self._appended.update(bytes(max(at - self.size, 0)) + written[over:])
+        self.size = max(self.size, self._file.tell())
+        return len(written)
+
+    def check(self) -> None:
+        """Refuse a file whose bytes are not those that were written; raises LostFileError."""
+        found, begin = sha256(), 0
+        self._file.seek(0)
+        while part := self._file.read(PART_BYTES):
+            former = bytearray(part)
+            for at, before, after in reversed(self._replaced):
+                low, high = max(at, begin), min(at + len(after), begin + len(part))
+                if low < high:
+                    here, there = slice(low - begin, high - begin), slice(low - at, high - at)
+                    if former[here] != after[there]:
+                        raise disk.LostFileError(CHANGED)
+                    former[here] = before[there]
+            found.update(former)
+            begin += len(part)
+        if found.digest() != self._appended.digest():
+            raise disk.LostFileError(CHANGED)
+
+
+def remux(path: Path) -> None:
+    """Replace the MP4 at `path` by one with the same frames and one index; it is there whole or as it was.
+
+    With PyAV 14.0 and 14.1 it stays as it was: they give the copy the headers of another encoder.
+
+    Raises:
+        OSError: it cannot be read or written (also those of FFmpeg).
+    """
+    import av
+
+    if av.__version__.split(".")[:2] in (["14", "0"], ["14", "1"]):
+        return
+    part = path.with_name(path.name + PART)
+    try:
+        with ExitStack() as stack:
+            # The explicit protocol keeps FFmpeg from reading a protocol into the file's name.
+            given: Any = stack.enter_context(av.open(f"file:{path.absolute()}"))
+            file = disk.open_raw(part, "w+b")
+            stack.callback(file.close)
+            made: Any = av.open(DiskFile(file), mode="w", format="mp4", options={"fflags": "+bitexact"})
+            with made:
+                stream = _same_stream(made, given.streams.video[0])
+                for packet in given.demux(given.streams.video[0]):
+                    if packet.dts is not None:  # the last packet is empty
+                        packet.stream = stream
+                        made.mux(packet)
+            disk.sync(file)
+        disk.replace(part, path)
+    except (OSError, av.error.FFmpegError) as error:
+        with suppress(OSError):
+            disk.unlink(part)
+        # Closing what could not be written raises again, without the reason.
+        if isinstance(error.__context__, OSError) and not isinstance(error, OSError):
+            raise error.__context__ from None
+        raise
+
+
+def _same_stream(container: Any, stream: Any) -> Any:
+    if hasattr(container, "add_stream_from_template"):
+        # Otherwise PyAV 14 opens an encoder, whose headers are not those of the packets.
+        return container.add_stream_from_template(stream, opaque=True)
+    return container.add_stream(template=stream)  # before PyAV 14
+
 
 SUFFIXES = {".mkv": "matroska", ".mp4": "mp4"}
 _CLUSTER_S = 1

@@ -19,7 +19,7 @@ from bayesnet_track.runtime.annotation.answers import (
     read_answers,
 )
 from bayesnet_track.runtime.annotation.asking import TrackedBox, TrackerRuns
-from bayesnet_track.runtime.annotation.formats.formats import WRITERS
+from bayesnet_track.runtime.annotation.desk import WRITERS
 from bayesnet_track.runtime.annotation.frame_store import FrameStore, Video
 from bayesnet_track.runtime.annotation.session import open_session
 from bayesnet_track.sources.entrances.notices import InputNotice

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.runtime.annotation.answers import read_answer
-from bayesnet_track.runtime.annotation.formats.formats import read_annotations
+from bayesnet_track.runtime.annotation.desk import read_annotations
 from bayesnet_track.runtime.annotation.formats.reading import MismatchError
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.notices import InputNotice, heard

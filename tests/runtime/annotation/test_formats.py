@@ -6,7 +6,7 @@ import random
 import pytest
 
 from bayesnet_track.runtime.annotation.asking import BoxMark
-from bayesnet_track.runtime.annotation.formats.formats import (
+from bayesnet_track.runtime.annotation.desk import (
     WRITERS,
     read_annotations,
     read_mot,

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.annotation.formats.formats import read_annotations
+from bayesnet_track.runtime.annotation.desk import read_annotations
 from bayesnet_track.runtime.annotation.formats.reading import MismatchError
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.sources.entrances.notices import InputNotice

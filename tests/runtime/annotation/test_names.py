@@ -20,7 +20,7 @@ from bayesnet_track.runtime.annotation.answers import (
     read_answers,
 )
 from bayesnet_track.runtime.annotation.asking import TrackedBox
-from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations
+from bayesnet_track.runtime.annotation.desk import WRITERS, read_annotations
 from bayesnet_track.runtime.annotation.frame_store import Video
 from bayesnet_track.runtime.annotation.session import open_session
 from bayesnet_track.sources.entrances.notices import InputNotice

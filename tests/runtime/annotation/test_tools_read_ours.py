@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.runtime.annotation.asking import BoxMark
-from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations, write_formats
+from bayesnet_track.runtime.annotation.desk import WRITERS, read_annotations, write_formats
 from bayesnet_track.runtime.annotation.formats.reading import Document
 from bayesnet_track.runtime.annotation.frame_store import Video
 
