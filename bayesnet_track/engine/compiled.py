@@ -133,6 +133,21 @@ class CompiledPlate:
         seen_by = {agent: self.plate.seen_by(agent) for agent in self.sensors}
         return {agent: one.name for agent, one in seen_by.items() if one is not None}
 
+    @cached_property
+    def looking(self) -> Mapping[str, str]:
+        """Agent that looks at the image of one of several cameras -> which."""
+        cameras = {agent: self.plate.camera_of(agent) for agent in self.plate.agents}
+        return {agent: camera for agent, camera in cameras.items() if camera and agent not in self.sensors}
+
+    def boxes_of(self, agent: str, states: Floats, frame: Frame) -> Floats:
+        """(T, 4) boxes of states (T, D) in the image that an agent looks at, px."""
+        if agent not in self.looking:
+            return self.boxes(states, frame)
+        assert self.views is not None
+        views = self.views.views
+        node = next(name for name, view in views.items() if view.seen_by == self.looking[agent])
+        return self.views.boxes(states, frame, node)
+
     @property
     def has_one_image(self) -> bool:
         """True unless several cameras see its targets."""

@@ -18,7 +18,7 @@ from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext, planes_of_each
 from bayesnet_track.engine.judging import JudgedGroup
-from bayesnet_track.engine.starting import start_late
+from bayesnet_track.engine.starting import start_late, unmet
 from bayesnet_track.engine.state import inside_frame
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow, is_elsewhere
@@ -95,7 +95,8 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
     is_learning = any(any(one) for one in rates.values())
     fields = filtered.fields
     angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
-    if not is_learning and (filtered.keeps_status or not group.chosen):
+    news = () if filtered.keeps_status else _meeting(work, group)
+    if not is_learning and not news and (filtered.keeps_status or not group.chosen):
         return LearntGroup(filtered.references, shares, angles=angles)
     lesson, checks, free = partial(_lesson, work, group), dict[int, DriftCheck](), rates
     if is_learning and compiled.guard is not None:
@@ -109,7 +110,7 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
                 free[agent][row] = 0.0
     references, faults = move_references(work, group, lesson, free, angles)
     beside = {}
-    for row in sorted({*group.chosen, *faults, *checks}):
+    for row in sorted({*group.chosen, *faults, *checks, *news}):
         judged = checks.get(row) or judge_nothing(filtered.state(row).watched)
         moved = {agent: of[row] for agent, of in references.items()}
         own = {agent: of[row] for agent, of in rates.items()}
@@ -123,8 +124,19 @@ def _lesson(work: FrameContext, group: JudgedGroup, row: int) -> LearningInputs:
     state = np.concatenate([group.boxes[row], group.states[row, 4:]])[None]
     parts = group.measures.of(row).parts if compiled.part_of else {}
     boxes = {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()}
-    at = hypotheses_of(state, filtered.fields)
-    return LearningInputs(compiled.cues, work.cache, at, boxes, work.availability, filtered.ids[row])
+    for agent in compiled.looking:
+        boxes[agent] = compiled.boxes_of(agent, group.states[row : row + 1], work.frame)[0]
+    at, cameras = hypotheses_of(state, filtered.fields), compiled.looking
+    return LearningInputs(compiled.cues, work.cache, at, boxes, work.availability, filtered.ids[row], cameras)
+
+
+def _meeting(work: FrameContext, group: JudgedGroup) -> list[int]:
+    """The targets that one of several cameras sees for the first time."""
+    looking, references = group.filtered.compiled.looking, group.filtered.references
+    if looking.keys() <= references.keys():
+        return []
+    tracked = [row for row, net in enumerate(group.nets) if net.status == "tracking"]
+    return [row for row in tracked if unmet(_lesson(work, group, row), group.nets[row], references)]
 
 
 # ------------------------------------------------------------------------------------ rates
@@ -247,6 +259,8 @@ def _rows(work: FrameContext, group: JudgedGroup, agent: str, rates: Sequence[fl
     """The targets of which an agent learns."""
     ids, availability = group.filtered.ids, work.availability
     rows = [row for row, rate in enumerate(rates) if rate > 0.0]
+    if agent in group.filtered.compiled.looking:
+        rows = [row for row in rows if _lesson(work, group, row).sees(agent)]
     if availability.known:
         rows = [row for row in rows if availability.misses(ids[row], agent, "learning") is None]
     return np.array(rows, dtype=np.intp)
@@ -269,6 +283,11 @@ def _follow(
     if part is not None:
         places = [group.measures.of(row).parts[part].box for row in rows.tolist()]
         boxes = np.array([inside_frame(box, work.frame) for box in places])
+    elif agent in compiled.looking:
+        boxes = compiled.boxes_of(agent, group.states[rows], work.frame)
+        cache = work.cache.of_camera(compiled.looking[agent])
+        assert cache is not None  # else its rows were left out
+        work = evolve(work, cache=cache)
     try:
         planes = _planes(work, cue, boxes)
     except FAULTS as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -72,10 +72,16 @@ def start(
         _first_lesson(work, compiled, target, box, parts),
         work.availability_of(target, "starting"),
     )
-    learnt, faults = learn_first(lesson, [agent for agent in compiled.cues if agent not in known])
+    # Those that look through one of several cameras meet the target when that sees it: `start_late`.
+    learning = [agent for agent in compiled.cues if agent not in known and agent not in compiled.looking]
+    learnt, faults = learn_first(lesson, learning)
     references = {**learnt, **known}
-    if not frame.has_color:
-        faults |= dict.fromkeys(sorted(compiled.color_agents), "needs colour, and the source is gray")
+    gray = [
+        agent
+        for agent in sorted(compiled.color_agents)
+        if not (frame.of(compiled.looking.get(agent, "")) or frame).has_color
+    ]
+    faults |= dict.fromkeys(gray, "needs colour, and the source is gray")
     x, y, w, h = (float(v) for v in box)
     decisions: list[Decision] = [
         TargetStarted(frame.index, target, template, (x, y, w, h), active),
@@ -151,12 +157,15 @@ def start_late(
     """First references of the agents that are admitted now and gave none when the target started.
 
     They learn at the estimate, those that look at a part in its box, and only while the target is tracked by
-    others. Those that still have none are out again.
+    others. Those that still have none are out again. So do those whose camera, one of several, sees the
+    target for the first time.
     """
+    net, frame, target = now.net, now.frame, now.target
     back = [one.node for one in decisions if isinstance(one, Readmitted) and one.node not in references]
+    if net.status == "tracking":
+        back += unmet(lesson, net, {*references, *back})
     if not back:
         return {}, ()
-    net, frame, target = now.net, now.frame, now.target
     if net.status != "tracking" or not net.active:
         why = "gave no first reference, and the target is not tracked, which it could learn from"
         return {}, tuple(quarantine(net, frame, target, agent, why) for agent in back)
@@ -169,6 +178,12 @@ def start_late(
     )
 
 
+def unmet(lesson: LearningInputs, net: TargetNet, met: Container[str]) -> list[str]:
+    """The agents whose camera sees the target for the first time; `met` are those that know it."""
+    agents = [agent for agent in lesson.cameras if agent not in met and agent not in net.quarantined]
+    return [agent for agent in agents if lesson.sees(agent)]
+
+
 def _later(frame: int, target: str, agent: str, why: str, net: TargetNet | None = None) -> Quarantined:
     """The agent gave no first reference: it is out for a while."""
     until, times = next_try(frame, None if net is None else net.faults.get(agent))
@@ -179,7 +194,8 @@ def restart(work: FrameContext, target: str, template: str, box: Floats, before:
     """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
     compiled = work.engine.plates[template]
     lesson = _first_lesson(work, compiled, target, box, _parts(compiled, box, work.frame))
-    learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in compiled.looks])
+    kept_references = compiled.looks | compiled.looking.keys()
+    learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in kept_references])
     return replace(
         before,
         belief=with_kinds(

@@ -252,6 +252,11 @@ class CheckedTarget:
             node = self.parent[node]
         return None if node is None else self.views[node]
 
+    def camera_of(self, agent: str) -> str:
+        """The camera whose image an agent looks at, where there are several; else ""."""
+        seen_by = self.seen_by(agent) if len(self.views) > 1 else None
+        return "" if seen_by is None else seen_by.name
+
     def correlation(self, node: str) -> float | None:
         """Of the children's errors, where the pool of an inference node is learned; None elsewhere."""
         spec = self.inference(node)

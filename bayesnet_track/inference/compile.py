@@ -16,7 +16,7 @@ from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.views import View, views_below
-from bayesnet_track.observation.cue import AnyCue, MeasuringCue
+from bayesnet_track.observation.cue import AnyCue, AssociatingCue, MeasuringCue
 from bayesnet_track.observation.planes import Plane
 
 HELD: Mapping[Form, str] = {
@@ -47,7 +47,7 @@ class Observe:
     """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it).
 
     With `measures` it says where the target is instead, by quantities that `functions` have of a state. Its
-    log-likelihood is divided by `temperature`.
+    log-likelihood is divided by `temperature`. It looks at the image of `camera`, where there are several.
     """
 
     agent: str
@@ -55,6 +55,7 @@ class Observe:
     measures: bool = False
     temperature: float = 1.0
     functions: MeasuredAs | None = None
+    camera: str = ""
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
                 name in measuring,
                 target.agent(name).temperature,
                 target.measures.get(name),
+                "" if isinstance(cues[name], AssociatingCue) else target.camera_of(name),
             )
             for name in watching
         ),

@@ -31,6 +31,7 @@ from bayesnet_track.inference.asking import (
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.switches import ReferenceGuarded
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.boxes import LEAST_VISIBLE, shares_inside
 from bayesnet_track.observation.cue import (
     ANGLE,
     FAULTS,
@@ -43,7 +44,7 @@ from bayesnet_track.observation.cue import (
     context_of,
     text_of,
 )
-from bayesnet_track.observation.planes import PlaneCache, region_of_boxes, shown
+from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ def judge(
         further = {name: values.copy() for name, values in lesson.at.fields.items()}
         at = Hypotheses(lesson.box_of(agent)[None].copy(), further)
         try:
-            planes = lesson.cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
+            planes = lesson.planes_of(agent, at.boxes)
             both = shown(references[agent]), shown(slow)
             own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in both)
             gaps[agent] = own, other
@@ -195,7 +196,8 @@ class LearningInputs:
         cues: agent -> implementation.
         cache: the planes of the frame.
         at: the estimate, one hypothesis.
-        own_boxes: agent that looks at a part -> the centre box (4,) of that part.
+        own_boxes: agent that looks at a part, or through one of several cameras -> its centre box (4,).
+        cameras: agent that looks through one of several cameras -> which.
         availability: agents that give no answer for a reason outside of them.
         target: target id.
     """
@@ -206,6 +208,21 @@ class LearningInputs:
     own_boxes: Mapping[str, Floats] = field(default_factory=dict)
     availability: Availability = field(default_factory=Availability)
     target: str = ""
+    cameras: Mapping[str, str] = field(default_factory=dict)
+
+    def planes_of(self, agent: str, boxes: Floats) -> Planes:
+        """The planes that an agent reads around boxes (N, 4)."""
+        cue, cache = self.cues[agent], self.cache.of_camera(self.cameras.get(agent, ""))
+        assert cache is not None  # an agent whose camera has no frame is not asked
+        return cache.planes(cue.needs, region_of_boxes(boxes, grow=context_of(cue)))
+
+    def sees(self, agent: str) -> bool:
+        """True if the camera of an agent has a frame with most of the target in it."""
+        cache = self.cache.of_camera(self.cameras.get(agent, ""))
+        if cache is None:
+            return False
+        frame = cache.frames.current
+        return bool(shares_inside(self.box_of(agent)[None], frame.width, frame.height)[0] >= LEAST_VISIBLE)
 
     def box_of(self, agent: str) -> Floats:
         """(4,) the centre box that the agent looks at."""
@@ -360,7 +377,7 @@ def _learn_ahead(lesson: LearningInputs, agent: str) -> Wait[Reference | str | M
 def _to_learn(lesson: LearningInputs, agent: str) -> tuple[str, tuple[Any, ...]]:
     """Method of the cue that learns, and its arguments."""
     cue, box, angle = lesson.cues[agent], lesson.box_of(agent), lesson.angle
-    planes = lesson.cache.planes(cue.needs, region_of_boxes(box[None, :], grow=context_of(cue)))
+    planes = lesson.planes_of(agent, box[None, :])
     if angle != 0.0 and isinstance(cue, Turnable):
         return "learn_turned", (planes, box.copy(), angle)
     return "learn", (planes, box.copy())

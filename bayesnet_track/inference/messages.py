@@ -68,7 +68,12 @@ def evaluate(
     measured: dict[str, Measurement | None] = {}
     constants: dict[str, float] = {}
     faults: dict[str, str] = {}
-    question = Question(at, prior_log, _region(latent if plan.views else at))
+    cameras = dict.fromkeys(step.camera for step in plan.observations if step.camera)
+    regions = {
+        camera: _region({step.at: at[step.at] for step in plan.observations if step.camera == camera})
+        for camera in cameras
+    }
+    question = Question(at, prior_log, _region(latent if plan.views else at), regions)
     answers = {**ahead, **known_answers(plan.observations, observer)}
     answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
     for step in plan.observations:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import count
+from itertools import chain, count
 from threading import Lock
 from typing import Any
 
@@ -27,6 +27,7 @@ from bayesnet_track.inference.asking import (
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.inference.factors import Factors
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.boxes import LEAST_VISIBLE, shares_inside
 from bayesnet_track.observation.cue import (
     FAULTS,
     AnyCue,
@@ -36,7 +37,7 @@ from bayesnet_track.observation.cue import (
     foreign_part,
     real_numbers,
 )
-from bayesnet_track.observation.planes import PlaneCache, Region, shown
+from bayesnet_track.observation.planes import PlaneCache, Planes, Region, shown
 
 Clock = Callable[[], float]
 Answer = Floats | Measurement | str | Missing | None
@@ -96,11 +97,34 @@ class Question:
         at: the root and every latent node -> its hypotheses.
         prior_log: (N,) normalised prior log-weights.
         region: the smallest region that holds every hypothesis of every node.
+        regions: the same of the nodes that each of several cameras sees.
     """
 
     at: Mapping[str, Hypotheses]
     prior_log: Floats
     region: Region
+    regions: Mapping[str, Region] = field(default_factory=dict)
+
+    def planes(self, observer: Observer, step: Observe) -> Planes:
+        """The planes that an agent reads."""
+        cache = observer.cache.of_camera(step.camera)
+        assert cache is not None
+        needs = observer.cues[step.agent].needs
+        return cache.planes(needs, self.regions[step.camera] if step.camera else self.region)
+
+    def is_seen(self, observer: Observer, step: Observe) -> bool:
+        """True if the agent can be asked: its camera has a frame, and probably most of the target is in it.
+
+        One of several cameras says nothing of a target that is elsewhere, or that it has not met so far.
+        """
+        if not step.camera:
+            return True
+        cache = observer.cache.of_camera(step.camera)
+        if cache is None or step.agent not in observer.references:
+            return False
+        frame = cache.frames.current
+        shares = shares_inside(self.at[step.at].boxes, frame.width, frame.height)
+        return float(np.exp(self.prior_log) @ shares) >= LEAST_VISIBLE
 
 
 def ask_agents(question: Question, observer: Observer, steps: Sequence[Observe]) -> dict[Observe, Answer]:
@@ -122,7 +146,9 @@ def ask_each(
 ) -> Iterator[tuple[Observe, Answer]]:
     """Each of `steps` with its agent's answer, found as the pairs are collected (`each_at_once`)."""
     ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
-    return each_at_once(ahead, here, steps)
+    asked = [step for step in steps if question.is_seen(observer, step)]
+    unseen: list[tuple[Observe, Answer]] = [(step, None) for step in steps if step not in asked]
+    return chain(unseen, each_at_once(ahead, here, asked))
 
 
 def find_known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:
@@ -149,7 +175,7 @@ def observe(question: Question, observer: Observer, step: Observe) -> Answer:
     given = question.at[step.at]
     started = observer.clock()
     try:
-        planes = observer.cache.planes(cue.needs, question.region)
+        planes = question.planes(observer, step)
         started, part = _charge(observer, part, started), agent
         reference = observer.references[agent]
         if step.measures:
@@ -172,7 +198,7 @@ def ask_ahead(question: Question, observer: Observer, step: Observe) -> Wait[Ans
     started, own = observer.clock(), question.at[step.at]
 
     def ask() -> Wait[Any]:
-        planes = observer.cache.planes(cue.needs, question.region)
+        planes = question.planes(observer, step)
         reference = shown(observer.references[step.agent])
         if step.measures:
             weights = np.exp(question.prior_log)

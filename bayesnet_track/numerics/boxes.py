@@ -72,3 +72,18 @@ def overlap(a: ArrayLike, b: ArrayLike) -> Floats:
     union = first[..., 2] * first[..., 3] + second[..., 2] * second[..., 3] - intersection
     empty = np.zeros(np.shape(intersection))
     return np.asarray(np.divide(intersection, union, out=empty, where=union > 0), dtype=np.float64)
+
+
+LEAST_VISIBLE = 0.5
+"""A camera sees a target if so much of its box is in the image."""
+
+
+def shares_inside(boxes: Floats, width: int, height: int) -> Floats:
+    """(N,) shares of the area of centre boxes (N, 4) that are inside an image.
+
+    >>> shares_inside(np.array([[0.0, 10.0, 11.0, 4.0], [-50.0, 10.0, 4.0, 4.0]]), 100, 50).round(3).tolist()
+    [0.545, 0.0]
+    """
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
+    extent = np.minimum(high, np.array([width, height]) - 0.5) - np.maximum(low, -0.5)
+    return np.asarray((np.maximum(extent, 0.0) / boxes[:, 2:]).prod(axis=1), dtype=np.float64)

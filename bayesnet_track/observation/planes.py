@@ -179,6 +179,7 @@ class Frame:
         stride: of the source's frames every so many-th is tracked.
         inputs: what is known of the frame beside its image: the graph's `inputs`, by name.
         cameras: of a step of several cameras: the own frame of each that has one at this time, by name.
+        last_frames: of such a step: the last frame before it of each camera that had one.
     """
 
     index: int
@@ -190,6 +191,7 @@ class Frame:
     stride: int = 1
     inputs: Mapping[str, float] = field(default_factory=dict)
     cameras: Mapping[str, Frame] = field(default_factory=dict)
+    last_frames: Mapping[str, Frame] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only(self.image))
@@ -312,8 +314,10 @@ class FramePair:
         """The pair of a camera; None where it has no frame at this time."""
         if not self.current.cameras:
             return self
-        current = self.current.of(camera)
-        return None if current is None else FramePair(current, self.previous and self.previous.of(camera))
+        current, previous = self.current.of(camera), self.current.last_frames.get(camera)
+        if current is None:
+            return None
+        return FramePair(current, previous or (self.previous and self.previous.of(camera)))
 
     @property
     def names(self) -> dict[str, float]:
@@ -390,10 +394,20 @@ class PlaneCache:
 
     def __init__(self, frames: FramePair) -> None:
         self.frames = frames
+        self._of_cameras: dict[str, PlaneCache | None] = {}
         self._whole = Region(0, 0, frames.current.width, frames.current.height)
         self._held: dict[Plane, list[tuple[Region, Array]]] = {}
         self._spent: dict[Plane, int] = {}
         self._locks: dict[Plane, Lock] = {}
+
+    def of_camera(self, camera: str) -> PlaneCache | None:
+        """The planes of a camera's own frame, None where it has none; these for "" and where there is one."""
+        if not camera or not self.frames.current.cameras:
+            return self
+        if camera not in self._of_cameras:
+            pair = self.frames.of(camera)
+            self._of_cameras[camera] = None if pair is None else PlaneCache(pair)
+        return self._of_cameras[camera]
 
     def planes(self, wanted: Iterable[Plane], region: Region) -> Planes:
         """The planes `wanted`, all on `region` cut to the frame."""

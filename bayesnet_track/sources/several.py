@@ -120,6 +120,7 @@ class SeveralSources:
         first = self.sources[self._first]
         image: Array = np.zeros((first.height, first.width, 3), np.uint8)
         image.flags.writeable = False
+        last_frames: dict[str, Frame] = {}
         while True:
             notices: list[SourceItem] = []
             for head in heads.values():
@@ -136,7 +137,16 @@ class SeveralSources:
             if self._first in together:
                 image = together[self._first].image
             intervals = (time_s - start) / self.frame_interval_s
-            yield Frame(self.frames, intervals, image, first.has_color, time_s, cameras=together)
+            yield Frame(
+                self.frames,
+                intervals,
+                image,
+                first.has_color,
+                time_s,
+                cameras=together,
+                last_frames=last_frames,
+            )
+            last_frames = last_frames | together
             self.frames += 1
         reasons = [source.end_reason for source in self.sources.values()]
         self.end_reason = next((one for one in reasons if one != "end_of_source"), "end_of_source")

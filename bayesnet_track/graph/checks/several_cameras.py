@@ -131,13 +131,10 @@ def several_cameras_have_detections(plate: Plate) -> Iterator[GraphMessage]:
         path = ("targets", plate.name, "birth", "detector")
         found = f"births by {birth.detector.detector} beside several cameras ({several})"
         yield plate.at.message(path, found, f"{GIVEN}: those of each camera are given")
-    for name, node in plate.agents.items():
-        declaration = plate.cues.get(node.agent.cue)
-        if declaration is None or declaration.reads_detection or camera_above(plate.spec, name) is None:
-            continue
-        found = f"{node.agent.cue}, which looks at the image, beside several cameras ({several})"
-        allowed = "agents that are given detections, such as agent: detection; or a graph of one camera"
-        yield plate.message(name, found, allowed, key=("agent",))
+    for name, node in plate.inference.items():
+        if node.fuse is not None and node.fuse.latent is not None and camera_above(plate.spec, name):
+            found = f"fuse: latent below one of several cameras ({several})"
+            yield plate.message(name, found, ["product", "pool"], key=("fuse", "latent"), on_key=True)
 
 
 def first_clock_is_that_of_the_run(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
