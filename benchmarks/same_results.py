@@ -39,6 +39,8 @@ SCENES = {
     "kalman_ball": ("flying_ball", 80),
     "orange_and_gray": ("orange_and_gray", 60),
     "orange_and_gray_detected": ("orange_and_gray", 60),
+    "people_by_depth": ("person_stereo", 30),
+    "people_by_outline": ("two_people_color_stereo_shape", 30),
     "person_color_stereo": ("person_color_stereo", 30),
     "person_leaning": ("person_parts", 30),
     "person_levels": ("person_parts", 30),

@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "numerics": set(),
     "graphs": set(),
     "observation": {"numerics"},
-    "vision": {"numerics", "observation"},
+    "vision": {"graphs", "numerics", "observation"},
     "graph": {"graphs", "numerics", "observation"},
     "adapt": BASE | {"graph", "observation"},
     "belief": BASE | {"graph", "observation"},

@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.graphs import graph_folder
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
+from bayesnet_track.observation.image_files import PictureError, read_mask
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.planes import EdgePlane
 
@@ -331,12 +333,28 @@ MAX_BYTES = 1 << 28
 """Most that a model may take in memory: far more than one of 100 modes on 64 x 64 cells."""
 
 
+GRID = 16
+"""Cells along each side of the vectors of a model from one image."""
+
+
 def load_model(path: str | Path) -> ShapeModel:
-    """Read what `save_model` wrote; nothing in the file is executed.
+    """Read what `save_model` wrote, or the silhouette in an image; nothing in the file is executed.
+
+    An image is a mask, above 0 inside: the mean shape, without modes. A path that leads nowhere is looked for
+    among the installed graphs.
 
     Raises:
         ShapeModelError: it cannot be read, is something else, of another version, or its arrays do not fit.
     """
+    installed = Path(graph_folder()) / path
+    if not Path(path).exists() and installed.is_file():
+        path = installed
+    if Path(path).suffix.lower() == ".png":
+        try:
+            vector, _ = mask_example(read_mask(Path(path)).gray, GRID)
+        except (PictureError, ValueError) as error:
+            raise ShapeModelError(f"silhouette {error}") from error
+        return learn_model(vector[None])
     # A pipe would wait for its writer, a device never end, and packed zeros unpack to any size.
     if Path(path).exists() and not Path(path).is_file():
         raise ShapeModelError(f"{path} is no file")

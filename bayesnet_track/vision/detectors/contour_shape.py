@@ -27,7 +27,9 @@ from bayesnet_track.vision.shape import COVER, ShapeModel, ShapeModelError, cont
 class ContourShapeParameters(DetectorParameters):
     """Parameters of the contour detector."""
 
-    model: str = Field(description="Shape model file of `bayesnet-track learn-shape` (path).")
+    model: str = Field(
+        description="Shape model file of `bayesnet-track learn-shape`, or a PNG image of a silhouette (path)."
+    )
     sd_distance: float = Field(
         default=0.1,
         gt=0,
