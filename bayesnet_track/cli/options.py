@@ -326,12 +326,12 @@ def open_cameras_given(options: argparse.Namespace, graph: CheckedGraph) -> Seve
     """The sources of several cameras, or their detections alone, merged by time; raises UsageError."""
     from bayesnet_track.runtime.several_cameras import open_cameras
 
-    for option in ("right", "stereo", "depth", "calibration", "view", "max_side", "init", "init_from", "end"):
+    for option in ("right", "stereo", "depth", "calibration", "view", "max_side", "init", "init_from"):
         if getattr(options, option, None) is not None:
             name = f"--{option.replace('_', '-')}"
             raise UsageError(f"{name} is of one image, and the graph {graph.spec.name} has several cameras")
     how = {name: getattr(options, name) for name in ("allow_network", "on_resize", "stride", "value_range")}
-    how["start"] = options.start or None
+    how |= {"start": options.start or None, "end": options.end}
     return open_cameras(graph, options.source, options.detections, **how)
 
 

@@ -273,7 +273,7 @@ def track(
                 opened,
                 starts,
                 seed,
-                detections=files_given.get(""),
+                detections=files_given,
                 has_video=bool(video),
                 own_motion=motion is not None,
                 inputs=again,

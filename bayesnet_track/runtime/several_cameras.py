@@ -6,7 +6,7 @@ import copy
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frame_clock import Fed
 from bayesnet_track.runtime.given_scans import GivenDetections, read_given
 from bayesnet_track.runtime.results import FrameSource
-from bayesnet_track.sources.several import CameraSource, SeveralSources
+from bayesnet_track.sources.several import SeveralSources
 
 Size = tuple[int, int]
 
@@ -179,8 +179,17 @@ def check_named(graph: CheckedGraph, source: object, detections: object) -> None
             )
 
 
-def open_cameras(graph: CheckedGraph, sources: Any, detections: Any, **how: Any) -> SeveralSources:
-    """The sources of a graph's cameras, each by name, merged by time; `how` is as of `open_source`.
+def open_cameras(
+    graph: CheckedGraph,
+    sources: Any,
+    detections: Any,
+    start: int | None = None,
+    end: int | None = None,
+    **how: Any,
+) -> SeveralSources:
+    """The sources of a graph's cameras, each by name, merged by time.
+
+    `start` and `end` are steps, `end` exclusive; `how` is as of `open_source`.
 
     Of a camera without a source its detections stand for the frames.
 
@@ -189,39 +198,38 @@ def open_cameras(graph: CheckedGraph, sources: Any, detections: Any, **how: Any)
         StartError: one has another size than its camera was calibrated in.
         TypeError, ValueError: as of `check_named`; or a camera has neither source nor detections.
     """
-    from bayesnet_track.sources.detection_files import BoxReader
-    from bayesnet_track.sources.frames import Source
-    from bayesnet_track.sources.origin import Origin
     from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.sources.sources import open_source
 
     check_named(graph, sources, detections)
-    opened: dict[str, CameraSource] = {}
+    files = {**(detections or {}), **(sources or {})}
     texts: dict[str, str] = {}
+    for camera in graph.several_cameras:
+        if camera not in files:
+            raise ValueError(
+                f"neither a source nor detections of the camera {camera}; the graph {graph.spec.name} "
+                f"has {', '.join(graph.several_cameras)}"
+            )
+        text = str(files[camera])
+        other = texts.setdefault(str(Path(text).absolute()), camera)
+        if other != camera:
+            raise SourceError(
+                text,
+                f"the source of two cameras, {other} and {camera}: its evidence would count twice",
+                "a source of its own for each camera",
+                "give each camera once",
+            )
+    merged = SeveralSources.opened(
+        {
+            camera: partial(open_source, str(files[camera]), size=size, **how)
+            for camera, size in graph.several_cameras.items()
+        },
+        start,
+        end,
+    )
     with ExitStack() as stack:
-        for camera, size in graph.several_cameras.items():
-            text, own = (str(one[camera]) if one and camera in one else "" for one in (sources, detections))
-            if not text and not own:
-                raise ValueError(
-                    f"neither a source nor detections of the camera {camera}; the graph {graph.spec.name} "
-                    f"has {', '.join(graph.several_cameras)}"
-                )
-            other = texts.setdefault(str(Path(text or own).absolute()), camera)
-            if other != camera:
-                raise SourceError(
-                    text or own,
-                    f"the source of two cameras, {other} and {camera}: its evidence would count twice",
-                    "a source of its own for each camera",
-                    "give each camera once",
-                )
-            if text:
-                opened[camera] = open_source(text, **how)
-            else:
-                origin = Origin("plain", own, own)
-                opened[camera] = Source(own, BoxReader(own, size), None, None, "stop", origin)
-            stack.callback(opened[camera].close)
-        check_sizes(graph, {camera: (one.width, one.height) for camera, one in opened.items()})
-        merged = SeveralSources(opened)
+        stack.callback(merged.close)
+        check_sizes(graph, {camera: (one.width, one.height) for camera, one in merged.sources.items()})
         stack.pop_all()
     return merged
 

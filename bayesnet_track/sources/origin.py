@@ -45,7 +45,7 @@ def changed_since(stamps_before: Mapping[Path, Stamp]) -> list[Path]:
     return [path for path, stamp in stamps_before.items() if current.get(path, stamp) != stamp]
 
 
-Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
+Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "several", "own"]
 
 SAMPLES, SAMPLE_BYTES = 16, 1 << 16
 ENDS_BYTES = 1 << 20
@@ -77,7 +77,8 @@ class Origin:
 
     Attributes:
         kind: which of the ways: one eye, two (a source for the right one, or both in a picture), an eye with
-            another sensor's depth, a built-in scene, or a source object of one's own.
+            another sensor's depth, a built-in scene, sources of several cameras, or a source object of
+            one's own.
         text: the source as given; of a scene its name.
         description: the source in the words of the journal.
         start: first frame, or None.
@@ -90,6 +91,8 @@ class Origin:
         seed: of a scene.
         stride: every how many-th frame is read.
         value_range: the values that become black and white; None for all that their type holds.
+        size: width and height of frames without images, where nothing beside their detections says it.
+        cameras: of several cameras, name -> how its source was opened.
         absolute: a path as given -> the same from the root.
         fingerprint: source, right, depth, calibration -> what it held.
     """
@@ -107,6 +110,8 @@ class Origin:
     seed: int = 0
     stride: int = 1
     value_range: tuple[float, float] | None = None
+    size: tuple[int, int] | None = None
+    cameras: Mapping[str, Origin] = field(default_factory=dict)
     absolute: Mapping[str, str] = field(default_factory=dict)
     fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)
 
@@ -126,6 +131,9 @@ class Origin:
 
         if self.kind == "own":
             return f"its frames came from an object ({self.description}) that cannot be made again"
+        if self.cameras:
+            reasons = (origin.only_once for origin in self.cameras.values())
+            return next(filter(None, reasons), None)
         for text in (self.text, self.right):
             if self.kind == "scene" or text is None or is_file(text):
                 continue
@@ -141,6 +149,14 @@ class Origin:
             SourceError: there is no source any more.
         """
 
+        if self.cameras:
+            cameras = {camera: origin.marked() for camera, origin in self.cameras.items()}
+            marks = {
+                f"{part} of {camera}": mark
+                for camera, origin in cameras.items()
+                for part, mark in origin.fingerprint.items()
+            }
+            return replace(self, cameras=cameras, fingerprint=marks)
         texts = [text for text in self.parts().values() if is_file(text)]
         absolute = {text: str(Path(text).absolute()) for text in texts}
         return replace(self, absolute=absolute, fingerprint=self._fingerprints(absolute))
@@ -152,6 +168,12 @@ class Origin:
             OSError: a file cannot be read.
             SourceError: there is no source any more.
         """
+        if self.cameras:
+            return tuple(
+                f"{camera}: {change}"
+                for camera, origin in self.cameras.items()
+                for change in origin.changes()
+            )
         fingerprints = self._fingerprints(self.places())
         return tuple(
             f"{part}: {self.fingerprint[part]}, now {current}"
@@ -160,8 +182,8 @@ class Origin:
         )
 
     def parts(self) -> dict[str, str]:
-        """Part (source, right, depth, calibration) -> its path as given; empty for scenes and own objects."""
-        if self.kind in ("scene", "own"):
+        """Part (source, right, depth, calibration) -> its path as given; empty for scenes and the like."""
+        if self.kind in ("scene", "several", "own"):
             return {}
         texts = {"source": self.text, "right": self.right, "depth": self.depth}
         texts["calibration"] = self.calibration

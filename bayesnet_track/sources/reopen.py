@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.scenes.library import SceneSource
+from bayesnet_track.sources.several import SeveralSources
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.sources.stereo_source import open_stereo_source
 
 
-def reopen(origin: Origin) -> Source | SceneSource:
+def reopen(origin: Origin) -> Source | SceneSource | SeveralSources:
     """The source from its first frame on; its paths where they were, or else as given.
 
     Raises:
@@ -23,6 +26,12 @@ def reopen(origin: Origin) -> Source | SceneSource:
         )
     if origin.kind == "scene":
         return SceneSource.named(origin.text, origin.seed, origin.end)
+    if origin.cameras:
+        return SeveralSources.opened(
+            {camera: partial(reopen, part) for camera, part in origin.cameras.items()},
+            origin.start,
+            origin.end,
+        )
     at = origin.places()
     # What is read again are files, however they are named: a run directory is data and allows nothing.
     window = (origin.start, origin.end, False, origin.on_resize)
@@ -32,6 +41,7 @@ def reopen(origin: Origin) -> Source | SceneSource:
             *window,
             origin.stride,
             value_range=origin.value_range,
+            size=origin.size,
         )
     else:
         source = open_stereo_source(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
 
 TOGETHER = 0.1
@@ -52,15 +54,19 @@ class SeveralSources:
 
     Attributes:
         sources: camera -> its opened source.
+        start: the first step that is handed out; those before it are read and dropped.
+        end: step to stop before; None for all.
+        frames: steps handed out so far.
 
     Raises:
         SourceError: a source has no times in seconds, or is live, so that nobody knows what is yet to come.
     """
 
     sources: Mapping[str, CameraSource]
+    start: int | None = None
+    end: int | None = None
     frames: int = 0
     end_reason: EndReason = "end_of_source"
-    origin: None = None
     has_depth: bool = False
     is_live: bool = False
     _closing: ExitStack = field(default_factory=ExitStack)
@@ -78,6 +84,29 @@ class SeveralSources:
                     "record the streams first, or give detections as they come to DetectionsTracker",
                 )
         self._first = next(iter(self.sources))
+
+    @classmethod
+    def opened(
+        cls, openers: Mapping[str, Callable[[], Any]], start: int | None = None, end: int | None = None
+    ) -> Self:
+        """The sources that these open; where one cannot be opened, those before it are closed."""
+        sources: dict[str, CameraSource] = {}
+        with ExitStack() as stack:
+            for camera, open_camera in openers.items():
+                sources[camera] = open_camera()
+                stack.callback(sources[camera].close)
+            merged = cls(sources, start, end)
+            stack.pop_all()
+        return merged
+
+    @property
+    def origin(self) -> Origin | None:
+        """Origins of all sources; None where one is an object of one's own."""
+        origins = {camera: getattr(source, "origin", None) for camera, source in self.sources.items()}
+        cameras = {camera: origin for camera, origin in origins.items() if origin is not None}
+        if len(cameras) < len(origins):
+            return None
+        return Origin("several", "", self.description, self.start, self.end, cameras=cameras)
 
     @property
     def description(self) -> str:
@@ -121,11 +150,11 @@ class SeveralSources:
         image: Array = np.zeros((first.height, first.width, 3), np.uint8)
         image.flags.writeable = False
         last_frames: dict[str, Frame] = {}
-        while True:
+        for step in count() if self.end is None else range(self.end):
             notices: list[SourceItem] = []
             for head in heads.values():
                 notices += head.advance()
-            yield from (_at(item, self.frames) for item in notices)
+            yield from (_at(item, step) for item in notices if step >= (self.start or 0))
             waiting = {camera: head.frame for camera, head in heads.items() if head.frame is not None}
             if not waiting:
                 break
@@ -137,17 +166,18 @@ class SeveralSources:
             if self._first in together:
                 image = together[self._first].image
             intervals = (time_s - start) / self.frame_interval_s
-            yield Frame(
-                self.frames,
-                intervals,
-                image,
-                first.has_color,
-                time_s,
-                cameras=together,
-                last_frames=last_frames,
-            )
-            last_frames = last_frames | together
-            self.frames += 1
+            if step >= (self.start or 0):
+                yield Frame(
+                    step,
+                    intervals,
+                    image,
+                    first.has_color,
+                    time_s,
+                    cameras=together,
+                    last_frames=last_frames,
+                )
+                last_frames = last_frames | together
+                self.frames += 1
         reasons = [source.end_reason for source in self.sources.values()]
         self.end_reason = next((one for one in reasons if one != "end_of_source"), "end_of_source")
 

@@ -49,6 +49,7 @@ def open_source(
     stride: int = 1,
     live: bool | None = None,
     value_range: ValueRange | None = None,
+    size: tuple[int, int] | None = None,
 ) -> Source:
     """The source that `text` names.
 
@@ -60,13 +61,15 @@ def open_source(
     every frame up to the end (False). None finds out: RTSP, a multipart stream of images (MJPEG), a playlist
     without an end, and, with a notice, a stream of no declared length are live.
     `value_range` are the values that become black and white in frames of 8 bits (`entrances.levels.to_bgr`).
+    `size` is the width and height, px, of frames that a file of detections stands for, where no file with it
+    has them.
 
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
     value_range = _checked_values(text, value_range)
-    reader = make_reader(text, allow_network, live, value_range)
+    reader = make_reader(text, allow_network, live, value_range, size)
     reader = strided(text, reader, start, stride)
     shown = shown_address(text)
     origin = Origin(
@@ -79,6 +82,7 @@ def open_source(
         allow_network,
         stride=stride,
         value_range=value_range,
+        size=size,
     )
     return Source(shown, reader, start, end, on_resize, origin)
 
@@ -107,6 +111,7 @@ def make_reader(
     allow_network: bool,
     live: bool | None = None,
     value_range: ValueRange | None = None,
+    size: tuple[int, int] | None = None,
 ) -> Reader:
     """The reader of what `text` names, as `open_source` takes it; raises SourceError."""
     if not text or "\0" in text:
@@ -136,7 +141,7 @@ def make_reader(
             if path.suffix.lower() in IMAGE_SUFFIXES and not _is_animated_png(path):
                 return _images(text, [path], value_range)
             if path.suffix.lower() in DETECTION_SUFFIXES:
-                return _without_images(text)
+                return _without_images(text, size)
             return _video(text, False, value_range)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
@@ -159,14 +164,14 @@ def _is_animated_png(path: Path) -> bool:
     return pages is not None
 
 
-def _without_images(text: str) -> Reader:
+def _without_images(text: str, size: tuple[int, int] | None) -> Reader:
     """The frames of a file of boxes, or the times of a CSV of what sensors measured."""
     from bayesnet_track.sources.detection_files import BoxReader, names_boxes
     from bayesnet_track.sources.scan_files import ScanReader
 
     try:
         is_of_sensors = text.lower().endswith(SUFFIX) and not names_boxes(text)
-        return ScanReader(text) if is_of_sensors else BoxReader(text)
+        return ScanReader(text) if is_of_sensors else BoxReader(text, size)
     except (OSError, ValueError) as error:
         if text.lower().endswith(SUFFIX):
             raise SourceError(text, str(error), KINDS, "mend the file") from error

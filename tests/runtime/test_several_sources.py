@@ -78,6 +78,7 @@ def test_the_command_line_gives_equal_bytes_in_any_order_of_the_cameras(room, tm
     log = capsys.readouterr().out
     assert "seen.south, seen.east on" in log
     assert "south=" in log
+    assert main(["log", str(tmp_path / "a"), "--node", "seen.south"]) == 0
     assert main(["verify", str(tmp_path / "a")]) == 0
 
 
@@ -152,13 +153,58 @@ def test_names_of_cameras_for_one_image_are_refused(tmp_path):
         track(path, {"south": "south.mp4"}, detections={"south": "boxes.txt"})
 
 
-def test_a_run_that_was_broken_off_says_that_it_cannot_go_on(room, tmp_path):
+def outputs_of(run):
+    own = {"manifest.json", "timings.jsonl"}
+    return {path.name: path.read_bytes() for path in run.iterdir() if path.name not in own and path.is_file()}
+
+
+@pytest.mark.parametrize("stop_after", [1, 7, COUNT - 1])
+def test_a_run_that_was_broken_off_goes_on_with_equal_bytes(room, tmp_path, stop_after):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    for _ in track(room, None, detections=detections_in(room), out=whole, tracks_csv=True):
+        pass
+    results = track(room, None, detections=detections_in(room), out=broken, tracks_csv=True)
+    for _ in range(stop_after):
+        next(results)
+    results.close()
+    assert len(list(resume(broken))) == COUNT - stop_after
+    assert outputs_of(broken) == outputs_of(whole)
+    assert main(["verify", str(broken)]) == 0
+
+
+def test_a_run_does_not_go_on_with_other_detections(room, tmp_path):
     out = tmp_path / "run"
     results = track(room, None, detections=detections_in(room), out=out)
     next(results)
     results.close()
-    with pytest.raises(ResumeError, match=r"a run of several cameras .south, east. cannot go on"):
+    boxes = detections_in(room)["east"]
+    boxes.write_text(boxes.read_text().replace("0.9", "0.8"))
+    with pytest.raises(ResumeError, match=r"boxes.txt.* now "):
         list(resume(out))
+
+
+def test_start_and_end_are_steps(room, tmp_path):
+    out = tmp_path / "run"
+    named = options_of(detections_in(room))
+    run = [
+        "run",
+        str(room),
+        *named,
+        "--start",
+        "3",
+        "--end",
+        "9",
+        "--tracks-csv",
+        "--out",
+        str(out),
+        "--quiet",
+    ]
+    assert main(run) == 0
+    rows = list(csv.DictReader((out / "tracks.csv").open()))
+    assert [int(row["frame"]) for row in rows][-1] == 8
+    cameras = list(csv.DictReader((out / "cameras.csv").open()))
+    assert min(int(row["frame"]) for row in cameras) in range(3, 9)
+    assert float(rows[-1]["time_s"]) == pytest.approx(8 / 20)
 
 
 def test_a_live_stream_is_refused(room):

@@ -365,12 +365,13 @@ def repeat(
     """Track the source of an earlier run with another graph; `settings` are those of `track`."""
     from bayesnet_track.runtime.session import track
 
+    detections = {camera: file.place for camera, file in recipe.detection_files.items()}
     return track(
         graph,
         source,
         list(recipe.starts) or None,
         out=out,
-        detections=None if recipe.detections is None else recipe.detections.place,
+        detections=detections.get("") or detections or None,
         inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
         max_side=recipe.max_side,
         all_hypotheses="hypotheses" in recipe.optional,

@@ -155,12 +155,16 @@ def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
 
 def _check_node(directory: RunDirectory, node: str | None) -> None:
     """Refuse a node that the run's graph does not have."""
+    from bayesnet_track.graph.checks.several_cameras import per_camera
     from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import nearest
 
     if node is None or not directory.graph.is_file():
         return
-    names = [name for target in read_graph(directory.graph)[0].targets.values() for name in target.nodes]
+    spec, _ = read_graph(directory.graph)
+    names = [
+        name for target in spec.targets.values() for name in per_camera(target, tuple(spec.cameras)).nodes
+    ]
     if node not in names:
         close = nearest(node, names)
         near = f"; nearest: {close}" if close else ""

@@ -93,8 +93,8 @@ class Checkpoint:
 
 
 def pixels_of(frame: Frame) -> int:
-    """A checksum of all that a frame shows."""
-    shown: list[NDArray[Any]] = [frame.image]
+    """A checksum of all that a frame shows, of several cameras in all of them."""
+    shown: list[NDArray[Any]] = [frame.image, *(seen.image for seen in frame.cameras.values())]
     match frame.depth:
         case RightEye():
             shown.append(frame.depth.image)

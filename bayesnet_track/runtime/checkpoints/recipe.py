@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.sources.frames import Source
     from bayesnet_track.sources.scenes.library import SceneSource
+    from bayesnet_track.sources.several import SeveralSources
 
 
 BYTES_AT = 0x10FF00
@@ -149,6 +150,7 @@ class Recipe:
         starts: start boxes; empty where the graph has births.
         seed: seed of all randomness.
         detections: the file of detections for births by them, or None.
+        camera_detections: of several cameras, name -> its file of detections.
         inputs: the file of what came from outside in a run that was repeated, or None.
         has_video: whether the annotated video was asked for.
         own_motion: whether a motion model of one's own stood in for the graph's.
@@ -178,6 +180,7 @@ class Recipe:
     masks: Mapping[str, GivenFile] = field(default_factory=dict)
     calibrations: Mapping[str, GivenFile] = field(default_factory=dict)
     models: Mapping[str, GivenFile] = field(default_factory=dict)
+    camera_detections: Mapping[str, GivenFile] = field(default_factory=dict)
     options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=versions)
     recipe: int = RECIPE_VERSION
@@ -195,6 +198,11 @@ class Recipe:
         if self.own_cues:
             return f"it was tracked with cues of a program of one's own: {', '.join(self.own_cues)}"
         return self.origin.only_once
+
+    @property
+    def detection_files(self) -> dict[str, GivenFile]:
+        """Camera -> its file of detections; "" of the one file of one image."""
+        return {**({} if self.detections is None else {"": self.detections}), **self.camera_detections}
 
     @property
     def optional(self) -> tuple[str, ...]:
@@ -231,12 +239,14 @@ class Recipe:
     def text(self) -> str:
         """It as JSON."""
         plain = _codec().dump_python(self)
-        for name in ("cue_files", "own_cues", "masks", "calibrations", "models"):
+        for name in ("cue_files", "own_cues", "masks", "calibrations", "models", "camera_detections"):
             if not plain[name]:  # as a recipe was before there were any
                 del plain[name]
-        for name, usual in {"stride": 1, "value_range": None}.items():
-            if plain["origin"][name] == usual:
-                del plain["origin"][name]
+        usual_values: dict[str, Any] = {"stride": 1, "value_range": None, "size": None, "cameras": {}}
+        for origin in (plain["origin"], *plain["origin"]["cameras"].values()):
+            for name, usual in usual_values.items():
+                if origin[name] == usual:
+                    del origin[name]
         return json.dumps(plain, indent=1) + "\n"
 
     def write(self, directory: RunDirectory | str | PathLike[str]) -> None:
@@ -275,7 +285,7 @@ class Recipe:
             ) from None
         return recipe
 
-    def open_source(self) -> Source | SceneSource:
+    def open_source(self) -> Source | SceneSource | SeveralSources:
         """The same source again, from its first frame on.
 
         Raises:
@@ -352,7 +362,7 @@ def make_recipe(
     starts: Sequence[Start],
     seed: int = 0,
     *,
-    detections: str | PathLike[str] | None = None,
+    detections: Mapping[str, str | PathLike[str]] = MappingProxyType({}),
     inputs: str | PathLike[str] | None = None,
     has_video: bool = False,
     own_motion: bool = False,
@@ -371,7 +381,8 @@ def make_recipe(
         origin=(Origin("own", "", source.description) if origin is None else origin.marked()),
         starts=tuple(Start(tuple(float(v) for v in one.box), one.plate) for one in starts),  # type: ignore[arg-type]
         seed=seed,
-        detections=None if detections is None else given_file(detections),
+        detections=given_file(detections[""]) if "" in detections else None,
+        camera_detections={camera: given_file(path) for camera, path in detections.items() if camera},
         inputs=None if inputs is None else given_file(inputs),
         has_video=has_video,
         own_motion=own_motion,

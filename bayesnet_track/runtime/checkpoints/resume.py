@@ -20,7 +20,6 @@ from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import PART, OutputError, write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
-from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.arguments import (
@@ -74,6 +73,7 @@ from bayesnet_track.runtime.results import (
     interval_of,
 )
 from bayesnet_track.runtime.run import Resumed, RunPosition, run
+from bayesnet_track.runtime.several_cameras import by_engine_names
 from bayesnet_track.runtime.stop import closed_at_exit
 
 __all__ = ["ResumeError", "resume"]
@@ -143,24 +143,22 @@ def resume(
         _check_plain(directory)
         cues = tuple(cues)
         check_cues(recipe, cues)
-        read_whole = (recipe.detections, recipe.inputs, *recipe.models.values())
+        read_whole = (*recipe.detection_files.values(), recipe.inputs, *recipe.models.values())
         check_steady = stack.enter_context(steady([file.place for file in read_whole if file is not None]))
         check_files(recipe)
         graph = recipe.load_graph(directory, cues)
-        if graph.several_cameras:
-            raise ResumeError(
-                f"{path}: a run of several cameras ({', '.join(graph.several_cameras)}) cannot go on where "
-                f"it was broken off; run it again with {setting('--overwrite')}"
-            )
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, say)
         moves = _permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         resizing = resizing_of(opened, recipe.max_side)
         seen = resizing.graph(graph)
-        given = recipe.detections
-        detector = None if given is None else resizing.detector(given_detector(seen, given.place))
-        engine = prepare_engine(seen, recipe.seed, motion, {} if detector is None else {GIVEN: detector})
+        detection_files = recipe.detection_files
+        detectors = {
+            camera: resizing.detector(given_detector(seen, file.place))
+            for camera, file in detection_files.items()
+        }
+        engine = prepare_engine(seen, recipe.seed, motion, by_engine_names(detectors))
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms
@@ -213,7 +211,7 @@ def resume(
             sinks=[*sinks, recorder],
             summary=totals,
             engine=engine,
-            inputs={} if recipe.detections is None else {recipe.detections.path: recipe.detections.sha256},
+            inputs={file.path: file.sha256 for file in detection_files.values()},
             external_inputs=external_inputs,
             deadline=(
                 None

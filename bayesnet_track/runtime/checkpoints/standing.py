@@ -122,7 +122,8 @@ def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel |
             raise ResumeError(f"it cannot go on: {recipe.origin.only_once}")
         if recipe.has_video:
             raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
-    given = [file.changes for file in (recipe.detections, recipe.inputs) if file is not None]
+    files = (*recipe.detection_files.values(), recipe.inputs)
+    given = [file.changes for file in files if file is not None]
     _refuse_changes([recipe.origin.changes, *given] if source is None else given)
 
 
