@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.paired_boxes import FramePairs, Measure, single_figure
-from bayesnet_track.evaluate.truth import Pairs, assign
+from bayesnet_track.evaluate.paired_boxes import Block, Measure, Pairs, assign_pairs, single_figure
+from bayesnet_track.evaluate.truth import assign
 from bayesnet_track.numerics.arrays import Floats, Ints
 
 CUTOFF_PX = 50.0
@@ -77,17 +77,19 @@ def gospa(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> G
     Raises:
         ValueError: a cut-off of 0 or less, or an order below 1.
     """
-    return single_figure(pairs.frames, frames_gospa(pairs, cutoff_px, order))
+    return single_figure(pairs.blocks, frames_gospa(pairs, cutoff_px, order))
 
 
 def frames_gospa(pairs: Pairs, cutoff_px: float, order: float) -> Measure[Gospa]:
-    """`gospa`, frame by frame."""
+    """`gospa`, block by block."""
     check_metric(cutoff_px, order)
     localisation, matched = 0.0, 0
-    while (frame := (yield)) is not None:
-        cost, count = _match(frame, cutoff_px, order)
-        localisation += cost
-        matched += count
+    while (block := (yield)) is not None:
+        rows, columns, distance = block.nearer(cutoff_px)
+        costs = distance**order
+        places = assign_pairs(rows, columns, cutoff_px**order - costs)
+        localisation += float(costs[places].sum())
+        matched += len(places)
     missed, false = int(pairs.true_boxes.sum()) - matched, int(pairs.tracked_boxes.sum()) - matched
     return Gospa(pairs.length, localisation, missed, false, cutoff_px, order)
 
@@ -103,14 +105,6 @@ def check_metric(cutoff_px: float, order: float) -> None:
         raise ValueError(f"cut-off {cutoff_px:g}; expected a distance above 0 px")
     if not 1 <= order < np.inf:
         raise ValueError(f"order {order:g}; expected a number from 1 on")
-
-
-def _match(frame: FramePairs, cutoff_px: float, order: float) -> tuple[float, int]:
-    """Sum of d^p over the matched pairs, and their number."""
-    costs = np.minimum(frame.distance, cutoff_px) ** order
-    rows, columns = assign(cutoff_px**order - costs)  # a pair at c costs as much as both boxes alone
-    within_cutoff = frame.distance[rows, columns] < cutoff_px
-    return float(costs[rows, columns][within_cutoff].sum()), int(within_cutoff.sum())
 
 
 def ospa2(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> float:
@@ -141,20 +135,36 @@ def track_distances(pairs: Pairs, cutoff_px: float) -> Floats:
     """(targets, tracks) time-averaged distances in px: over the frames in which at least one of the two has a
     box, the mean of min(d, c), and of c where only one has.
     """
-    return single_figure(pairs.frames, tracks_apart(pairs, cutoff_px))
+    return single_figure(pairs.blocks, tracks_apart(pairs, cutoff_px))
 
 
 def tracks_apart(pairs: Pairs, cutoff_px: float) -> Measure[Floats]:
-    """`track_distances`, frame by frame."""
+    """`track_distances`, block by block."""
     sums = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
-    common = np.zeros(sums.shape, dtype=np.int64)
-    while (frame := (yield)) is not None:
-        index = np.ix_(frame.true, frame.tracked)
-        i, j = np.nonzero(frame.distance < cutoff_px)
-        sums[frame.true[i], frame.tracked[j]] += cutoff_px - frame.distance[i, j]
-        common[index] += 1
+    common = np.zeros(sums.shape)
+    while (block := (yield)) is not None:
+        rows, columns, distance = block.nearer(cutoff_px)
+        np.add.at(sums, (block.true[rows], block.tracked[columns]), cutoff_px - distance)
+        _count_common(block, common)
     either = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :] - common
     return np.asarray(cutoff_px - sums / either, dtype=np.float64)
+
+
+def _count_common(block: Block, common: Floats) -> None:
+    """Add to (targets, tracks) the number of frames of a block in which both have a box."""
+    frames = np.intersect1d(block.true_frames, block.tracked_frames)
+    present, numbers = [], []
+    for of_side, side_frames in (
+        (block.true, block.true_frames),
+        (block.tracked, block.tracked_frames),
+    ):
+        is_common = np.isin(side_frames, frames)
+        present_numbers, column = np.unique(of_side[is_common], return_inverse=True)
+        table = np.zeros((len(frames), len(present_numbers)), dtype=np.float32)
+        table[np.searchsorted(frames, side_frames[is_common]), column] = 1.0
+        present.append(table)
+        numbers.append(present_numbers)
+    common[np.ix_(*numbers)] += present[0].T @ present[1]
 
 
 @dataclass(frozen=True)
@@ -246,12 +256,12 @@ def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:
     from scipy.sparse.csgraph import connected_components
 
     frames, true, tracked, gains = [], [], [], []
-    for number, frame in enumerate(pairs.frames):
-        i, j = np.nonzero(frame.distance < cutoff_px)
-        frames.append(np.full(len(i), number))
-        true.append(frame.true[i])
-        tracked.append(frame.tracked[j])
-        gains.append(cutoff_px**order - frame.distance[i, j] ** order)
+    for block in pairs.blocks:
+        i, j, distance = block.nearer(cutoff_px)
+        frames.append(block.true_frames[i])
+        true.append(block.true[i])
+        tracked.append(block.tracked[j])
+        gains.append(cutoff_px**order - distance**order)
     if not frames:
         return
     row, i, j, gain = (np.concatenate(array) for array in (frames, true, tracked, gains))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -18,16 +18,20 @@ from bayesnet_track.evaluate.gospa import (
     tracks_apart,
     trajectory_gospa,
 )
-from bayesnet_track.evaluate.paired_boxes import FramePairs, Measure, measured, single_figure
+from bayesnet_track.evaluate.paired_boxes import (
+    UNASSIGNED,
+    Measure,
+    Pairs,
+    assign_pairs,
+    continued_matches,
+    measured,
+    single_figure,
+)
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import EPSILON, Pairs, Tracks, assign, class_names, pair, read_pair
+from bayesnet_track.evaluate.truth import EPSILON, Tracks, assign, class_names, of_classes, pair, read_pair
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 LEAST_IOU = 0.5
-KEPT = 1000.0
-"""What a pair of the frame before is worth more: beyond any sum of overlaps in a frame."""
-UNASSIGNED = -1
 
 
 @dataclass(frozen=True)
@@ -65,31 +69,28 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     In each frame boxes are matched one to one where they overlap by at least `min_iou`: a pair that was
     matched in the frame before stays matched, the rest so that the sum of overlaps is largest.
     """
-    return single_figure(pairs.frames, _clear_mot(pairs, min_iou))
+    return single_figure(pairs.blocks, _clear_mot(pairs, min_iou))
 
 
 def _clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> Measure[ClearMot]:
     previous_match = np.full(len(pairs.true_boxes), UNASSIGNED, dtype=np.int64)
     earlier = previous_match.copy()
     tp, idsw, iou_sum = 0, 0, 0.0
-    while (frame := (yield)) is not None:
-        if not frame.iou.size:
-            continue  # such a frame parts nobody: a correspondence holds until there is evidence against it
-        rows, columns = _match(frame, earlier, min_iou)
-        true, tracked = frame.true[rows], frame.tracked[columns]
-        idsw += int(((previous_match[true] != UNASSIGNED) & (previous_match[true] != tracked)).sum())
-        previous_match[true] = tracked
-        earlier = np.full_like(earlier, UNASSIGNED)
-        earlier[true] = tracked
-        tp += len(rows)
-        iou_sum += float(frame.iou[rows, columns].sum())
+    while (block := (yield)) is not None:
+        rows, columns, iou = block.overlapping
+        reached = iou >= min_iou - EPSILON
+        edges = rows[reached], columns[reached], iou[reached]
+        match = continued_matches(block, edges, earlier)
+        matched = np.flatnonzero(match != UNASSIGNED)
+        matched = matched[np.argsort(block.true[matched], kind="stable")]  # each target's in a row
+        true, tracked = block.true[matched], block.tracked[match[matched]]
+        is_first = np.append(True, true[1:] != true[:-1])[: len(true)]
+        previous = np.where(is_first, previous_match[true], np.roll(tracked, 1))
+        idsw += int(((previous != UNASSIGNED) & (previous != tracked)).sum())
+        previous_match[true] = tracked  # the last of each target's
+        tp += len(matched)
+        iou_sum += float(edges[2][match[edges[0]] == edges[1]].sum())
     return ClearMot(tp, int(pairs.true_boxes.sum()) - tp, int(pairs.tracked_boxes.sum()) - tp, idsw, iou_sum)
-
-
-def _match(frame: FramePairs, earlier: Ints, min_iou: float) -> tuple[Ints, Ints]:
-    continued = earlier[frame.true][:, None] == frame.tracked[None, :]
-    overlapping = frame.iou >= min_iou - EPSILON
-    return assign(np.where(overlapping, KEPT * continued + frame.iou, 0.0))
 
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
@@ -133,21 +134,32 @@ def hota(pairs: Pairs) -> Hota:
     counts for every alpha that its overlap reaches. AssA is the mean over the matched pairs c of
     TPA(c) / (TPA(c) + FNA(c) + FPA(c)): of the boxes of its target or its track, the share where both match.
     """
-    return _hota(pairs, single_figure(pairs.frames, _alignment(pairs)))
+    return _hota(pairs, single_figure(pairs.blocks, _alignment(pairs)))
 
 
 def _hota(pairs: Pairs, alignment: Floats) -> Hota:
-    both_sizes = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :]
-    matches = np.zeros((len(ALPHAS), *both_sizes.shape), dtype=np.int32)
-    iou_sum = np.zeros(len(ALPHAS))
-    for frame in pairs.frames:
-        rows, columns = assign(alignment[np.ix_(frame.true, frame.tracked)] * frame.iou)
-        iou = frame.iou[rows, columns]
-        reached = iou >= ALPHAS[:, None] - EPSILON
-        matches[:, frame.true[rows], frame.tracked[columns]] += reached
-        iou_sum += reached @ iou
-    tp = matches.sum(axis=(1, 2))
-    shares = np.array([(count * (count / (both_sizes - count))).sum() for count in matches])
+    size, width = len(ALPHAS) + 1, max(len(pairs.tracked_boxes), 1)
+    codes, code_counts, level_iou = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], np.zeros(size)
+    for block in pairs.blocks:
+        rows, columns, iou = block.overlapping
+        true, tracked = block.true[rows].astype(np.int64), block.tracked[columns]
+        places = assign_pairs(rows, columns, alignment[true, tracked] * iou)
+        level = np.searchsorted(ALPHAS - EPSILON, iou[places], side="right")  # thresholds that are reached
+        block_codes, counts = np.unique(
+            (true[places] * width + tracked[places]) * size + level, return_counts=True
+        )
+        codes.append(block_codes)
+        code_counts.append(counts)
+        level_iou += np.bincount(level, iou[places], size)
+    keys, level = np.divmod(np.concatenate(codes), size)
+    pair_keys, pair_places = np.unique(keys, return_inverse=True)
+    counts = np.zeros((len(pair_keys), size), dtype=np.int64)
+    np.add.at(counts, (pair_places, level), np.concatenate(code_counts))
+    matches = _at_least(counts)
+    true, tracked = np.divmod(pair_keys, width)
+    both_sizes = (pairs.true_boxes[true] + pairs.tracked_boxes[tracked])[:, None]
+    tp, shares = matches.sum(axis=0), (matches * (matches / (both_sizes - matches))).sum(axis=0)
+    iou_sum = _at_least(level_iou[None])[0]
     return Hota(
         tp=tp,
         fn=pairs.true_boxes.sum() - tp,
@@ -157,15 +169,19 @@ def _hota(pairs: Pairs, alignment: Floats) -> Hota:
     )
 
 
+def _at_least(of_levels: np.ndarray) -> np.ndarray:
+    """(n, 19) sums over the levels from each alpha on, of (n, 20) by the number of alphas reached."""
+    return np.cumsum(of_levels[:, :0:-1], axis=1)[:, ::-1]
+
+
 def _alignment(pairs: Pairs) -> Measure[Floats]:
     """(targets, tracks) Jaccard alignment; in a frame a pair counts by its share of both's overlaps."""
     both_sizes = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :]
     shared = np.zeros(both_sizes.shape)
-    while (frame := (yield)) is not None:
-        i, j = np.nonzero(frame.iou)
-        iou = frame.iou[i, j]
-        all_of_both = frame.iou.sum(axis=0)[j] + frame.iou.sum(axis=1)[i] - iou
-        shared[frame.true[i], frame.tracked[j]] += iou / np.maximum(all_of_both, EPSILON)
+    while (block := (yield)) is not None:
+        i, j, iou = block.overlapping
+        all_of_both = np.bincount(i, iou)[i] + np.bincount(j, iou)[j] - iou if len(i) else iou
+        np.add.at(shared, (block.true[i], block.tracked[j]), iou / np.maximum(all_of_both, EPSILON))
     return np.asarray(shared / (both_sizes - shared), dtype=np.float64)
 
 
@@ -280,7 +296,7 @@ def score_mot(
     sizes = cutoff_px, ORDER
     of_sets = frames_gospa(pairs, *sizes), tracks_apart(pairs, cutoff_px)
     measures = _clear_mot(pairs), _identity(pairs), _alignment(pairs), *of_sets
-    clear, identities, alignment, sets, distances = measured(pairs.frames, *measures)
+    clear, identities, alignment, sets, distances = measured(pairs.blocks, *measures)
     higher = _hota(pairs, alignment)
     trajectory = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
     return MotScore(
@@ -371,54 +387,17 @@ def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
     Whole tracks are assigned to whole targets, one to one, so that most of their boxes overlap by at least
     `min_iou`. (The published cost, IDFN + IDFP, is the number of all boxes less twice IDTP.)
     """
-    return single_figure(pairs.frames, _identity(pairs, min_iou))
+    return single_figure(pairs.blocks, _identity(pairs, min_iou))
 
 
 def _identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Measure[Identity]:
     together = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
-    while (frame := (yield)) is not None:
-        i, j = np.nonzero(frame.iou >= min_iou)
-        together[frame.true[i], frame.tracked[j]] += 1
+    while (block := (yield)) is not None:
+        rows, columns, iou = block.overlapping
+        i, j = rows[iou >= min_iou], columns[iou >= min_iou]
+        np.add.at(together, (block.true[i], block.tracked[j]), 1)
     idtp = int(together[assign(together)].sum())
     return Identity(idtp, int(pairs.true_boxes.sum()) - idtp, int(pairs.tracked_boxes.sum()) - idtp)
-
-
-MATCHED_IOU = 0.5
-COLUMNS = ("true_ids", "true_boxes", "mota", "idf1", "hota", "fp", "fn", "idsw")
-"""Of the table."""
-
-
-def of_classes(truth: Tracks, tracks: Tracks, classes: Collection[str]) -> tuple[Tracks, Tracks]:
-    """The true and the tracked boxes of some classes.
-
-    Tracked boxes without classes, or with none of the ground truth's, are those of all but the ones that
-    match a true box of another class in their frame (IoU 0.5 or more): those are neither right nor false.
-
-    Raises:
-        ValueError: the ground truth has no classes, or not one of these.
-    """
-    present = class_names(truth)
-    missing = [name for name in classes if name not in present]
-    if missing or truth.classes is None:
-        class_text = f"it has {', '.join(present)}" if present else "its boxes have no class"
-        raise ValueError(f"class {missing[0] if missing else ''!r} is not in the ground truth; {class_text}")
-    mine = np.isin(truth.classes, list(classes))
-    if tracks.classes is not None and set(class_names(tracks)) & set(present):
-        return truth.only(mine), tracks.only(np.isin(tracks.classes, list(classes)))
-    return truth.only(mine), tracks.only(~_on_others(truth, mine, tracks))
-
-
-def _on_others(truth: Tracks, mine: np.ndarray, tracks: Tracks) -> np.ndarray:
-    """(N,) whether tracked boxes match true ones without `mine`."""
-    on_other = np.zeros(len(tracks), dtype=np.bool_)
-    centres, tracked = centre_from_corner(truth.boxes), centre_from_corner(tracks.boxes)
-    for frame in np.intersect1d(truth.frames[~mine], tracks.frames):
-        rows, columns = np.flatnonzero(truth.frames == frame), np.flatnonzero(tracks.frames == frame)
-        iou = overlap(centres[rows][:, None], tracked[columns][None])
-        reached = np.where(iou >= MATCHED_IOU - EPSILON, iou, 0.0)
-        for i, j in zip(*assign(reached), strict=True):
-            on_other[columns[j]] = reached[i, j] > 0 and not mine[rows[i]]
-    return on_other
 
 
 def score_classes(
@@ -437,14 +416,3 @@ def score_classes(
         name: score_mot(*of_classes(truth, tracks, [name]), cutoff_px, trajectories)
         for name in classes or class_names(truth)
     }
-
-
-def class_table(scores: Mapping[str, MotScore]) -> str:
-    """A line for each class, under a line of names."""
-    width = max(len(name) for name in (*scores, "class"))
-    lines = [f"{'class':<{width}} " + " ".join(f"{name:>10}" for name in COLUMNS)]
-    for name, class_score in scores.items():
-        values = [getattr(class_score, column) for column in COLUMNS]
-        cells = [f"{value:>10}" if isinstance(value, int) else f"{value:>10.4f}" for value in values]
-        lines.append(f"{name:<{width}} " + " ".join(cells))
-    return "\n".join(lines)

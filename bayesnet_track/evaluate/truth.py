@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.evaluate.paired_boxes import ByFrame, FramePairs, frame_pairs
+from bayesnet_track.evaluate.paired_boxes import Pairs, assign_pairs, pair_boxes
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation.settings import setting, to_caller
@@ -282,54 +282,59 @@ def class_names(tracks: Tracks) -> list[str]:
     return sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name))
 
 
-@dataclass(frozen=True, eq=False)
-class Pairs:
-    """All pairs of a sequence.
-
-    Attributes:
-        frames: of each frame with a box, in order; of a long sequence they are made anew whenever they are
-            asked for.
-        true_boxes: how many boxes each true target has.
-        tracked_boxes: the same of each track.
-    """
-
-    frames: Sequence[FramePairs]
-    true_boxes: Ints
-    tracked_boxes: Ints
-
-    @property
-    def length(self) -> int:
-        """Number of frames up to the last that has a box, those without boxes included."""
-        return 1 + self.frames[-1].index if self.frames else 0
-
-
 def pair(truth: Tracks, tracks: Tracks) -> Pairs:
     """Every true box beside every tracked box of its frame; of identities only equality matters."""
-    true, tracked = (ByFrame.of(one.frames, one.ids, one.boxes) for one in (truth, tracks))
-    return Pairs(frame_pairs(true, tracked), true.counts, tracked.counts)
+    true, tracked = ((side.frames, side.ids, side.boxes) for side in (truth, tracks))
+    return pair_boxes(true, tracked)
 
 
 def assign(gains: Floats) -> tuple[Ints, Ints]:
     """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K), none below 0.
 
-    Pairs without a gain are left out. A row and a column that gain by each other alone are a pair, so that
-    only the others have to be solved for.
+    Pairs without a gain are left out.
     """
     rows, columns = np.nonzero(gains)
-    of_rows, of_columns = np.bincount(rows), np.bincount(columns)
-    is_shared = (of_rows[rows] > 1) | (of_columns[columns] > 1)
-    if not is_shared.any():
-        return rows, columns
-    from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
+    places = assign_pairs(rows, columns, gains[rows, columns])
+    return rows[places], columns[places]
 
-    open_rows, open_columns = (np.flatnonzero(np.bincount(ends[is_shared])) for ends in (rows, columns))
-    part = gains[open_rows[:, None], open_columns]
-    i, j = linear_sum_assignment(part, maximize=True)
-    i, j = (ends[part[i, j] > 0.0] for ends in (i, j))
-    rows = np.concatenate([rows[~is_shared], open_rows[i]])
-    columns = np.concatenate([columns[~is_shared], open_columns[j]])
-    order = np.argsort(rows)
-    return rows[order], columns[order]
+
+MATCHED_IOU = 0.5
+"""Overlap from which on a tracked box is on the true one of another class."""
+
+
+def of_classes(truth: Tracks, tracks: Tracks, classes: Collection[str]) -> tuple[Tracks, Tracks]:
+    """The true and the tracked boxes of some classes.
+
+    Tracked boxes without classes, or with none of the ground truth's, are those of all but the ones that
+    match a true box of another class in their frame (IoU 0.5 or more): those are neither right nor false.
+
+    Raises:
+        ValueError: the ground truth has no classes, or not one of these.
+    """
+    present = class_names(truth)
+    missing = [name for name in classes if name not in present]
+    if missing or truth.classes is None:
+        class_text = f"it has {', '.join(present)}" if present else "its boxes have no class"
+        raise ValueError(f"class {missing[0] if missing else ''!r} is not in the ground truth; {class_text}")
+    mine = np.isin(truth.classes, list(classes))
+    if tracks.classes is not None and set(class_names(tracks)) & set(present):
+        return truth.only(mine), tracks.only(np.isin(tracks.classes, list(classes)))
+    return truth.only(mine), tracks.only(~_on_others(truth, mine, tracks))
+
+
+def _on_others(truth: Tracks, mine: np.ndarray, tracks: Tracks) -> np.ndarray:
+    """(N,) whether tracked boxes match true ones without `mine`."""
+    on_other = np.zeros(len(tracks), dtype=np.bool_)
+    true, tracked = (
+        (side.frames, np.arange(len(side)), side.boxes) for side in (truth, tracks)
+    )  # each box by itself
+    for block in pair_boxes(true, tracked).blocks:
+        rows, columns, iou = block.overlapping
+        reached = iou >= MATCHED_IOU - EPSILON
+        i, j = rows[reached], columns[reached]
+        places = assign_pairs(i, j, iou[reached])
+        on_other[block.tracked[j[places]]] = ~mine[block.true[i[places]]]
+    return on_other
 
 
 def read_mot_truth(path: str | Path, form: TruthForm | None = None) -> Tracks:

@@ -18,8 +18,9 @@ import numpy as np
 
 from bayesnet_track.evaluate.gospa import ORDER, gospa
 from bayesnet_track.evaluate.mot import clear_mot, identity
+from bayesnet_track.evaluate.paired_boxes import EdgeList, Pairs
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import Pairs, assign
+from bayesnet_track.evaluate.truth import assign
 from bayesnet_track.journal.metrics import NOT_SHOWN
 from bayesnet_track.journal.reader import read_seconds
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
@@ -262,14 +263,26 @@ def _once(at: Ints, instants: Floats, tracks: Places) -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
-class _PlacePairs:
-    """`FramePairs` of places."""
+class _PlaceBlock:
+    """`Block` of places of one instant, with similarities and distances (G, K)."""
 
-    index: int
     true: Ints
     tracked: Ints
-    iou: Floats
+    true_frames: Ints
+    tracked_frames: Ints
+    similarity: Floats
     distance: Floats
+
+    @property
+    def overlapping(self) -> EdgeList:
+        """Pairs with their similarity, above 0."""
+        i, j = np.nonzero(self.similarity)
+        return i, j, self.similarity[i, j]
+
+    def nearer(self, cutoff: float) -> EdgeList:
+        """Pairs with their distance, below the cut-off."""
+        i, j = np.nonzero(self.distance < cutoff)
+        return i, j, self.distance[i, j]
 
 
 def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m: float) -> Pairs:
@@ -283,15 +296,18 @@ def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m
         )
         for places, row in ((truth, rows[0]), (tracks, rows[1]))
     ]
-    frames = []
+    blocks, length = [], 0
     ids = [number[1].astype(np.int64) for number in numbers]
     for instant in np.unique(np.concatenate([true_at[rows[0]], tracked_at[rows[1]]])).tolist():
         i, j = (at[row] == instant for at, row in zip((true_at, tracked_at), rows, strict=True))
         apart = truth.points[rows[0][i]][:, None] - tracks.points[rows[1][j]][None]
         distance = np.hypot(apart[..., 0], apart[..., 1])
         similarity = np.maximum(1 - distance / (2 * cut_m), 0.0)
-        frames.append(_PlacePairs(instant, ids[0][i], ids[1][j], similarity, distance))
-    return Pairs(tuple(frames), numbers[0][2].astype(np.int64), numbers[1][2].astype(np.int64))
+        true_frames, tracked_frames = (np.full(size, instant) for size in distance.shape)
+        blocks.append(_PlaceBlock(ids[0][i], ids[1][j], true_frames, tracked_frames, similarity, distance))
+        length = instant + 1
+    true_boxes, tracked_boxes = (number[2].astype(np.int64) for number in numbers)
+    return Pairs(tuple(blocks), true_boxes, tracked_boxes, length)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any
@@ -320,11 +321,58 @@ def _blocks(file: BufferedReader) -> Iterator[Floats | None]:
 def _numbers(text: bytes, lines: int, width: int) -> Floats | None:
     if width not in _WIDTHS or text.translate(None, _PLAIN):
         return None
-    try:
-        numbers = np.loadtxt(BytesIO(text), delimiter=",", ndmin=2)
-    except ValueError:
-        return None
+    numbers = np.empty((lines, width))
+    if not _parser()(np.frombuffer(text, np.uint8), numbers):
+        try:
+            numbers = np.loadtxt(BytesIO(text), delimiter=",", ndmin=2)
+        except ValueError:
+            return None
     return numbers if numbers.shape == (lines, width) else None
+
+
+@cache
+def _parser() -> Callable[[NDArray[np.uint8], Floats], bool]:
+    from bayesnet_track.numerics.compiled import compiled  # here, because Numba takes long to import
+
+    return compiled(_parse)
+
+
+_ZERO, _NINE, _MINUS, _POINT, _COMMA, _NEWLINE = b"09-.,\n"
+_MOST_DIGITS = 15
+"""Of a number whose digits are a whole number of float64, and so is the power of ten that it is divided by:
+one division then rounds as the best reader does."""
+_POWERS = 10.0 ** np.arange(_MOST_DIGITS + 1)
+
+
+def _parse(text: NDArray[np.uint8], numbers: Floats) -> bool:
+    """Fill in the numbers (n, columns) of as many lines; False where one is longer, or no number."""
+    rows, columns = numbers.shape
+    place, end = 0, text.shape[0]
+    for row in range(rows):
+        for column in range(columns):
+            sign = 1.0
+            if place < end and text[place] == _MINUS:
+                sign, place = -1.0, place + 1
+            mantissa, digits, decimals = 0, 0, -1
+            while place < end and text[place] != _COMMA and text[place] != _NEWLINE:
+                byte = text[place]
+                if byte == _POINT and decimals < 0:
+                    decimals = digits
+                elif _ZERO <= byte <= _NINE and digits < _MOST_DIGITS:
+                    mantissa, digits = 10 * mantissa + (byte - _ZERO), digits + 1
+                else:
+                    return False
+                place += 1
+            ends_line = place == end or text[place] == _NEWLINE
+            if (
+                digits == 0
+                or ends_line != (column == columns - 1)
+                or (place == end) != (ends_line and row == rows - 1)
+            ):
+                return False
+            numbers[row, column] = sign * mantissa / _POWERS[digits - decimals if decimals >= 0 else 0]
+            place += 1
+    return True
 
 
 def _is_plain(rows: Floats, last: float) -> bool:

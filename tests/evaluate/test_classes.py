@@ -6,13 +6,11 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.evaluate.mot import (
-    class_table,
-    of_classes,
     score_classes,
     score_mot,
     score_mot_files,
 )
-from bayesnet_track.evaluate.truth import class_names, read_mot_tracks, read_mot_truth
+from bayesnet_track.evaluate.truth import class_names, of_classes, read_mot_tracks, read_mot_truth
 from bayesnet_track.sources.entrances.notices import InputNotice
 
 PERSON = [f"{f},1,{10 + f},10,20,20,1,1,1" for f in range(1, 6)]
@@ -55,11 +53,7 @@ def test_each_class_is_scored_by_itself(files, has_classes):
         (5, 5, 0, 0),
         (5, 4, 1, 0),
     ]
-    assert found["3"].mota == pytest.approx(0.8) and class_table(found).splitlines()[2].split()[:3] == [
-        "3",
-        "1",
-        "5",
-    ]
+    assert found["3"].mota == pytest.approx(0.8)
     alone = score_mot(*of_classes(truth, tracks, ["1"]))
     assert (alone.true_ids, alone.mota, alone.idf1) == (1, 1.0, 1.0)
     with pytest.raises(ValueError, match="class 'car' is not in the ground truth; it has 1, 3"):

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.evaluate import paired_boxes
 from bayesnet_track.evaluate.mot import MotScore, score_mot
 from bayesnet_track.evaluate.scores import meanings
 from bayesnet_track.evaluate.truth import Tracks
@@ -236,6 +237,15 @@ def test_the_names_of_identities_and_the_order_of_lines_change_nothing(scene, ra
         ids = np.array([names[one] for one in side.ids], dtype=np.int64)
         renamed.append(Tracks(side.frames[order], ids[order], side.boxes[order]))
     assert figures(score_mot(*renamed), FIGURES) == near(**figures(score_mot(*scene), FIGURES))
+
+
+@given(scenes())
+def test_frames_that_are_compared_one_by_one(scene):
+    """As those of a long sequence that are not compared together."""
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setattr(paired_boxes, "_BLOCK_PAIRS", 1)
+        alone = score_mot(*scene)
+    assert figures(alone, FIGURES) == near(**figures(score_mot(*scene), FIGURES))
 
 
 @given(scenes())

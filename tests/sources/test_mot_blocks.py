@@ -36,6 +36,7 @@ def in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mot_blocks, "LARGE", 0)
     monkeypatch.setattr(mot_blocks, "_BLOCK", 500)
     monkeypatch.setattr(paired_boxes, "MOST_HELD", 0)
+    monkeypatch.setattr(paired_boxes, "_BLOCK_PAIRS", 300)
 
 
 def test_scores_are_those_of_a_small_file(
@@ -98,3 +99,21 @@ def test_a_last_line_without_an_end_is_left_to_the_reader_of_lines(tmp_path: Pat
     assert read_plain_boxes(path) is None
     path.write_text("\n".join(lines_of(1)) + "\n")
     assert read_plain_boxes(path) is not None
+
+
+@pytest.mark.usefixtures("in_blocks")
+def test_numbers_are_read_as_python_reads_them(tmp_path: Path) -> None:
+    """Of up to 15 digits, and of more."""
+    rng = np.random.default_rng(3)
+    words = [
+        f"{rng.integers(1, 10**4):d}.{rng.integers(0, 10**digits):0{digits}d}"
+        for digits in (1, 3, 6, 12)
+        for _ in range(100)
+    ]
+    words += ["007", "12.", "5", ".25"]
+    path = tmp_path / "tracks.txt"
+    words = [sign + word for word in words for sign in ("", "-")]
+    path.write_text("".join(f"{n + 1},4,{word},{word},30,20,1,-1,-1,-1\n" for n, word in enumerate(words)))
+    plain = read_plain_boxes(path)
+    numbers = np.array([float(word) for word in words]).astype(np.float32)
+    assert plain is not None and (plain.boxes[:, :2] == numbers[:, None]).all()

@@ -27,6 +27,7 @@ from bayesnet_track.cli.arguments import (
 from bayesnet_track.sources.entrances.notices import notice
 
 if TYPE_CHECKING:
+    from bayesnet_track.evaluate.mot import MotScore
     from bayesnet_track.evaluate.truth import Tracks
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.journal.metrics import FrameMetrics
@@ -227,9 +228,9 @@ def _score_several(
     tracks: Path | Tracks, truth: Path, options: argparse.Namespace, run: RunDirectory | None = None
 ) -> int:
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
-    from bayesnet_track.evaluate.mot import class_table, of_classes, score_classes, score_mot
+    from bayesnet_track.evaluate.mot import score_classes, score_mot
     from bayesnet_track.evaluate.runs import frames_of_run, say_misplaced
-    from bayesnet_track.evaluate.truth import class_names, read_pair
+    from bayesnet_track.evaluate.truth import class_names, of_classes, read_pair
 
     if options.target is not None:
         raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
@@ -249,10 +250,24 @@ def _score_several(
         return OK
     say(result.text(explained=True))
     if by_class:
-        say("\n" + class_table(by_class))
+        say("\n" + _class_table(by_class))
         if not class_names(tracked):
             say("the tracks have no classes: for each class, boxes on targets of another one are left out")
     return OK
+
+
+_COLUMNS = ("true_ids", "true_boxes", "mota", "idf1", "hota", "fp", "fn", "idsw")
+
+
+def _class_table(scores: Mapping[str, MotScore]) -> str:
+    """A line for each class, under a line of names."""
+    width = max(len(name) for name in (*scores, "class"))
+    lines = [f"{'class':<{width}} " + " ".join(f"{name:>10}" for name in _COLUMNS)]
+    for name, class_score in scores.items():
+        values = [getattr(class_score, column) for column in _COLUMNS]
+        cells = [f"{value:>10}" if isinstance(value, int) else f"{value:>10.4f}" for value in values]
+        lines.append(f"{name:<{width}} " + " ".join(cells))
+    return "\n".join(lines)
 
 
 def _score_world(
