@@ -125,17 +125,38 @@ def evaluate_modes(
         return seen
     log_detected = sight.log_detected(seen)[number]
     hidden = np.array(sight.modes.hidden)[number]
-    said = {
-        step.agent: sight.message(seen, step, hypotheses, number)
-        for step in plan.observations
-        if step.agent in seen.messages
-    }
-    joined = join_messages(plan, {**said, **seen.factors}, seen.measured, seen.latent, hypotheses, prior_log)
-    total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
-    messages = {node: message for node, message in joined.messages.items() if node not in seen.factors}
+    logs = _logs(plan, sight, seen, hypotheses, number)
+    if all(fusion.own == "one" for fusion in plan.fusions):
+        joined = join_messages(plan, logs, seen.measured, seen.latent, hypotheses, prior_log)
+        messages = joined.messages
+    else:
+        # Integrals over a latent node's state are of draws of all hypotheses, as if each could be seen. That
+        # of the background, a constant, is its value at the own draw.
+        visible = np.full_like(number, sight.modes.hidden.index(False))
+        anywhere = _logs(plan, sight, seen, hypotheses, visible)
+        joined = join_messages(plan, anywhere, seen.measured, seen.latent, hypotheses, prior_log)
+        drawn = replace(plan, fusions=tuple(replace(fusion, own="one") for fusion in plan.fusions))
+        silent = {agent: None for agent, measured in seen.measured.items() if measured is None}
+        unseen = join_messages(drawn, logs, silent, seen.latent, hypotheses, prior_log).messages
+        messages = {node: np.where(hidden, unseen[node], log) for node, log in joined.messages.items()}
+    total = messages.pop(plan.root, np.zeros(len(hypotheses)))
+    messages = {node: message for node, message in messages.items() if node not in seen.factors}
     # What was measured is not of what is hidden: all that is said of it counts as sampled.
     sampled = None if joined.sampled is None else np.where(hidden, total, joined.sampled)
     return _replaced(replace(seen, messages=messages), total, sampled, log_detected)
+
+
+def _logs(
+    plan: Plan, sight: Sight, seen: Evidence, hypotheses: Hypotheses, modes: NDArray[np.intp]
+) -> dict[str, Floats]:
+    """Agent or factor -> (N,) what it says of hypotheses in these modes."""
+    logs = dict(seen.factors)
+    for step in plan.observations:
+        if step.agent in seen.messages:
+            # What a view measured is of the root's state already.
+            at = hypotheses if plan.view(step.at) is not None else seen.latent.get(step.at, hypotheses)
+            logs[step.agent] = sight.message(seen, step, at, modes)
+    return logs
 
 
 def _replaced(evidence: Evidence, total: Floats, sampled: Floats | None, more: Floats) -> Evidence:

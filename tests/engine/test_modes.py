@@ -6,10 +6,11 @@ import re
 from itertools import pairwise
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker, load_graph
+from bayesnet_track import Start, Tracker, load_graph, track
 from bayesnet_track.belief.motion.modes import make_modes
 from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.graph import spec
@@ -144,3 +145,48 @@ def test_probabilities_are_never_zero():
     state = ModeState.of(modes, certain, certain, 1.0)
     assert 0.0 < state.hidden < 1e-9
     assert state.changes(3, "1") == ()
+
+
+def test_a_part_tells_of_being_hidden_what_its_whole_would(tmp_path):
+    """A part off by sd 1.5 and seen with sd 2, as its whole seen with sd 2.5, and as Bayes' rule."""
+    rng = np.random.default_rng(3)
+    places = np.array([100.0, 90.0]) + np.arange(26)[:, None] * [2.0, 0.0] + rng.normal(0, 2, (26, 2))
+    places[15:] = rng.uniform((200, 150), (300, 230), (11, 2))
+    (tmp_path / "images").mkdir()
+    for k in range(20):
+        cv2.imwrite(str(tmp_path / "images" / f"{k:03}.png"), np.zeros((240, 320, 3), np.uint8))
+
+    def hidden(of_part):
+        rows = [f"{k},{x:.3f},{y - 10 * of_part:.3f}" for k, (x, y) in enumerate(places[:20]) if k > 0]
+        file = tmp_path / f"{of_part}.csv"
+        file.write_text("\n".join(["frame,x,y", *rows]), encoding="utf-8")
+        sd = 2.0 if of_part else 2.5
+        nodes = {
+            "ball": {
+                "belief": {"particles": {"size": 3000}},
+                "motion": {"constant_velocity": {"sd_velocity_px": 0.5, "start_velocity_sd_px": 3}},
+                "fuse": "product",
+                "modes": {
+                    "seen": {"mean_frames": 30},
+                    "behind": {"mean_frames": 10, "hidden": {"mistaken": 0.9, "missed": 0.1}},
+                },
+            },
+            "top": {
+                "parent": "ball",
+                "fuse": {"latent": {"given": {"offset_box": {"y": -0.5}, "sd_px": {"x": 1.5, "y": 1.5}}}},
+            },
+            "radio": {
+                "parent": "top" if of_part else "ball",
+                "agent": {"readings": {"file": str(file), "sd": {"x": sd, "y": sd}}},
+            },
+        }
+        kept = nodes if of_part else {name: node for name, node in nodes.items() if name != "top"}
+        graph = load_graph({"bayesnet": 1, "name": "g", "targets": {"ball": {"nodes": kept}}})
+        results = track(graph, str(tmp_path / "images"), [Start((90, 80, 20, 20))], seed=1)
+        return np.array([result.targets[0].hidden for result in results])
+
+    whole, part = hidden(False), hidden(True)
+    assert part[15:] == pytest.approx(whole[15:], abs=0.02)
+    before = whole[14] * 9 / 10 + (1 - whole[14]) / 30
+    assert part[15] == pytest.approx(before / (before + (1 - before) * 0.1), abs=0.02)
+    assert part[19] > 0.9

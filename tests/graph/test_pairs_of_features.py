@@ -71,7 +71,6 @@ MEANINGLESS = {
 JOINED = "a join of p, whose node p holds a {} belief; allowed: kinds whose root has belief: particles"
 NO_CELLS = "modes beside a grid, which has no cells for them; allowed: particles or gaussian"
 ONE_WAY = "modes beside proposal: second_pass, which knows one way to move; allowed: proposal: bootstrap"
-NO_PART = "fuse: latent in a target that can be hidden; allowed: product or pool"
 REFUSED = {
     ("gaussian", "occlusion"): JOINED.format("gaussian"),
     ("gaussian", "factor of two"): JOINED.format("gaussian"),
@@ -106,9 +105,6 @@ REFUSED = {
         "hidden mode",
         "occlusion",
     ): "a join of p, which a mode can hide: a hidden target has no pixels to share",
-    ("hidden mode", "part"): NO_PART,
-    ("hidden mode", "part that moves"): NO_PART,
-    ("hidden mode", "part by expressions"): NO_PART,
 }
 PAIRS = [pair for pair in combinations(FEATURES, 2) if frozenset(pair) not in MEANINGLESS]
 

@@ -12,7 +12,7 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.modes import FIELD, make_modes
 from bayesnet_track.graph import spec
 from bayesnet_track.inference.hidden import Sight, evaluate_modes
-from bayesnet_track.inference.messages import evaluate, without
+from bayesnet_track.inference.messages import evaluate, join_messages, without
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
@@ -68,6 +68,31 @@ def test_what_is_left_without_an_agent_is_left_of_the_background_too(fakes):
     assert rest[plan.root][2:] == pytest.approx(np.log(0.02))
 
 
+@pytest.mark.parametrize("form", ["one", "kernel", "grid"])
+def test_a_part_that_can_be_seen_is_joined_as_without_modes_and_a_hidden_one_is_the_background(fakes, form):
+    held = {"belief": "grid"} if form == "grid" else {}
+    draw = {} if form == "grid" else {"draw": form}
+    nodes = {
+        "s": {"fuse": "product"},
+        "k": {"parent": "s", "fuse": {"latent": {"given": {"sd_px": {"x": 4.0, "y": 4.0}}, **draw}}, **held},
+        "a": {"parent": "k", "agent": "a"},
+        "b": {"parent": "s", "agent": "b"},
+    }
+    sees = {"a": fakes.gaussian(55, 42, 9), "b": fakes.gaussian(60, 40, 30)}
+    cues = {name: fakes.Oracle(see) for name, see in sees.items()}
+    graph = fakes.graph(nodes, {name: fakes.declare(cue) for name, cue in cues.items()})
+    target = graph.targets["plate"]
+    plan, prior = fakes.compile_plan(target, target.agents, cues), LogWeights.uniform(4).log
+    assert any(fusion.own == form for fusion in plan.fusions if fusion.kind == "latent")
+    found = evaluate_modes(plan, SIGHT, partial(evaluate, plan, fakes.observer(cues)), hypotheses(), prior)
+    at = {"a": found.latent["k"], "b": hypotheses()}
+    said = {name: see(None, at[name], None) for name, see in sees.items()}
+    visible = join_messages(plan, said, {}, found.latent, hypotheses(), prior).messages
+    assert found.log_likelihood[:2] == pytest.approx(visible["s"][:2])
+    assert found.messages["k"][:2] == pytest.approx(visible["k"][:2])
+    assert found.log_likelihood[2:] == pytest.approx(2 * np.log(0.02))
+
+
 def plan_of_one():
     step = SimpleNamespace(agent="place", at="s", temperature=1.0)
     fusion = SimpleNamespace(
@@ -76,7 +101,9 @@ def plan_of_one():
         own="one",
         weights=lambda present: {c: 1.0 for c in ("place",) if c in present},
     )
-    return SimpleNamespace(root="s", observations=(step,), fusions=(fusion,), draws=(), factors=())
+    return SimpleNamespace(
+        root="s", observations=(step,), fusions=(fusion,), draws=(), factors=(), view=dict().get
+    )
 
 
 def measured(place):

@@ -116,11 +116,11 @@ def _expressions_move_alone(plate: Plate, name: str, mode: str, motion: Motion) 
 
 
 def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
-    """Particles by bootstrap or Gaussians; no latent node where it can be hidden."""
+    """Particles by bootstrap or Gaussians; no latent node below a Gaussian that a mode can hide."""
     for name, node in plate.inference.items():
         if node.modes is None and node.category is None:
             continue
-        belief, modes = node.belief, node.modes or {}
+        belief = node.belief
         key = "category" if node.modes is None else "modes"
         yield from _detections_are_not_filtered_anew(plate, name, key)
         if belief is not None and belief.grid is not None:
@@ -131,12 +131,17 @@ def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
             if kind != "bootstrap":
                 found = f"{key} beside proposal: {kind}, which knows one way to move"
                 yield plate.message(name, found, "proposal: bootstrap", key=(key,), on_key=True)
-        if not any(one.hidden is not None for one in modes.values()):
+        hides = any(one.hidden is not None for one in (node.modes or {}).values())
+        if not hides or belief is None or belief.gaussian is None:
             continue
         for other, below in plate.inference.items():
             if below.fuse is not None and below.fuse.latent is not None:
-                found = "fuse: latent in a target that can be hidden"
-                yield plate.message(other, found, "product or pool", key=("fuse", "latent"), on_key=True)
+                found = (
+                    "fuse: latent in a Gaussian target that can be hidden, whose draws say too little of how "
+                    "probable that is"
+                )
+                allowed = "product or pool; or belief: particles at the root"
+                yield plate.message(other, found, allowed, key=("fuse", "latent"), on_key=True)
 
 
 def _detections_are_not_filtered_anew(plate: Plate, name: str, key: str) -> Iterator[GraphMessage]:
