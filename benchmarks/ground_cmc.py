@@ -2,6 +2,7 @@
 
     python benchmarks/ground_cmc.py DATA/cmc [--sequences CMC1 CMC2] [--cameras 1 2] [--boxes fairmot]
         [--errors] [--bias 18] [--detection "sd_place_slow: 0.05"] [--together] [--area "[[2, 0], ..]"]
+        [--knock 40]
 
 DATA/cmc holds CMCn_camC_DETECTOR.txt (MOT lines), CMCn_gt_world.txt and cameras.json (3 x 4 projections) of
 researchwork888/Multi-view-3D-multi-object-tracking-dataset. The first table has a line for a sequence and a
@@ -10,9 +11,11 @@ ANEES with the bounds of calibrated runs, and the autocorrelation of innovations
 predicted from the last frame, in heights of the box) of one target, and of their mean over the targets.
 
 `--together` tracks by all cameras at once, and ends a line with the median time of a step; `--area` says
-where in the room people are followed. The settings chosen on CMC1 are
+where in the room people are followed. `--knock` shifts the detections of the last camera by so many px, to
+the right, from half time on, and adds a line for each knock that was noticed, and the cover of both halves.
+The settings chosen on CMC1 are
 
-    --together --bias 10 --detection "sd_place: 0.08, sd_size: 0.08"
+    --together --bias 25 --detection "sd_place: 0.08, sd_size: 0.08"
         --area "[[2, 0], [6.3, 0], [6.3, 3.4], [2, 3.4]]"
 
 `--errors` adds what the detections' own errors are made of: feet and centres of boxes less those of the true
@@ -39,6 +42,7 @@ from numpy.typing import NDArray
 from bayesnet_track import DetectionsTracker
 from bayesnet_track.evaluate.truth import assign
 from bayesnet_track.evaluate.world import Places, WorldScore, score_world
+from bayesnet_track.journal.events.cameras import CameraKnocked
 from bayesnet_track.numerics.cameras import Camera, camera_of_projection
 
 Floats = NDArray[np.float64]
@@ -105,9 +109,10 @@ class Tracked:
     places: Places
     innovations: Floats
     step_ms: float
+    knocks: tuple[str, ...]
 
 
-def track(cameras: Sequence[Sequence4], graph: Path) -> Tracked:
+def track(cameras: Sequence[Sequence4], graph: Path, knock_px: float = 0.0) -> Tracked:
     """The detections of cameras, tracked frame by frame; innovations are those of the first one."""
     tracker = DetectionsTracker(graph, size=SIZE, fps=FPS)
     times: list[float] = []
@@ -116,12 +121,19 @@ def track(cameras: Sequence[Sequence4], graph: Path) -> Tracked:
     innovations: list[tuple[float, ...]] = []
     before: dict[int, Floats] = {}
     took: list[float] = []
-    for frame in range(1, int(cameras[0].truth[:, 0].max()) + 1):
+    knocks: list[str] = []
+    count = int(cameras[0].truth[:, 0].max())
+    for frame in range(1, count + 1):
         given = {camera_name(seen): _boxes(seen, frame) for seen in cameras}
+        if frame > count // 2:
+            given[camera_name(cameras[-1])].xyxy[:, [0, 2]] += knock_px
         first, boxes = next(iter(given.items()))
         started = time.perf_counter()
         marked = tracker.update(given if len(cameras) > 1 else boxes)
         took.append(1000.0 * (time.perf_counter() - started))
+        knocks += [
+            f"{frame}: {event.describe()}" for event in tracker.events if isinstance(event, CameraKnocked)
+        ]
         owners = np.asarray((marked[first] if len(cameras) > 1 else marked).tracker_id)
         for box, owner in zip(boxes.xyxy, owners.tolist(), strict=True):
             if owner in before:
@@ -143,7 +155,7 @@ def track(cameras: Sequence[Sequence4], graph: Path) -> Tracked:
     table = np.array(rows).reshape(-1, 5)
     covariances = table[:, [2, 4, 4, 3]].reshape(-1, 2, 2)
     places = Places(np.array(times), ids, table[:, :2], covariances)
-    return Tracked(places, np.array(innovations).reshape(-1, 5), float(np.median(took)))
+    return Tracked(places, np.array(innovations).reshape(-1, 5), float(np.median(took)), tuple(knocks))
 
 
 def _boxes(seen: Sequence4, frame: int) -> SimpleNamespace:
@@ -172,12 +184,18 @@ def _away(camera: Camera, corners: Floats, place: Floats) -> Floats:
     )
 
 
-def scores(seen: Sequence4, tracked: Tracked) -> WorldScore:
-    """Scores of the places against the truth, at 1 m."""
-    truth = seen.truth
+def scores(seen: Sequence4, tracked: Tracked, later: bool | None = None) -> WorldScore:
+    """Scores of the places against the truth, at 1 m; of the first or the second half of the frames alone."""
+    truth, places = seen.truth, tracked.places
+    if later is not None:
+        half = int(truth[:, 0].max()) // 2
+        truth = truth[(truth[:, 0] > half) == later]
+        own = np.flatnonzero((places.times > half / FPS) == later)
+        ids = [places.ids[row] for row in own.tolist()]
+        places = Places(places.times[own], ids, places.points[own], places.covariances[own])
     nothing = np.full((len(truth), 2, 2), np.nan)
     true = Places(truth[:, 0] / FPS, [f"{one:g}" for one in truth[:, 1]], truth[:, 2:4], nothing)
-    return score_world(true, tracked.places)
+    return score_world(true, places)
 
 
 def detection_errors(seen: Sequence4) -> Floats:
@@ -255,8 +273,9 @@ def measure(options: argparse.Namespace) -> Iterator[str]:
         for cameras in groups:
             seen = cameras[0]
             name = seen.name if len(cameras) == 1 else f"{seen.name.split()[0]} *"
-            tracked = track(cameras, write_graph(Path(folder), cameras, options))
+            tracked = track(cameras, write_graph(Path(folder), cameras, options), options.knock)
             score, far = scores(seen, tracked), tracked.innovations
+            half = [scores(seen, tracked, later).coverage for later in (False, True)]
             own = [correlation(far, column) for column in (2, 3)]
             shared = [correlation(of_cameras(far), column) for column in (2, 3)]
             bounds = f"({score.anees_low:.2f}..{score.anees_high:.2f})"
@@ -266,6 +285,9 @@ def measure(options: argparse.Namespace) -> Iterator[str]:
                 f"  {own[0]:14.2f} {own[1]:.2f}   {shared[0]:.2f} {shared[1]:.2f}"
                 + (f"  {tracked.step_ms:.1f} ms a step" if options.together else "")
             )
+            if options.knock:
+                yield f"cover90 in the halves: {half[0]:.3f} {half[1]:.3f}"
+            yield from tracked.knocks
 
 
 def write_graph(folder: Path, cameras: Sequence[Sequence4], options: argparse.Namespace) -> Path:
@@ -297,6 +319,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--bias", type=float, default=0.0, help="sd of bias_px of the camera; 0: none")
     parser.add_argument("--detection", default="", help="parameters of the agent, as in a graph")
     parser.add_argument("--together", action="store_true", help="by all cameras at once")
+    parser.add_argument("--knock", type=float, default=0.0, help="px by which the last camera is shifted")
     parser.add_argument("--area", default="", help="corners of the ground where people are followed, m")
     for line in measure(parser.parse_args(arguments)):
         print(line, flush=True)

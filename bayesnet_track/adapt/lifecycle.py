@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair_up
-from bayesnet_track.adapt.clocks import Clocks
+from bayesnet_track.adapt.cameras import Clocks, Watch
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.events.joins import Refusal
@@ -84,6 +84,7 @@ class TrackHistory:
         refusals: live target without a detection -> one beside it that no target had; None when that
             was reported.
         clocks: what is known of the clocks of cameras; None where none is learnt.
+        watches: plate -> camera -> what is known of where it points.
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
@@ -99,6 +100,7 @@ class TrackHistory:
     detection_models: Mapping[str, DetectionModel] = field(default_factory=dict)
     refusals: Mapping[str, Refusal | None] = field(default_factory=dict)
     clocks: Clocks | None = None
+    watches: Mapping[str, Mapping[str, Watch]] = field(default_factory=dict)
 
 
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
-from bayesnet_track.engine.clocks import adopt_clocks, first_clocks, learn_clocks
+from bayesnet_track.engine.cameras import adopt_clocks, first_clocks, learn_clocks
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
 from bayesnet_track.engine.filtering import Filtered, filter_ready, filter_target, ready_each
 from bayesnet_track.engine.finishing import Results, finish_targets

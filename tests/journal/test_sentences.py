@@ -19,7 +19,7 @@ from bayesnet_track.journal.events.beliefs import (
     Reappeared,
     SecondPass,
 )
-from bayesnet_track.journal.events.cameras import ClockLearnt
+from bayesnet_track.journal.events.cameras import CameraKnocked, ClockLearnt
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import (
     AgentMissed,
@@ -602,6 +602,12 @@ GOLDEN = [
     (
         ClockLearnt(90, "south", -0.0312, 0.0012, 0.3921, 0.0312),
         "frame 90: clock of camera south: 0.0312 ± 0.0012 s early (before +0.3921 ± 0.0312 s)",
+    ),
+    (
+        CameraKnocked(820, "north", 12.1, -7.2, 2.64, 819, 4, 4, 57.3),
+        "frame 820: camera north is 14 px off since frame 819 (+12 px across, -7 px down, ± 2.6 px): 4 of 4 "
+        "targets were so far off there and in no other camera (chi-square 57); its bias is widened and "
+        "learnt anew, unless any one target had made up half of it",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),

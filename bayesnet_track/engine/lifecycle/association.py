@@ -16,13 +16,12 @@ from itertools import chain
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, first_observed, remembered
-from bayesnet_track.adapt.clocks import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.modes import moments_of
-from bayesnet_track.engine.clocks import clocks_now, plate_clocks
+from bayesnet_track.engine.cameras import Watched, clocks_now, plate_clocks
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.assigning import (
@@ -45,14 +44,14 @@ from bayesnet_track.engine.lifecycle.existing import (
     given_nothing,
 )
 from bayesnet_track.engine.lifecycle.refusing import record_refusals
-from bayesnet_track.engine.lifecycle.sensing import Found, Sensor
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sharing import Tracks, follow, own_detections, predictor
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
-from bayesnet_track.engine.lifecycle.viewing import ViewSensor
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.spec import Gaussian
+from bayesnet_track.journal.events.cameras import CameraKnocked
 from bayesnet_track.journal.events.lives import DetectionsCut, DetectorFailed
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
@@ -96,7 +95,7 @@ class Associated:
             was given to, or `TENTATIVE`.
         targets: every live target, the references of such agents with what they were given.
         history: as it was, with the detectors' states after the look, and tentative tracks after the frame.
-        events: detectors that failed.
+        events: detectors that failed, and cameras that were knocked.
         given: plate -> what the rows of its table are given.
     """
 
@@ -104,7 +103,7 @@ class Associated:
     owners: Mapping[str, tuple[str | None, ...]]
     targets: Targets
     history: TrackHistory
-    events: tuple[DetectorFailed | DetectionsCut, ...]
+    events: tuple[DetectorFailed | DetectionsCut | CameraKnocked, ...]
     given: Mapping[str, Given]
 
 
@@ -119,7 +118,8 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
         of_plate = (*own, *(target for target in apart if net.targets[target].template == plate))
         return [target for target in of_plate if net.targets[target].status != "lost"]
 
-    found, history, events = look(work, history, partial(_expected_boxes, work, targets), held)
+    found, history, looked = look(work, history, partial(_expected_boxes, work, targets), held)
+    events: tuple[DetectorFailed | DetectionsCut | CameraKnocked, ...] = looked
     owners: dict[str, tuple[str | None, ...]] = {}
     given: dict[str, Given] = {}
     for plate, compiled in work.engine.plates.items():
@@ -131,7 +131,7 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
             done = several.assign(history, found.get(plate, {}).get(""))
         else:
             done = several.associate_marginal(history, looks_of(work, plate, found))
-        history = done.history
+        history, events = done.history, (*events, *done.events)
         apart |= done.others
         if done.rows is not None:
             given[plate] = done.rows
@@ -168,12 +168,14 @@ class Shared:
         others: its other targets, with what they are given.
         owners: (N,) whose each detection is.
         history: with the tentative tracks, or what was learnt of all detections.
+        events: cameras that were knocked.
     """
 
     rows: Given | None
     others: Mapping[str, TargetState]
     owners: tuple[str | None, ...]
     history: TrackHistory
+    events: tuple[CameraKnocked, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,18 +254,21 @@ class Several:
         before = self._tracks()
         expecting = predictor(self.work, compiled)
         mean, covariance = expecting(before.mean, before.covariance)
+        watches, targets = history.watches.get(plate, {}), (tuple(self.names), mean)
+        watched = Watched.watch(compiled, self.work.frame.index, watches, looks, targets)
+        mean, covariance = watched.move(mean, covariance)
         mixtures = self._in_modes(expecting.elapsed)
         for row, mixture in mixtures.items():
             mean[row], covariance[row] = mixture.moments
         crowd = Crowd(mean, covariance, self._existence(), self.names, self._log_looks, mixtures)
         nothing = UnconfirmedTracks.none(mean.shape[1])
-        detection_model = history.detection_models.get(plate) or DetectionModel(nothing)
+        detection_model = watched.move_tracks(history.detection_models.get(plate) or DetectionModel(nothing))
         seen_first = looks.get(first)
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
         clocks = plate_clocks(compiled, clocks_now(self.work, history))
         done = dict.fromkeys(rules, given_nothing(crowd, detection_model))
         for agent in [one for one in rules if one in looks]:
-            rule = evolve(rules[agent], sensor=_in_frame(rules[agent].sensor.at(frames), clocks))
+            rule = evolve(rules[agent], sensor=watched.aim(rules[agent].sensor.at(frames), clocks))
             further = None if agent == first else agent
             known = detection_model.by(further)
             done[agent] = associate_marginal(rule, frames.current, crowd, known, looks[agent])
@@ -281,10 +286,12 @@ class Several:
         owners = [name_owners(done[agent].owner, names, len(found.values)) for agent, found in looks.items()]
         seen = {agent: looks.get(agent) for agent in rules}
         others = {
-            target: self._told(state, row, seen, done, float(crowd.existence[row]))
+            target: self._told(watched.move_target(state), row, seen, done, float(crowd.existence[row]))
             for row, (target, state) in enumerate(self.others.items(), self.count)
         }
-        return Shared(rows, others, tuple(chain.from_iterable(owners)), history)
+        if watched.watches:
+            history = evolve(history, watches={**history.watches, plate: watched.watches})
+        return Shared(rows, others, tuple(chain.from_iterable(owners)), history, watched.events)
 
     def _record_refusals(
         self,
@@ -422,11 +429,6 @@ class Several:
             several = [names[row] for row in chosen.tolist()]
             log[at] = score_looks(self.work, self.compiled, several, known, boxes[at], sizes)
         return log
-
-
-def _in_frame(sensor: Sensor, clocks: PlateClocks | None) -> Sensor:
-    """The sensor of a camera with what is known of the clocks, where they are learnt."""
-    return evolve(sensor, clocks=clocks) if clocks is not None and isinstance(sensor, ViewSensor) else sensor
 
 
 def _expected_boxes(work: FrameContext, targets: Targets, names: Sequence[str]) -> Floats:

@@ -20,6 +20,7 @@ from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.graph.settings.lifecycle import LifeRules
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.records import evolve
 
 
@@ -37,7 +38,8 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
         return outcome
     tracks = LiveTable.of(work.engine, outcome)
     if associated is None:
-        found, tracks.history, events = look(work, tracks.history, tracks.boxes, tracks.held)
+        found, tracks.history, looked_by = look(work, tracks.history, tracks.boxes, tracks.held)
+        events: tuple[Event, ...] = looked_by
     else:
         found, events = associated.found, associated.events
         looked = associated.history
@@ -48,6 +50,7 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
             detection_models=looked.detection_models,
             candidates=looked.candidates,
             refusals=looked.refusals,
+            watches=looked.watches,
         )
     looks = {plate: _is_looked(rule, plates[plate], plate in found) for plate, rule in rules.items()}
     tracks.count(looks, frame)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.clocks import PlateClocks
+from bayesnet_track.adapt.cameras import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import LEAST_SIDE_M, MotionModel
 from bayesnet_track.engine.lifecycle.measuring import (
@@ -20,16 +20,32 @@ from bayesnet_track.engine.lifecycle.measuring import (
     is_unscented,
 )
 from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
-from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.checked import CheckedTarget, LastingError
 from bayesnet_track.inference.views import View, Views, cut_covariance, place
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.cameras import UNSEEN
 from bayesnet_track.numerics.gaussian import chi_square_quantile, symmetric
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
 
 WIDTH = 4
 """Quantities of a box."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointingShift:
+    """By how much a camera is off that was knocked.
+
+    Attributes:
+        columns: of the bias of the camera in a state.
+        mean: (2,) px.
+        variance: px^2 of each, that of the calibration included.
+    """
+
+    columns: tuple[int, ...]
+    mean: Floats
+    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +60,7 @@ class ViewSensor:
         is_unscented: whether moments are by sigma points.
         has_extent: False: a target moves in metres, as its motion says, not in sides of a box.
         clocks: what is known of the cameras' clocks in this frame; None where none is learnt.
+        shift: by how much the camera is off; None where it was not knocked.
     """
 
     association: AssociationRule
@@ -54,6 +71,7 @@ class ViewSensor:
     has_extent: bool = False
     log_scale: float = -0.5 * WIDTH * LOG_TURN
     clocks: PlateClocks | None = None
+    shift: PointingShift | None = None
 
     def at(self, frames: FramePair) -> ViewSensor:
         """The same in every frame."""
@@ -143,7 +161,13 @@ class ViewSensor:
     def begin(self, motion: MotionModel, found: Found) -> Begun:
         """Where the box stands, as surely as it says; none above the horizon."""
         variances = self.association.variances(found.values)
-        placed = place(self.view, found.values, variances, self.views.sizes, self.agent)
+        view, boxes = self.view, found.values
+        if self.shift is not None:
+            own = {"sd": self.shift.variance**0.5}
+            lasting = (evolve(one, **own) if self.is_bias(one) else one for one in view.lasting)
+            view, boxes = evolve(view, lasting=tuple(lasting)), boxes.copy()
+            boxes[:, :2] -= self.shift.mean
+        placed = place(view, boxes, variances, self.views.sizes, self.agent)
         started = [motion.start_moments(state) for state in placed.states]
         size, first = len(motion.fields), len(motion.fields) - len(self.views.lasting)
         mean = np.array([one for one, _ in started]).reshape(-1, size)
@@ -151,6 +175,10 @@ class ViewSensor:
         covariance[:, :4, :4] += placed.covariances
         covariance[:, :4, first:] += placed.cross
         covariance[:, first:, :4] += np.swapaxes(placed.cross, 1, 2)
+        if self.shift is not None:
+            columns = list(self.shift.columns)
+            mean[:, columns] = self.shift.mean
+            covariance[:, columns, columns] = self.shift.variance
         if self.clocks is not None:
             mean, covariance = self.clocks.begun(self.view.node, mean, covariance)
         return Begun(placed.which, mean, covariance)
@@ -164,6 +192,15 @@ class ViewSensor:
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
         half = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
         return d2, -0.5 * d2 - half
+
+    @property
+    def bias_sd(self) -> float:
+        """Sd of the error of the camera's calibration, px; 0 where that is exact."""
+        return next((error.sd for error in self.view.lasting if self.is_bias(error)), 0.0)
+
+    def is_bias(self, error: LastingError) -> bool:
+        """True of the error of the camera's calibration."""
+        return error.node == self.view.node and error.is_shared
 
     def _noise(self, found: Found) -> Floats:
         """(N, 4, 4) of the errors of detections that differ from frame to frame, cut edges included."""

@@ -1,4 +1,4 @@
-"""Events of cameras: what was learnt of their clocks."""
+"""Events of cameras: what was learnt of their clocks, and that one was knocked."""
 
 from __future__ import annotations
 
@@ -32,3 +32,41 @@ class ClockLearnt:
         now, sd = f"{abs(self.offset_s):.{places}f}", f"{self.sd_s:.{places}f}"
         before = f"{self.before_s:+.{places}f} ± {self.before_sd_s:.{places}f} s"
         return f"clock of camera {self.camera}: {now} ± {sd} s {way} (before {before})"
+
+
+@dataclass(frozen=True)
+class CameraKnocked:
+    """All that a camera sees is elsewhere at once, and not in other cameras.
+
+    Attributes:
+        frame: step in which this was noticed.
+        camera: the camera.
+        x_px: shift to the right.
+        y_px: shift down.
+        sd_px: of either, beyond the error of the calibration.
+        first_frame: first step that has it.
+        agree: targets that are off so.
+        targets: of how many.
+        chi_square: of the shift, with 2 degrees of freedom, where there were no knock.
+    """
+
+    frame: int
+    camera: str
+    x_px: float
+    y_px: float
+    sd_px: float
+    first_frame: int
+    agree: int
+    targets: int
+    chi_square: float
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        distance = (self.x_px**2 + self.y_px**2) ** 0.5
+        way = f"{self.x_px:+.0f} px across, {self.y_px:+.0f} px down, ± {self.sd_px:.1f} px"
+        return (
+            f"camera {self.camera} is {distance:.0f} px off since frame {self.first_frame} ({way}): "
+            f"{self.agree} of {self.targets} targets were so far off there and in no other camera "
+            f"(chi-square {self.chi_square:.0f}); its bias is widened and learnt anew, "
+            "unless any one target had made up half of it"
+        )

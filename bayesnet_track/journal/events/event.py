@@ -47,6 +47,7 @@ Event = (
     | beliefs.ModeChanged
     | beliefs.QueryPassed
     | cameras.ClockLearnt
+    | cameras.CameraKnocked
     | switches.ReferenceGuarded
     | statuses.IdentityDoubtful
     | statuses.DistractorSeen

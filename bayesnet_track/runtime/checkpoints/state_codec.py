@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.clocks import ClockReading, Clocks
+from bayesnet_track.adapt.cameras import ClockReading, Clocks, Offsets, Watch
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.identities import Entangled, PlateIdentities
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
@@ -99,6 +99,8 @@ CLASSES: tuple[type, ...] = (
     SensorRates,
     Clocks,
     ClockReading,
+    Watch,
+    Offsets,
 )
 """Every class of which the state between frames is made."""
 

@@ -1,0 +1,426 @@
+"""State of cameras: their clocks, and which of them was knocked.
+
+Clocks of cameras, learnt from all targets together: each says what it has seen of them, as a message.
+
+Targets are independent given the clocks, so that the joint Gaussian of clocks o and targets x_i is p(o) times
+the product of p(x_i | o). In a frame each target is updated together with its own copy of o, from p(o) to
+p(o | z_i). What it has seen is the ratio of these two, and p(o | all) is p(o) times all ratios: a frame's
+evidence counts once. Then each target is given that marginal, with its p(x_i | o, z_i) kept (Jeffrey's rule).
+
+Cameras that were knocked: what all targets of one show at once, and what others do not.
+
+In a frame each target's detection in a camera is off from where the target was expected by o, of a
+calibration that is off at that place, of its detector, and of the expectation. The mean of o over the last L
+frames less that of the frames before is d_i, whose spread s_L over targets and time is learnt. A knock shifts
+all n targets alike: n |mean d_i|^2 / s_L^2 is as chi-square of 2 degrees without one. It is called a knock
+where that exceeds `LEVEL`, by more than that of any other camera does, and half of it without any one target:
+what people do moves them in every camera, and one who turns moves alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from bayesnet_track.numerics.arrays import Bools, Floats
+from bayesnet_track.numerics.gaussian import symmetric
+from bayesnet_track.numerics.records import evolve
+
+LEAST_SEEN = 1e-9
+"""A target that leaves all but so much of the variance of a clock has seen nothing of it."""
+
+REPORTED = 0.5
+"""A clock is reported when its sd has fallen to this share of that of the last report."""
+
+
+class ClockMessage(NamedTuple):
+    """Copy of the clocks of one target after it was updated by itself.
+
+    Attributes:
+        mean: (K,) of its own copy of the clocks.
+        covariance: (K, K).
+    """
+
+    mean: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class ClockReading:
+    """A camera's clock: by how much the times of its frames are late, s, and its sd."""
+
+    offset_s: float
+    sd_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Clocks:
+    """Gaussian of the clocks of cameras.
+
+    Attributes:
+        names: (camera, what of its clock) of each of the K numbers.
+        offsets: camera -> place of its offset.
+        rates: (place of an offset, place of the rate by which it grows per second), of those that do.
+        mean: (K,) s, and s per s of rates.
+        covariance: (K, K).
+        reported: camera -> what was reported last; before that what the graph says.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    offsets: Mapping[str, int]
+    rates: tuple[tuple[int, int], ...]
+    mean: Floats
+    covariance: Floats
+    reported: Mapping[str, ClockReading] = field(default_factory=dict)
+
+    def later(self, seconds: float) -> Clocks:
+        """The clocks so much later."""
+        ahead = np.eye(len(self.mean))
+        for grown, rate in self.rates:
+            ahead[grown, rate] = seconds
+        return replace(self, mean=ahead @ self.mean, covariance=symmetric(ahead @ self.covariance @ ahead.T))
+
+    def after(self, messages: Iterable[ClockMessage]) -> Clocks:
+        """The clocks after a frame in which targets saw something of them.
+
+        What a target has seen is taken in the directions in which it is surer than the prior; a mixture of
+        associations may be less sure in some.
+        """
+        lower = np.linalg.cholesky(self.covariance)
+        information, pull = np.eye(len(self.mean)), np.zeros(len(self.mean))
+        for mean, covariance in messages:
+            half = np.linalg.solve(lower, covariance)
+            whitened = np.asarray(np.linalg.solve(lower, half.T), dtype=np.float64)
+            variances, axes = np.linalg.eigh(symmetric(whitened))
+            is_seen = variances < 1.0 - LEAST_SEEN
+            if not is_seen.any():
+                continue
+            axes, precisions = axes[:, is_seen], 1.0 / np.maximum(variances[is_seen], 1e-12)
+            information += (axes * (precisions - 1.0)) @ axes.T
+            pull += axes @ (precisions * (axes.T @ np.linalg.solve(lower, mean - self.mean)))
+        mean = self.mean + lower @ np.linalg.solve(information, pull)
+        covariance = np.asarray(lower @ np.linalg.solve(information, lower.T), dtype=np.float64)
+        return replace(self, mean=mean, covariance=symmetric(covariance))
+
+    def reading(self, camera: str) -> ClockReading:
+        """The clock of a camera."""
+        place = self.offsets[camera]
+        return ClockReading(float(self.mean[place]), float(np.sqrt(self.covariance[place, place])))
+
+    def report(self) -> tuple[Clocks, dict[str, tuple[ClockReading, ClockReading]]]:
+        """The clocks, and those to report: camera -> its clock, and as it was reported last.
+
+        It is reported when it is much surer than last time, or when it is elsewhere.
+        """
+        news = {}
+        for camera, last in self.reported.items():
+            reading = self.reading(camera)
+            moved = abs(reading.offset_s - last.offset_s)
+            if reading.sd_s <= REPORTED * last.sd_s or moved > 3.0 * last.sd_s:
+                news[camera] = reading, last
+        if not news:
+            return self, news
+        reported = {**self.reported, **{camera: reading for camera, (reading, _) in news.items()}}
+        return replace(self, reported=reported), news
+
+
+def adopt(
+    mean: Floats, covariance: Floats, columns: Sequence[int], marginal: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """N(mean, covariance) of a state with another marginal of some columns: (K,) mean and (K, K) covariance.
+
+    What the state is, given these columns, stays as it was (Jeffrey's rule).
+    """
+    own, (target, spread) = np.ix_(columns, columns), marginal
+    scale = np.sqrt(np.diagonal(covariance)[list(columns)])  # an offset of .1 s beside a rate of 1e-5
+    by = covariance[:, list(columns)] / scale
+    gain = np.linalg.solve(covariance[own] / np.outer(scale, scale), by.T).T / scale
+    after = symmetric(covariance + gain @ (spread - covariance[own]) @ gain.T)
+    after[own] = spread
+    moved = mean + gain @ (target - mean[list(columns)])
+    moved[list(columns)] = target
+    return moved, after
+
+
+@dataclass(frozen=True, eq=False)
+class PlateClocks:
+    """The clocks as fields of the states of a plate.
+
+    Attributes:
+        clocks: all of them.
+        columns: of the states.
+        places: of each column among the K numbers of the clocks.
+        of_view: view -> the column of its camera's offset.
+    """
+
+    clocks: Clocks
+    columns: Sequence[int]
+    places: Sequence[int]
+    of_view: Mapping[str, int]
+
+    @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of the columns."""
+        return self.clocks.mean[self.places], self.clocks.covariance[np.ix_(self.places, self.places)]
+
+    def message(self, mean: Floats, covariance: Floats) -> ClockMessage:
+        """Message of a target of the plate, N(mean, covariance) after its own update, on all clocks."""
+        known, at = self.clocks, list(self.columns)
+        if len(at) == len(known.mean) and list(self.places) == list(range(len(at))):
+            return ClockMessage(mean[at], covariance[np.ix_(at, at)])
+        # Of cameras that this plate has no view of it says nothing: they follow the others, as before.
+        places = np.ix_(self.places, self.places)
+        gain = np.linalg.solve(known.covariance[places], known.covariance[self.places, :]).T
+        spread = covariance[np.ix_(at, at)] - known.covariance[places]
+        moved = mean[at] - known.mean[self.places]
+        return ClockMessage(known.mean + gain @ moved, symmetric(known.covariance + gain @ spread @ gain.T))
+
+    def adopted(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """N(mean, covariance) of a state with the clocks' marginal in place of its own."""
+        return adopt(mean, covariance, self.columns, self.moments)
+
+    def begun(self, view: str, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        """States (N, D), now, that a frame of a view started, which shows them by its offset earlier.
+
+        x = p + o v, with o and v independent as yet.
+        """
+        mean, covariance = mean.copy(), covariance.copy()
+        target, spread = self.moments
+        mean[:, self.columns] = target
+        at = np.array(self.columns)
+        covariance[:, at[:, None], at] = spread
+        column = self.of_view.get(view)
+        if column is None:
+            return mean, covariance
+        offset, variance = target[list(self.columns).index(column)], covariance[:, column, column]
+        ahead = np.tile(np.eye(mean.shape[1]), (len(mean), 1, 1))
+        second = [covariance[:, speed, speed] * variance for speed in (4, 5)]
+        for place, speed in ((0, 4), (1, 5)):
+            ahead[:, place, speed], ahead[:, place, column] = offset, mean[:, speed]
+        mean[:, :2] += offset * mean[:, 4:6]
+        covariance = ahead @ covariance @ np.swapaxes(ahead, 1, 2)
+        for place, more in enumerate(second):
+            covariance[:, place, place] += more
+        return mean, covariance
+
+
+LENGTHS = (1, 2, 4, 8)
+"""Frames over which offsets are averaged, and twice as many before them, four at least and eight at most."""
+
+LEVEL = 30.0
+"""Chi-square of 2 degrees of freedom from which on it is a knock: one in 3e6 by chance."""
+
+SETTLED = 12
+"""Frames of a camera until its spread is known, and after which a new shift is learnt no more."""
+
+FORGET = 0.05
+"""What a frame counts in spreads and the usual offset."""
+
+ALIKE = 0.3
+"""Log-ratio of heights up to which a detection may be a target's; offsets up to this share of its height."""
+
+WIDEST = 2.5
+"""A detection is matched within so many spreads."""
+
+
+@dataclass(frozen=True, eq=False)
+class Offsets:
+    """Offsets of T targets in a camera in the last frames.
+
+    Attributes:
+        names: of the targets.
+        recent: (T, 16, 2) px, the latest last; nan where a target had no detection.
+    """
+
+    names: tuple[str, ...] = ()
+    recent: Floats = field(default_factory=lambda: np.empty((0, 2 * LENGTHS[-1], 2)))
+
+    def take(self, names: Sequence[str]) -> Offsets:
+        """Offsets of targets, in their order; none of new ones."""
+        if tuple(names) == self.names:
+            return self
+        at = {name: row for row, name in enumerate(self.names)}
+        rows = np.array([at.get(name, len(self.names)) for name in names], dtype=np.intp)
+        unknown = np.full((1, 2 * LENGTHS[-1], 2), np.nan)
+        return Offsets(tuple(names), np.concatenate([self.recent, unknown])[rows])
+
+    def extend(self, offsets: Floats) -> Offsets:
+        """With those of a frame (T, 2)."""
+        return Offsets(self.names, np.concatenate([self.recent[:, 1:], offsets[:, None]], axis=1))
+
+    @property
+    def means(self) -> Floats:
+        """(T, 2) means of the last frames; 0 of targets without an offset."""
+        return np.nan_to_num(_mean(self.recent[:, -LENGTHS[-1] :], 1))
+
+    def changes(self, length: int) -> Floats:
+        """(N, 2) means of the last offsets less those before, of targets that have at least half of each."""
+        width = min(max(2 * length, 4), LENGTHS[-1])
+        means = _mean(self.recent[:, -length:], (length + 1) // 2)
+        change = means - _mean(self.recent[:, -length - width : -length], width // 2)
+        return change[np.isfinite(change[:, 0])]
+
+
+def _mean(offsets: Floats, fewest: int) -> Floats:
+    """(T, 2) means over frames of (T, L, 2); nan of targets that have fewer than so many."""
+    is_there = np.isfinite(offsets[:, :, 0])
+    count = is_there.sum(axis=1)
+    total = np.where(is_there[:, :, None], offsets, 0.0).sum(axis=1)
+    return np.where((count >= fewest)[:, None], total / np.maximum(count, 1)[:, None], np.nan)
+
+
+@dataclass(frozen=True)
+class Knock:
+    """A shift of all that a camera sees.
+
+    Attributes:
+        x: px to the right.
+        y: px down.
+        frames: over how many frames it was seen.
+        agree: targets that are off so.
+        targets: of so many.
+        chi_square: how unlikely it is by chance.
+    """
+
+    x: float
+    y: float
+    frames: int
+    agree: int
+    targets: int
+    chi_square: float
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """State of where a camera points.
+
+    Attributes:
+        bias_px: sd of the error of its calibration, px.
+        offsets: of its targets.
+        spread: (4,) px^2 per axis, of the means of each of `LENGTHS`.
+        mean_offset: (2,) px, of all offsets of its targets.
+        looks: frames in which two targets or more told.
+        shift: (2,) px by which the camera is off since it was knocked.
+        variance: px^2 of each, beyond that of its calibration.
+        learning: frames for which the shift is learnt yet.
+    """
+
+    bias_px: float = 0.0
+    offsets: Offsets = field(default_factory=Offsets)
+    spread: Floats = field(default_factory=lambda: np.zeros(len(LENGTHS)))
+    mean_offset: Floats = field(default_factory=lambda: np.zeros(2))
+    looks: int = 0
+    shift: Floats = field(default_factory=lambda: np.zeros(2))
+    variance: float = 0.0
+    learning: int = 0
+
+    def see(self, names: Sequence[str], expected: Floats, detections: Floats) -> Watch:
+        """After a frame with targets expected as boxes (T, 4) and detections (N, 4)."""
+        offsets = self.offsets.take(names)
+        return evolve(self, offsets=offsets.extend(self._match(offsets, expected, detections)))
+
+    def _match(self, offsets: Offsets, expected: Floats, detections: Floats) -> Floats:
+        """(T, 2) offsets of the nearest detections; nan without one.
+
+        Of a camera that was knocked far all are farther off: where less than half of its targets have one
+        near, and a shift gives one to most, those are taken.
+        """
+        nothing = np.full((len(expected), 2), np.nan)
+        if not len(detections) or not len(expected):
+            return nothing
+        gaps = detections[None, :, :2] - expected[:, None, :2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            unlike = ~(np.abs(np.log(detections[None, :, 3] / expected[:, None, 3])) < ALIKE)
+        residuals = gaps - offsets.means[:, None]
+        height = expected[:, 3:4]
+
+        def match(shift: Floats) -> tuple[Floats, Bools]:
+            distances = np.where(unlike, np.inf, np.linalg.norm(residuals - shift, axis=2))
+            nearest = distances.argmin(axis=1)
+            reach = ALIKE * height[:, 0]
+            if self.looks >= SETTLED:
+                reach = np.minimum(reach, max(3.0 * WIDEST * float(self.spread[0]) ** 0.5, 10.0))
+            rows = np.arange(len(nearest))
+            mutual = (distances.argmin(axis=0)[nearest] == rows) & (distances[rows, nearest] <= reach)
+            return gaps[rows, nearest], mutual
+
+        offset, is_near = match(np.zeros(2))
+        visible = int((expected[:, 2] > 1.0).sum())
+        if self.looks >= SETTLED and visible >= 2 and 2 * int(is_near.sum()) < visible:
+            tries = residuals[~unlike][:400]
+            counts = [int(match(shift)[1].sum()) for shift in tries]
+            if counts and max(counts) >= max(2, 0.75 * visible, int(is_near.sum()) + 2):
+                offset, is_near = match(tries[int(np.argmax(counts))])
+        return np.where(is_near[:, None], offset, np.nan)
+
+    def knock(self) -> Knock | None:
+        """The most probable knock, by its chi-square; None while too little is known.
+
+        What is not beyond the error of the calibration is none: intervals allow for it.
+        """
+        likeliest: Knock | None = None
+        by_length = self.spread * (1.0 + SETTLED / max(self.looks, 1))  # as known from so many frames
+        for length, spread in zip(LENGTHS, by_length.tolist(), strict=True):
+            changes = self.offsets.changes(length)
+            if len(changes) < 2 or self.looks < SETTLED:
+                continue
+            mean, count = changes.mean(axis=0), len(changes)
+            without = (count * mean - changes) / (count - 1)
+            chi = count * float(mean @ mean) / max(spread, 1e-6)
+            smallest = (count - 1) * float((without**2).sum(axis=1).min()) / max(spread, 1e-6)
+            is_beyond = float(np.hypot(*mean)) > self.bias_px
+            if is_beyond and 2.0 * smallest >= LEVEL and (likeliest is None or chi > likeliest.chi_square):
+                agree = int((changes @ mean > mean @ mean / 2.0).sum())
+                likeliest = Knock(float(mean[0]), float(mean[1]), length, agree, count, chi)
+        return likeliest
+
+    def settled(self) -> Watch:
+        """After a frame without a knock: what is usual is learnt, and the shift as far as it is uncertain."""
+        if self.learning:
+            return self._learn_shift()
+        spread, has_changes = self.spread.copy(), False
+        share = max(FORGET, 1.0 / (self.looks + 1.0))
+        for k, length in enumerate(LENGTHS):
+            changes = self.offsets.changes(length)
+            if len(changes) >= 2:
+                has_changes = True
+                spread[k] += share * (float((changes**2).mean()) - spread[k])
+        if not has_changes:
+            return self
+        latest = self.offsets.recent[:, -1]
+        latest = latest[np.isfinite(latest[:, 0])]
+        mean_offset = (
+            self.mean_offset + share * (latest.mean(axis=0) - self.mean_offset)
+            if len(latest)
+            else self.mean_offset
+        )
+        return evolve(self, spread=spread, mean_offset=mean_offset, looks=self.looks + 1)
+
+    def knocked(self, knock: Knock) -> Watch:
+        """After a knock, which may be wrong by a quarter of it; the last offsets are forgotten."""
+        shift = np.array([knock.x, knock.y])
+        k = LENGTHS.index(knock.frames)
+        variance = float(self.spread[k]) / knock.targets + (shift @ shift) / 32.0
+        offsets = evolve(self.offsets, recent=np.full_like(self.offsets.recent, np.nan))
+        return evolve(
+            self,
+            offsets=offsets,
+            shift=self.shift + shift,
+            variance=self.variance + variance,
+            learning=SETTLED,
+        )
+
+    def _learn_shift(self) -> Watch:
+        """By the last offsets, which are off by what is still unknown of the shift."""
+        latest = self.offsets.recent[:, -1] - self.mean_offset
+        latest = latest[np.isfinite(latest[:, 0])]
+        later = evolve(self, learning=self.learning - 1)
+        if not len(latest):
+            return later
+        noise = max(float(self.spread[0]), LENGTHS[-1] * float(self.spread[-1])) / len(latest)
+        gain = self.variance / (self.variance + noise)
+        shift = self.shift + gain * latest.mean(axis=0)
+        return evolve(later, shift=shift, variance=(1.0 - gain) * self.variance)
