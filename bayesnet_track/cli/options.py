@@ -76,6 +76,13 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         help="one after the other, or in supervised worker processes (default serial)",
     )
     group.add_argument(
+        "--hosts",
+        choices=["engine", "process"],
+        default="engine",
+        help="where each of several cameras is decoded, and the agents that look at it work: in the engine's "
+        "process, or in one of its own (default engine)",
+    )
+    group.add_argument(
         "--workers",
         type=whole_number(1),
         metavar="N",

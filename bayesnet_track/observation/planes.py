@@ -180,6 +180,7 @@ class Frame:
         inputs: what is known of the frame beside its image: the graph's `inputs`, by name.
         cameras: of a step of several cameras: the own frame of each that has one at this time, by name.
         last_frames: of such a step: the last frame before it of each camera that had one.
+        place: where the pixels are, of a frame that another process decodes; its image is black then.
     """
 
     index: int
@@ -192,6 +193,7 @@ class Frame:
     inputs: Mapping[str, float] = field(default_factory=dict)
     cameras: Mapping[str, Frame] = field(default_factory=dict)
     last_frames: Mapping[str, Frame] = field(default_factory=dict)
+    place: Any = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only(self.image))

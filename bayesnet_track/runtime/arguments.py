@@ -25,7 +25,7 @@ from bayesnet_track.observation.detector import GIVEN, Detections, GivenParamete
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoints
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
-from bayesnet_track.runtime.executors import RETRIES, Executing
+from bayesnet_track.runtime.executors import RETRIES, Executing, PlacingError
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.videowriter import LEAST_SIDE
@@ -261,7 +261,9 @@ def place_cues(
         PlacingError: an agent cannot be where it was put.
     """
     waits = budget_ms is None and not getattr(source, "is_live", False)
-    return stack.enter_context(executing).engine(engine, RETRIES if waits else 0)
+    if executing.hosts != "engine" and budget_ms is not None:
+        raise PlacingError("hosts of cameras beside a budget: a frame of each is waited for")
+    return stack.enter_context(executing).engine(engine, RETRIES if waits else 0, source)
 
 
 def prepare_engine(

@@ -256,6 +256,10 @@ def track(
         say_unused_by_cues(seen, opened)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
+        if video and executing.hosts != "engine":
+            raise ValueError(
+                "an annotated video beside hosts of cameras, which keep the pixels; leave one out"
+            )
         engine = place_cues(stack, executing, engine, opened, budget_ms)
         all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None

@@ -346,7 +346,7 @@ def executor_of(options: argparse.Namespace) -> Executing:
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
     from bayesnet_track.runtime.stop import has_workers, no_workers
 
-    if options.executor == "processes" and not has_workers():
+    if (options.executor == "processes" or options.hosts == "process") and not has_workers():
         raise UsageError(no_workers())
     patience, least = options.agent_timeout, Limits()
     limits = Limits(
@@ -363,6 +363,7 @@ def executor_of(options: argparse.Namespace) -> Executing:
         workers=options.workers,
         places=places,
         limits=limits,
+        hosts=options.hosts,
     )
 
 

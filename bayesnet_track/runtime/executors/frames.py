@@ -1,7 +1,10 @@
-"""Frames in memory that worker processes share: written once by the engine, read in place by the workers.
+"""Frames where agents work: in memory that worker processes share, or decoded there, by the host of a camera.
 
-The memory has no name: a file that exists only as long as a process holds it, so that nothing is left behind,
-however the processes end.
+The shared memory is written once by the engine and read in place by the workers. It has no name: a file that
+exists only as long as a process holds it, so that nothing is left behind, however the processes end.
+
+The stream of a camera is placed like an agent, in the worker of those that look at it; the engine is told
+numbers and times. It answers from its file alone, so that a fresh worker gives the same frames.
 """
 
 from __future__ import annotations
@@ -10,13 +13,21 @@ import math
 import mmap
 import os
 import tempfile
+import zlib
 from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Depth, Frame, PointMap, RightEye, StereoGeometry
+from bayesnet_track.runtime.executors.messages import Call
+from bayesnet_track.sources.frames import EndReason, Source, SourceItem
+from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.paths import SourceError
 
 SLOTS = 4
 """Frames that are held: the current one, the one before, and those of targets that start."""
@@ -161,3 +172,142 @@ def pixels_of(depth: Depth | None) -> Array | None:
 
 def _align(size: int) -> int:
     return -(-size // ALIGNED) * ALIGNED
+
+
+HELD = 4
+"""Frames that a host keeps: that of the step, the one before, the next one, and one of reserve."""
+
+
+@dataclass(frozen=True)
+class HostedFrame:
+    """A frame without its pixels, which its host has.
+
+    Attributes:
+        stream: the name of the stream at its host.
+        number: the frame's index.
+        time: as of the frame, in frame intervals.
+        time_s: the same in seconds.
+        shape: rows, columns and channels.
+        has_color: as of the frame.
+        stride: as of the frame.
+        checksum: CRC-32 of its pixels, by which a run that goes on knows it again.
+    """
+
+    stream: str
+    number: int
+    time: float
+    time_s: float
+    shape: tuple[int, ...]
+    has_color: bool
+    stride: int
+    checksum: int
+
+    def frame(self) -> Frame:
+        """The frame as the engine has it: black, all pixels in one byte."""
+        image = np.broadcast_to(np.zeros((), np.uint8), self.shape)
+        return Frame(
+            self.number, self.time, image, self.has_color, self.time_s, stride=self.stride, place=self
+        )
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """The name of a stream, and how its source was opened."""
+
+    name: str
+    origin: Origin
+
+
+class CameraStream:
+    """The frames of one camera at its host."""
+
+    needs = ()
+
+    def __init__(self, settings: StreamSettings) -> None:
+        self._settings = settings
+        self._open()
+
+    def read_next(self, number: int) -> tuple[list[Any], EndReason]:
+        """The next frame after `number` (-1 before the first) and the events before it; why the source ended.
+
+        Without a frame the source has ended.
+        """
+        self._read_to(number)
+        items: list[Any] = []
+        for item in self._items:
+            if not isinstance(item, Frame):
+                items.append(item)
+                continue
+            self._hold(item)
+            times = item.index, item.time, item.time_s
+            checksum = zlib.crc32(item.image.tobytes())
+            items.append(
+                HostedFrame(
+                    self._settings.name, *times, item.image.shape, item.has_color, item.stride, checksum
+                )
+            )
+            break
+        return items, self._source.end_reason
+
+    def frame(self, number: int) -> Frame:
+        """The frame of an index."""
+        for frame in self._frames:
+            if frame.index == number:
+                return frame
+        self._read_to(number)
+        return self._frames[-1]
+
+    def _open(self) -> None:
+        from bayesnet_track.sources.reopen import reopen
+
+        self._source = reopen(self._settings.origin)
+        self._items: Iterator[SourceItem] = iter(self._source)
+        self._frames: deque[Frame] = deque(maxlen=HELD)
+
+    def _hold(self, frame: Frame) -> None:
+        self._frames.append(frame)
+
+    def _read_to(self, number: int) -> None:
+        """Make `number` the last frame that was read: from the first one on, where it was read before."""
+        if self._frames and self._frames[-1].index > number:
+            self._open()
+        while number >= 0 and not (self._frames and self._frames[-1].index >= number):
+            item = next(self._items)
+            if isinstance(item, Frame):
+                self._hold(item)
+
+
+class HostedSource:
+    """The source of a camera as the engine has it: what it was opened with, and frames without pixels."""
+
+    def __init__(self, source: Source, camera: str, ask: Callable[[Call], Any]) -> None:
+        self._source, self._camera, self._ask = source, camera, ask
+        self.end_reason: EndReason = "end_of_source"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+    def __iter__(self) -> Iterator[SourceItem]:
+        number = -1
+        while True:
+            try:
+                items, self.end_reason = self._ask(
+                    Call(stream_name(self._camera), "read_next", None, None, (number,))
+                )
+            except AgentUnavailable as error:
+                raise SourceError(
+                    self._source.description,
+                    f"the host of camera {self._camera} gave no frame after {number}: {error}",
+                    "a host that can read the video",
+                    "use --hosts engine, or resume the run",
+                ) from error
+            for item in items:
+                yield item.frame() if isinstance(item, HostedFrame) else item
+            if not items or not isinstance(items[-1], HostedFrame):
+                return
+            number = items[-1].number
+
+
+def stream_name(camera: str) -> str:
+    """The name by which the stream of a camera is asked."""
+    return f"camera {camera}"

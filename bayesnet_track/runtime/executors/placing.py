@@ -5,136 +5,40 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.step import Engine
-from bayesnet_track.numerics.arrays import Array, Floats
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AnyCue, CueDeclaration, Hypotheses, Measurement, Reference
-from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes, Region
+from bayesnet_track.observation.planes import Planes
 from bayesnet_track.observation.settings import to_caller
-from bayesnet_track.runtime.executors.messages import LEARN_AND_BLEND, Call
-from bayesnet_track.runtime.executors.processes import PlacingError, Processes
+from bayesnet_track.runtime.executors.frames import (
+    CameraStream,
+    HostedSource,
+    StreamSettings,
+    stream_name,
+)
+from bayesnet_track.runtime.executors.processes import (
+    Learnt,
+    Placed,
+    PlacingError,
+    Processes,
+    SentFrames,
+    Transport,
+)
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
 from bayesnet_track.runtime.stop import has_workers, no_workers
-
-
-class Transport(Protocol):
-    """The place where questions for agents that work elsewhere are handed in."""
-
-    def send_frame(self, frame: Frame) -> Any:
-        """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
-
-    def ask(self, call: Call) -> Any:
-        """Return what the agent's cue returns.
-
-        Raises:
-            AgentUnavailable: it gives no answer.
-            Exception: of the type name and the text of what the cue raised.
-        """
-
-    def begin(self, call: Call) -> Callable[[], Any]:
-        """`ask`, whose answer what is returned waits for."""
-
-
-@dataclass(frozen=True, eq=False)
-class SentFrames:
-    """The plane that a proxy needs: "computing" it brings the frames to where the agents are, once a frame.
-
-    Its value is an array of two objects: what `Transport.send_frame` said of the current frame and of the one
-    before, or None.
-    """
-
-    transport: Transport
-    margin: None = None
-    inputs: tuple[Plane, ...] = ()
-    is_points: bool = True
-
-    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
-        """The places of the two frames."""
-        places: NDArray[np.object_] = np.empty(2, dtype=object)
-        # The older one first: it lies there already, and must not be overwritten by the newer.
-        places[1] = None if frames.previous is None else self.transport.send_frame(frames.previous)
-        places[0] = self.transport.send_frame(frames.current)
-        return places
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """Common part of all proxies: a name to ask by, and the plane that sends frames."""
-
-    agent: str
-    transport: Transport
-    sent: SentFrames
-    context: float
-
-    @property
-    def needs(self) -> tuple[Plane, ...]:
-        """The real planes are computed where the agent is."""
-        return (self.sent,)
-
-    def ask(self, method: str, planes: Planes | None, *arguments: Any) -> Any:
-        """A question, about a frame unless `planes` is None."""
-        return self.transport.ask(self._call(method, planes, arguments))
-
-    def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
-        """Ask what the method of that name returns, which what is returned waits for."""
-        question = self._blending(*arguments) if method == "blend" else (method, *arguments)
-        return self.transport.begin(self._call(question[0], question[1], question[2:]))
-
-    def learn(self, planes: Planes, box: Floats) -> Reference:
-        """Learn like a `Cue`."""
-        return Learnt(self, "learn", planes, (box,))
-
-    def blend(self, learned: Reference, recent: Reference, rate: float) -> Reference:
-        """Blend like a `Cue`; a reference that was learnt just now is learnt and blended at once."""
-        blended: Reference = self.ask(*self._blending(learned, recent, rate))
-        return blended
-
-    def _call(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> Call:
-        # Before the transport is busy with this question: what was learnt may have to be asked for.
-        encodable = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
-        if planes is None:
-            return Call(self.agent, method, None, None, encodable)
-        current, previous = planes[self.sent]
-        return Call(self.agent, method, (current, previous), planes.region, encodable)
-
-    def _blending(self, learned: Reference, recent: Reference, rate: float) -> tuple[Any, ...]:
-        if isinstance(recent, Learnt) and recent.of is self and recent.planes is not None:
-            return LEARN_AND_BLEND, recent.planes, recent.method, learned, rate, *recent.arguments
-        return "blend", None, learned, recent, rate
-
-
-class Learnt(Mapping[str, NDArray[Any]]):
-    """A reference that is asked for when it is looked into; one that is only blended never crosses."""
-
-    def __init__(self, of: Placed, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
-        self.of, self.method, self.arguments = of, method, arguments
-        self.planes: Planes | None = planes
-        self._arrays: Reference = {}
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._asked()[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._asked())
-
-    def __len__(self) -> int:
-        return len(self._asked())
-
-    def _asked(self) -> Reference:
-        if self.planes is not None:
-            self._arrays, self.planes = self.of.ask(self.method, self.planes, *self.arguments), None
-        return self._arrays
+from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.several import SeveralSources
 
 
 def _log_likelihood(self: Placed, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
@@ -179,6 +83,7 @@ def make_proxy(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) 
     return proxy
 
 
+Hosts = Literal["engine", "process"]
 Place = Literal["engine", "process"]
 PLACES: tuple[Place, ...] = ("engine", "process")
 
@@ -243,17 +148,51 @@ def agent_specs(
     engine: Engine,
     places: Mapping[tuple[str, str], Place],
     cues: Mapping[str, CueDeclaration] | None = None,
+    streams: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, AgentSpec]:
-    """Name of every agent that works in a process -> how its cue is made there."""
+    """Name of every agent that works in a process -> how its cue is made there.
+
+    `streams`: camera -> the stream beside which its agents work.
+    """
     declarations = _declarations(engine, cues)
     specs = {}
     for (plate, agent), place in places.items():
         if place == "process":
             compiled = engine.plates[plate]
             make = declarations[compiled.plate.agent(agent).agent.cue].make
-            parameters = compiled.plate.parameters[agent]
-            specs[_name(plate, agent)] = AgentSpec(make, parameters, compiled.costs_ms[agent] * 1e-3)
+            parameters, cost_s = compiled.plate.parameters[agent], compiled.costs_ms[agent] * 1e-3
+            stream = streams.get(compiled.looking.get(agent, ""), "")
+            specs[_name(plate, agent)] = AgentSpec(make, parameters, cost_s, stream)
     return specs
+
+
+def _stream_specs(engine: Engine, cameras: Mapping[str, Origin]) -> dict[str, AgentSpec]:
+    """Name of every stream -> how it is opened at its host."""
+    names = {camera: stream_name(camera) for camera in cameras}
+    return {
+        name: AgentSpec(CameraStream, StreamSettings(name, cameras[camera]), 0.0, name)
+        for camera, name in names.items()
+    }
+
+
+def _origins_of(engine: Engine, source: Any) -> dict[str, Origin]:
+    """Camera with agents that look at its image -> how its source is opened again.
+
+    Raises:
+        PlacingError: there are no such agents, or a source can be read only once.
+    """
+    looking = {camera for compiled in engine.plates.values() for camera in compiled.looking.values()}
+    if not looking or not isinstance(source, SeveralSources):
+        raise PlacingError("hosts are for agents that look at the images of several cameras, and none does")
+    origins: dict[str, Origin] = {}
+    for camera, opened in source.sources.items():
+        origin: Origin | None = getattr(opened, "origin", None)
+        if camera not in looking:
+            continue
+        if origin is None or origin.only_once is not None:
+            raise PlacingError(f"the source of camera {camera} cannot be opened again at a host")
+        origins[camera] = origin
+    return origins
 
 
 def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], transport: Transport) -> Engine:
@@ -344,6 +283,7 @@ class Executing:
 
     Attributes:
         kind: its name.
+        hosts: where the frames of cameras are decoded, and the agents that look at them work.
         workers: processes at work at a time.
         processes: the worker processes, when the engine has agents in some.
     """
@@ -357,7 +297,9 @@ class Executing:
         limits: Limits,
         retries: int | None,
         cues: Mapping[str, CueDeclaration] | None,
+        hosts: Hosts = "engine",
     ) -> None:
+        self.hosts = hosts
         self.kind, self.workers = kind, workers
         self.processes: Processes | None = None
         self._default, self._places, self._limits = default, places, limits
@@ -376,18 +318,28 @@ class Executing:
 
     @property
     def _is_serial(self) -> bool:
-        return self.kind == "serial"
+        return self.kind == "serial" and self.hosts == "engine"
 
-    def engine(self, engine: Engine, retries: int = RETRIES) -> Engine:
+    def engine(self, engine: Engine, retries: int = RETRIES, source: Any = None) -> Engine:
         """`engine` with its agents placed, to be run while this is entered; once.
+
+        With hosts in processes the frames of `source` come from them.
 
         `retries` holds where the executor was made without a number of its own.
 
         Raises:
             PlacingError: an agent cannot be where it was put.
         """
-        places = places_of(engine, self._default, self._places, self._cues)
-        specs = agent_specs(engine, places, self._cues)
+        origins = {} if self.hosts == "engine" else _origins_of(engine, source)
+        streams = {camera: stream_name(camera) for camera in origins}
+        at_hosts: dict[str, Place] = {
+            f"{plate}.{agent}": "process"
+            for plate, compiled in engine.plates.items()
+            for agent, camera in compiled.looking.items()
+            if camera in origins
+        }
+        places = places_of(engine, self._default, {**self._places, **at_hosts}, self._cues)
+        specs = agent_specs(engine, places, self._cues, streams) | _stream_specs(engine, origins)
         if specs:
             if not has_workers():
                 raise PlacingError(no_workers())
@@ -395,6 +347,11 @@ class Executing:
             transport = self.processes = Processes(specs, self.workers, self._limits, attempts)
             self._open.callback(transport.close)
             engine = with_proxies(engine, places, transport)
+            if origins:
+                source.sources = {
+                    camera: HostedSource(opened, camera, transport.ask) if camera in origins else opened
+                    for camera, opened in source.sources.items()
+                }
         return engine
 
 
@@ -410,6 +367,7 @@ def make_executor(
     limits: Limits = Limits(),  # noqa: B008  (immutable)
     retries: int | None = None,
     cues: Mapping[str, CueDeclaration] | None = None,
+    hosts: Hosts = "engine",
 ) -> Executing:
     """An executor by name, a context manager::
 
@@ -424,6 +382,8 @@ def make_executor(
         retries: how often an agent whose worker was lost is asked again. None for 2, or 0 where frames do
             not wait for it: those of a camera, or with a budget.
         cues: declarations by name, where not the installed ones.
+        hosts: of several cameras, where the frames of each are decoded, and its agents work that look at
+            them: in the engine's process, or in one of its own.
 
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.
@@ -433,4 +393,4 @@ def make_executor(
     number = os.cpu_count() or 1 if workers is None else workers
     if number < 1:
         raise ValueError(f"{number} workers: at least 1 is needed")
-    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues)
+    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues, hosts)

@@ -1,21 +1,26 @@
-"""Agents in worker processes: all asked before the first is heard, and again when a worker is lost."""
+"""Agents in worker processes, and proxies: all asked before the first is heard, again if a worker dies."""
 
 from __future__ import annotations
 
 import pickle
 import select
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from threading import RLock
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.inference.asking import AgentUnavailable
-from bayesnet_track.observation.cue import Making
-from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
-from bayesnet_track.runtime.executors.messages import Answer, Call, Foreign
+from bayesnet_track.numerics.arrays import Array, Floats
+from bayesnet_track.observation.cue import Making, Reference
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes, Region
+from bayesnet_track.runtime.executors.frames import FrameStore
+from bayesnet_track.runtime.executors.messages import LEARN_AND_BLEND, Answer, Call, Foreign
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import (
     Late,
@@ -26,6 +31,115 @@ from bayesnet_track.runtime.executors.workers import (
     WorkerLost,
 )
 from bayesnet_track.runtime.pace import WaitBudget
+
+
+class Transport(Protocol):
+    """The place where questions for agents that work elsewhere are handed in."""
+
+    def send_frame(self, frame: Frame) -> Any:
+        """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
+
+    def ask(self, call: Call) -> Any:
+        """Return what the agent's cue returns.
+
+        Raises:
+            AgentUnavailable: it gives no answer.
+            Exception: of the type name and the text of what the cue raised.
+        """
+
+    def begin(self, call: Call) -> Callable[[], Any]:
+        """`ask`, whose answer what is returned waits for."""
+
+
+@dataclass(frozen=True, eq=False)
+class SentFrames:
+    """The plane that a proxy needs: "computing" it brings the frames to where the agents are, once a frame.
+
+    Its value is an array of two objects: what `Transport.send_frame` said of the current frame and of the one
+    before, or None.
+    """
+
+    transport: Transport
+    margin: None = None
+    inputs: tuple[Plane, ...] = ()
+    is_points: bool = True
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The places of the two frames."""
+        places: NDArray[np.object_] = np.empty(2, dtype=object)
+        # The older one first: it lies there already, and must not be overwritten by the newer.
+        places[1] = None if frames.previous is None else self.transport.send_frame(frames.previous)
+        places[0] = self.transport.send_frame(frames.current)
+        return places
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Common part of all proxies: a name to ask by, and the plane that sends frames."""
+
+    agent: str
+    transport: Transport
+    sent: SentFrames
+    context: float
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The real planes are computed where the agent is."""
+        return (self.sent,)
+
+    def ask(self, method: str, planes: Planes | None, *arguments: Any) -> Any:
+        """A question, about a frame unless `planes` is None."""
+        return self.transport.ask(self._call(method, planes, arguments))
+
+    def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
+        """Ask what the method of that name returns, which what is returned waits for."""
+        question = self._blending(*arguments) if method == "blend" else (method, *arguments)
+        return self.transport.begin(self._call(question[0], question[1], question[2:]))
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """Learn like a `Cue`."""
+        return Learnt(self, "learn", planes, (box,))
+
+    def blend(self, learned: Reference, recent: Reference, rate: float) -> Reference:
+        """Blend like a `Cue`; a reference that was learnt just now is learnt and blended at once."""
+        blended: Reference = self.ask(*self._blending(learned, recent, rate))
+        return blended
+
+    def _call(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> Call:
+        # Before the transport is busy with this question: what was learnt may have to be asked for.
+        encodable = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
+        if planes is None:
+            return Call(self.agent, method, None, None, encodable)
+        current, previous = planes[self.sent]
+        return Call(self.agent, method, (current, previous), planes.region, encodable)
+
+    def _blending(self, learned: Reference, recent: Reference, rate: float) -> tuple[Any, ...]:
+        if isinstance(recent, Learnt) and recent.of is self and recent.planes is not None:
+            return LEARN_AND_BLEND, recent.planes, recent.method, learned, rate, *recent.arguments
+        return "blend", None, learned, recent, rate
+
+
+class Learnt(Mapping[str, NDArray[Any]]):
+    """A reference that is asked for when it is looked into; one that is only blended never crosses."""
+
+    def __init__(self, of: Placed, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
+        self.of, self.method, self.arguments = of, method, arguments
+        self.planes: Planes | None = planes
+        self._arrays: Reference = {}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._asked()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._asked())
+
+    def __len__(self) -> int:
+        return len(self._asked())
+
+    def _asked(self) -> Reference:
+        if self.planes is not None:
+            self._arrays, self.planes = self.of.ask(self.method, self.planes, *self.arguments), None
+        return self._arrays
 
 
 class Pending:
@@ -93,8 +207,13 @@ class Processes:
 
     patience: WaitBudget | None
 
-    def send_frame(self, frame: Frame) -> SharedFrame:
-        """Place the frame in the shared memory; with a new one, agents are placed anew if need be."""
+    def send_frame(self, frame: Frame) -> Any:
+        """Place the frame in the shared memory; with a new one, agents are placed anew if need be.
+
+        One whose pixels are elsewhere stays there.
+        """
+        if frame.place is not None:
+            return frame.place
         with self._asking:
             shared = self._store.put(frame)
             if shared.number > self._frames:

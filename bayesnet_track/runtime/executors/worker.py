@@ -117,6 +117,8 @@ class AgentHost:
                 return Foreign(numbers) if isinstance(numbers, str) else numbers
             case "measure":
                 return _measurement(returned)
+            case "read_next":  # of a stream: frames without pixels, and events
+                return returned
         if returned is None and question.method == "adapt":
             return None
         # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
@@ -131,9 +133,15 @@ class AgentHost:
         if cache is None:
             while len(self._caches) >= CACHES:
                 del self._caches[next(iter(self._caches))]
-            pair = FramePair(self._frame_of(current), None if previous is None else self._frame_of(previous))
+            pair = FramePair(self._frame(current), None if previous is None else self._frame(previous))
             cache = self._caches[key] = PlaneCache(pair)
         return cache
+
+    def _frame(self, place: Any) -> Frame:
+        """The frame of a place: of a stream that is here, or in the shared memory."""
+        stream: Any = self._cues.get(getattr(place, "stream", ""))
+        frame: Frame = self._frame_of(place) if stream is None else stream.frame(place.number)
+        return frame
 
 
 def _measurement(returned: Any) -> Measurement | Foreign | None:

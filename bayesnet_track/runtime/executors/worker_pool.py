@@ -10,7 +10,6 @@ from threading import Thread
 from typing import Any
 
 from bayesnet_track.inference.asking import AgentUnavailable
-from bayesnet_track.observation.cue import AnyCue
 from bayesnet_track.runtime.executors.workers import (
     ForkServer,
     Late,
@@ -63,11 +62,19 @@ MEMORY_OF_COST = 0.9
 
 @dataclass(frozen=True, eq=False)
 class AgentSpec:
-    """The recipe of an agent's cue for a worker, and its expected cost, seconds a frame."""
+    """The recipe of an agent's cue for a worker.
 
-    make: Callable[[Any], AnyCue]
+    Attributes:
+        make: parameters -> cue.
+        parameters: of the cue.
+        cost_s: expected cost, seconds a frame.
+        stream: the stream of frames beside which it works, a recipe, too; "" where it may be anywhere.
+    """
+
+    make: Callable[[Any], Any]
     parameters: Any
     cost_s: float
+    stream: str = ""
 
 
 class Slot:
@@ -92,7 +99,10 @@ class WorkerPool:
     """
 
     def __init__(self, agents: Mapping[str, AgentSpec], workers: int, limits: Limits, frames: int) -> None:
-        self.slots = [Slot() for _ in range(max(1, min(workers, len(agents))))]
+        self._hosts = {spec.stream: Slot() for spec in agents.values() if spec.stream}
+        free = [agent for agent, spec in agents.items() if not spec.stream]
+        self._free = [Slot() for _ in range(min(workers, len(free)))]
+        self.slots = [*self._free, *self._hosts.values()]
         self._agents, self._limits = agents, limits
         self._fork_server = ForkServer(frames, limits.memory_mb, limits.answer_s)
         self._costs = {agent: spec.cost_s for agent, spec in agents.items()}
@@ -101,14 +111,14 @@ class WorkerPool:
         self._slot_of: dict[str, Slot] = {}
         self._frames = 0
         self._is_closed = False
-        self._assign(pack(self._costs, len(self.slots)))
+        self._assign(pack({agent: self._costs[agent] for agent in free}, len(self._free)))
 
     def slot(self, agent: str) -> Slot:
         """The slot of the agent, which is to be asked something."""
         self._asked_in[agent] = self._frames
         slot = self._slot_of.get(agent)
         if slot is None:
-            slot = min(self.slots, key=self._load)
+            slot = self._hosts.get(self._agents[agent].stream) or min(self._free, key=self._load)
             slot.agents.add(agent)
             self._slot_of[agent] = slot
         return slot
@@ -124,6 +134,7 @@ class WorkerPool:
         if own is None:
             own = Slot()
             self.slots.append(own)
+            self._free.append(own)
         own.worker, slot.worker = slot.worker, None
         slot.agents.discard(late)
         own.agents.add(late)
@@ -151,9 +162,10 @@ class WorkerPool:
 
     def assign(self, worker: Worker, agent: str) -> None:
         """See that the worker has the agent; raises WorkerLost."""
-        if agent not in worker.agents:
-            spec = self._agents[agent]
-            worker.assign(agent, spec.make, spec.parameters)
+        spec = self._agents[agent]
+        for name in (spec.stream, agent):
+            if name and name not in worker.agents:
+                worker.assign(name, self._agents[name].make, self._agents[name].parameters)
 
     def start(self, slot: Slot) -> Future[Worker]:
         """Have a worker started for the slot, unless one comes already; nobody need wait for it."""
@@ -185,8 +197,8 @@ class WorkerPool:
             if frames - self._asked_in[agent] > IDLE_FRAMES:
                 self._slot_of.pop(agent).agents.discard(agent)
         if frames % REPACK_EVERY == 0:
-            costs = {agent: self._costs[agent] for agent in self._slot_of}
-            better = repack(costs, [slot.agents for slot in self.slots])
+            costs = {agent: self._costs[agent] for agent in self._slot_of if not self._agents[agent].stream}
+            better = repack(costs, [slot.agents for slot in self._free])
             if better is not None:
                 self._assign(better)
         for slot in self.slots:
@@ -208,7 +220,7 @@ class WorkerPool:
         return sum(self._costs[agent] for agent in slot.agents)
 
     def _assign(self, packing: list[set[str]]) -> None:
-        for slot, agents in zip(self.slots, packing, strict=True):
+        for slot, agents in zip(self._free, packing, strict=True):
             slot.agents = set(agents)
             self._slot_of.update(dict.fromkeys(agents, slot))
 
@@ -221,7 +233,7 @@ class WorkerPool:
                 worker.close()
                 slot.worker = None
                 return
-            for agent in worker.agents - slot.agents:
+            for agent in worker.agents - slot.agents - self._hosts.keys():
                 worker.unassign(agent)
         except WorkerLost:
             slot.worker = None

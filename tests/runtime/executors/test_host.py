@@ -20,8 +20,8 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 from bayesnet_track.runtime.executors.messages import LEAST_BYTES, EncodedReference, Sent
-from bayesnet_track.runtime.executors.placing import SentFrames
 from bayesnet_track.runtime.executors.placing import make_proxy as place
+from bayesnet_track.runtime.executors.processes import SentFrames
 from bayesnet_track.runtime.executors.worker import AgentHost
 
 PROTOCOLS = (Cue, MeasuringCue, AssociatingCue, LocallyAdaptable, Turnable)
