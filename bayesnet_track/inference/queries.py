@@ -125,18 +125,19 @@ def numbers(compiled: CompiledQuery, group: BeliefGroup, frame: Mapping[str, flo
         return np.stack([means, sds, means - reach, means + reach])
     fields, weights = group.nodes(compiled.reads)
     values = np.asarray(values_of(compiled.term, {**frame, **compiled.constants, **fields}), dtype=np.float64)
-    values = np.broadcast_to(values, weights.shape)
+    if values.shape != weights.shape:
+        values = np.broadcast_to(values, weights.shape)
     usable = np.isfinite(values)
     if not usable.all():
         weights, values = weights * usable, np.where(usable, values, 0.0)
     total = weights.sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = weights / total[:, None]
-        means = np.sum(values * weights, axis=1)
-        sds = np.sqrt(np.sum((values - means[:, None]) ** 2 * weights, axis=1))
-        bounds = weighted_quantiles(values, np.nan_to_num(weights), compiled.shares)
-    answers = np.stack([means, sds, *bounds.T])
-    return np.where(total > 0.0, answers, math.nan)
+    weights = weights / np.where(total > 0.0, total, 1.0)[:, None]
+    answers = np.empty((4, len(total)))
+    answers[0] = (values * weights).sum(axis=1)
+    answers[1] = np.sqrt(((values - answers[0][:, None]) ** 2 * weights).sum(axis=1))
+    answers[2:] = weighted_quantiles(values, weights, compiled.shares).T
+    answers[:, total <= 0.0] = math.nan
+    return answers
 
 
 def _values(compiled: CompiledQuery, frame: Mapping[str, float]) -> tuple[float, ...]:
@@ -213,14 +214,12 @@ def weighted_quantiles(values: Floats, weights: Floats, shares: tuple[float, ...
     >>> weighted_quantiles(np.array([[3.0, 1.0, 2.0]]), np.array([[0.2, 0.4, 0.4]]), (0.1, 0.5)).tolist()
     [[1.0, 2.0]]
     """
-    order = values.argsort(axis=-1)
-    ordered = np.take_along_axis(values, order, axis=-1)
-    cumulative = np.take_along_axis(weights, order, axis=-1).cumsum(axis=-1)
     result = np.empty((len(values), len(shares)))
-    for row in range(len(values)):
-        levels = np.array(shares) * cumulative[row, -1]
-        places = cumulative[row].searchsorted(levels * (1.0 - 1e-12))
-        result[row] = ordered[row, np.minimum(places, values.shape[1] - 1)]
+    for row, order in enumerate(values.argsort(axis=-1)):
+        cumulative = weights[row][order].cumsum()
+        levels = np.array(shares) * cumulative[-1]
+        places = cumulative.searchsorted(levels * (1.0 - 1e-12))
+        result[row] = values[row][order[np.minimum(places, len(order) - 1)]]
     return result
 
 
