@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -286,25 +287,31 @@ def _evaluate_each(
         if all(observe.agent in observer.references for observer in observers)
     }
     ahead: list[dict[Observe, Answer]] = [{} for _ in group]
-    if references:
-        together = {
-            observe: replace(observe, temperature=1.0)
-            for observe in plan.observations
-            if observe.agent in references
-        }
-        asked = replace(plan, observations=tuple(together.values()))
+    views: list[dict[str, Hypotheses] | None] = [None for _ in group]
+    if references or plan.views:
         boxes = np.concatenate([cloud.boxes for cloud in hypotheses])
         fields = {
             name: np.concatenate([cloud.fields[name] for cloud in hypotheses])
             for name in hypotheses[0].fields
         }
-        starts = np.cumsum([0, *map(len, hypotheses)])
-        answers, failed = ask_together(work, (compiled, asked, references), Hypotheses(boxes, fields), starts)
+        together, starts = Hypotheses(boxes, fields), np.cumsum([0, *map(len, hypotheses)])
+    if plan.views:
+        projected = {view.node: view.project(together, work.frame) for view in plan.views}
+        ends = pairwise(starts.tolist())
+        views = [{node: cloud.part(*rows) for node, cloud in projected.items()} for rows in ends]
+    if references:
+        scored = {
+            observe: replace(observe, temperature=1.0)
+            for observe in plan.observations
+            if observe.agent in references
+        }
+        asked = replace(plan, observations=tuple(scored.values()))
+        answers, failed = ask_together(work, (compiled, asked, references), together, starts)
         for t in range(len(group)):
             if t not in failed:
                 rows = slice(starts[t], starts[t + 1])
-                ahead[t] = {observe: answers[observe.agent][rows] for observe in together}
-    return [evaluate(plan, *of) for of in zip(observers, hypotheses, log, ahead, strict=True)]
+                ahead[t] = {observe: answers[observe.agent][rows] for observe in scored}
+    return [evaluate(plan, *of) for of in zip(observers, hypotheses, log, ahead, views, strict=True)]
 
 
 def _scores_each(cue: object) -> bool:

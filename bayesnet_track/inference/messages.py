@@ -51,10 +51,12 @@ def evaluate(
     hypotheses: Hypotheses,
     prior_log: Floats,
     ahead: Mapping[Observe, Answer] = MappingProxyType({}),
+    views: Mapping[str, Hypotheses] | None = None,
 ) -> Evidence:
     """The evidence of the whole net for (N,) hypotheses with normalised prior log-weights.
 
-    Agents whose answers are known `ahead` are not asked.
+    Agents whose answers are known `ahead` are not asked; `views` has the hypotheses as cameras see them, if
+    they were projected before.
 
     An agent that fails is left out as if it were switched off, and named by the observer: its planes or it
     raise, or it returns anything but N log-likelihoods of at most 0, one of them above -inf (for an agent
@@ -62,7 +64,7 @@ def evaluate(
     a reason outside of it. `faults` of the evidence names those of them that had answered earlier in the
     frame. One that measures nothing is left out of every product and pool, too; its own message is zeros.
     """
-    latent = _draw_latent(plan, observer, hypotheses)
+    latent = _draw_latent(plan, observer, hypotheses, views)
     at = {plan.root: hypotheses, **latent}
     messages: dict[str, Floats] = {}
     measured: dict[str, Measurement | None] = {}
@@ -324,10 +326,13 @@ def _source(plan: Plan, node: str) -> str:
     return next(step.given_from for step in plan.draws if step.node == node)
 
 
-def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict[str, Hypotheses]:
+def _draw_latent(
+    plan: Plan, observer: Observer, hypotheses: Hypotheses, views: Mapping[str, Hypotheses] | None
+) -> dict[str, Hypotheses]:
     """Hypotheses of views and of latent nodes."""
-    frame = observer.cache.frames.current
-    views = {view.node: view.project(hypotheses, frame) for view in plan.views}
+    if views is None:
+        frame = observer.cache.frames.current
+        views = {view.node: view.project(hypotheses, frame) for view in plan.views}
     at = {plan.root: hypotheses, **views}
     number = next(observer.passes)
     again = "" if number == 0 else f" {number}"

@@ -16,10 +16,12 @@ from bayesnet_track.belief.gaussian.update import (
     MeasurementUpdate,
     SigmaPoints,
     gated_of,
+    mix,
     observe_fields,
     take,
 )
 from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.formulas import linearise_seen
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile, root, roots, sigma_points, symmetric
@@ -125,7 +127,11 @@ def take_each(
     """Kalman updates of each Gaussian by what its agents measured (`update.take`)."""
     alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     updates: dict[int, MeasurementUpdate] = {}
+    mixed = _rows_of_choices(measured)
+    updates |= _mix_each({row: moments[row] for row in mixed}, fields, measured, is_unscented)
     for row, (gaussian, messages) in enumerate(zip(moments, measured, strict=True)):
+        if row in updates:
+            continue
         agent, message = next(iter(messages.items()), ("", None))
         if message is not None and len(messages) == 1 and _is_correlated(message):
             alike.setdefault((agent, message.fields), []).append(row)
@@ -138,6 +144,40 @@ def take_each(
         ):
             updates[row] = update
     return [updates[row] for row in range(len(moments))]
+
+
+def _rows_of_choices(measured: Sequence[Mapping[str, Measurement]]) -> list[int]:
+    """Rows that are updated by choices alone, of quantities that are functions of the state.
+
+    Their agents are those of the longest row, in its order; of one row alone nothing is found together.
+    """
+    order = [*max(measured, key=len, default={})]
+    rows = [
+        row
+        for row, messages in enumerate(measured)
+        if messages and [agent for agent in order if agent in messages] == [*messages]
+        if all(message.choices and message.choices[0][1].seen is not None for message in messages.values())
+    ]
+    return rows if len(rows) > 1 else []
+
+
+def _mix_each(
+    moments: Mapping[int, Moments],
+    fields: tuple[str, ...],
+    measured: Sequence[Mapping[str, Measurement]],
+    is_unscented: bool,
+) -> dict[int, MeasurementUpdate]:
+    """Row -> its update by choices alone (`update.take`); derivatives of an agent's are found at once."""
+    beliefs, logs = dict(moments), dict.fromkeys(moments, 0.0)
+    for agent in max((measured[row] for row in moments), key=len, default={}):
+        rows = [row for row in moments if agent in measured[row]]
+        quantities = measured[rows[0]][agent].choices[0][1].seen
+        assert quantities is not None
+        linear = linearise_seen(np.array([beliefs[row][0] for row in rows]), fields, quantities)
+        for row, at_mean in zip(rows, linear, strict=True):
+            mean, covariance, log = mix(*beliefs[row], fields, measured[row][agent], is_unscented, at_mean)
+            beliefs[row], logs[row] = (mean, covariance), logs[row] + log
+    return {row: MeasurementUpdate(*beliefs[row], logs[row], measured[row], ()) for row in moments}
 
 
 def _is_correlated(message: Measurement) -> bool:

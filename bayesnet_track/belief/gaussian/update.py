@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.belief.motion.formulas import derivative, extended_update, unscented_update
+from bayesnet_track.belief.motion.formulas import extended_update, linearise_seen, unscented_update
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
     ALONE,
@@ -76,15 +76,9 @@ def _update_by_one(
     seen, errors = measured.seen, measured.errors
     assert seen is not None and errors is not None
 
-    def of(states: Floats) -> Floats:
-        values = seen.function(dict(zip(fields, states.T, strict=True)))
-        return np.asarray(values)
-
-    centre = of(mean[None])[0]
-    if not np.isfinite(centre).all():
-        return None
-    slope = derivative(lambda states: np.asarray(centre + seen.less(of(states), centre)), mean)[number]
-    if not np.isfinite(slope).all():
+    centre, slopes = linearise_seen(mean[None], fields, seen)[0]
+    slope = slopes[number]
+    if not (np.isfinite(centre).all() and np.isfinite(slope).all()):
         return None
     away = float(seen.less(measured.mean, centre)[number])
     variance = float(slope @ covariance @ slope)
@@ -331,7 +325,7 @@ def take(
     log_evidence = 0.0
     for one in used.values():
         if one.choices:
-            mean, covariance, log_own = _mix(mean, covariance, fields, one, is_unscented)
+            mean, covariance, log_own = mix(mean, covariance, fields, one, is_unscented)
             log_evidence += log_own
             continue
         if one.seen is None:
@@ -360,21 +354,24 @@ def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Me
 
 
 def update_seen(
-    mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement, is_unscented: bool
+    mean: Floats,
+    covariance: Floats,
+    fields: tuple[str, ...],
+    one: Measurement,
+    is_unscented: bool,
+    linear: tuple[Floats, Floats] | None = None,
 ) -> Updated | None:
     """The update by quantities z = h(x) + N(0, R); None where h has no value near the mean.
 
     By h's derivative at the mean, or at sigma points +-sqrt(max(K, 3)) sds away, K the covariance's rank.
-    Angles are taken as the shorter way from that of the mean.
+    Angles are taken as the shorter way from that of the mean. `linear` is what `linearise_seen` gives of the
+    mean, if that was found before.
     """
     assert one.seen is not None
     seen = one.seen
 
-    def of(states: Floats) -> Floats:
-        return seen.function(dict(zip(fields, states.T, strict=True)))
-
-    centre = of(mean[None])[0]
-    if not np.isfinite(centre).all():
+    centre, slopes = linearise_seen(mean[None], fields, seen)[0] if linear is None else linear
+    if not (np.isfinite(centre).all() and np.isfinite(slopes).all()):
         return None
     measured = centre + seen.less(one.mean, centre)
     if seen.beyond is not None:
@@ -383,12 +380,10 @@ def update_seen(
         measured = measured if is_unscented else measured - shift  # sigma points see it by themselves
 
     def unwrapped(states: Floats) -> Floats:
-        return np.asarray(centre + seen.less(of(states), centre))
+        values = seen.function(dict(zip(fields, states.T, strict=True)))
+        return np.asarray(centre + seen.less(values, centre))
 
     try:
-        slopes = derivative(unwrapped, mean)
-        if not np.isfinite(slopes).all():
-            return None
         if is_unscented:
             kappa = max(3.0 - root(covariance).shape[1], 0.0)
             after = unscented_update(mean, covariance, measured, one.covariance, unwrapped, kappa)
@@ -420,19 +415,27 @@ def allow_for(
     return mean, covariance
 
 
-def _mix(
-    mean: Floats, covariance: Floats, fields: tuple[str, ...], measured: Measurement, is_unscented: bool
+def mix(
+    mean: Floats,
+    covariance: Floats,
+    fields: tuple[str, ...],
+    measured: Measurement,
+    is_unscented: bool,
+    linear: tuple[Floats, Floats] | None = None,
 ) -> tuple[Floats, Floats, float]:
     """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none.
 
-    Where functions of the state have no value at the mean nothing is used.
+    Where functions of the state have no value at the mean nothing is used. `linear` is that of `update_seen`,
+    the same of all choices.
     """
     weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
     for weight, one in measured.choices:
         if one.seen is None:
             after = update_by(mean, covariance, fields, one)
         else:
-            by_function = update_seen(mean, covariance, fields, one, is_unscented)
+            if linear is None:
+                linear = linearise_seen(mean[None], fields, one.seen)[0]
+            by_function = update_seen(mean, covariance, fields, one, is_unscented, linear)
             if by_function is None:
                 return mean, covariance, 0.0
             after = by_function

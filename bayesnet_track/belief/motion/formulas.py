@@ -25,6 +25,8 @@ from bayesnet_track.numerics.gaussian import (
     sigma_points,
     symmetric,
 )
+from bayesnet_track.numerics.lenses import derivatives
+from bayesnet_track.observation.protocols import Seen
 
 Drift = Callable[[Floats, float], Floats]
 """(N, D) states and dt in frame intervals -> (N, D) states after it, without noise."""
@@ -166,6 +168,19 @@ def derivative(function: Callable[[Floats], Floats], state: Floats) -> Floats:
     values = function(np.concatenate([ahead, behind]))
     size = len(state)
     return np.asarray(((values[:size] - values[size:]) / taken[:, None]).T)
+
+
+def linearise_seen(means: Floats, fields: tuple[str, ...], quantities: Seen) -> list[tuple[Floats, Floats]]:
+    """Of each state (T, D) the values h(x) (K,), and the derivative (K, D) there by central differences."""
+
+    def values_at(states: Floats) -> Floats:
+        return quantities.function(dict(zip(fields, states.T, strict=True)))
+
+    centres = values_at(means)
+    repeated = np.tile(centres, (2 * means.shape[1], 1))
+    slopes = derivatives(lambda states: repeated + quantities.less(values_at(states), repeated), means)
+    transposed = np.ascontiguousarray(np.swapaxes(slopes, 1, 2))
+    return [(centre, slope.T) for centre, slope in zip(centres, transposed, strict=True)]
 
 
 def extended_update(
