@@ -16,7 +16,7 @@ from bayesnet_track.belief.gaussian.update import (
     MeasurementUpdate,
     SigmaPoints,
     gated_of,
-    mix,
+    mix_choices,
     observe_fields,
     take,
 )
@@ -175,7 +175,8 @@ def _mix_each(
         assert quantities is not None
         linear = linearise_seen(np.array([beliefs[row][0] for row in rows]), fields, quantities)
         for row, at_mean in zip(rows, linear, strict=True):
-            mean, covariance, log = mix(*beliefs[row], fields, measured[row][agent], is_unscented, at_mean)
+            message = measured[row][agent]
+            mean, covariance, log = mix_choices(*beliefs[row], fields, message, is_unscented, at_mean)
             beliefs[row], logs[row] = (mean, covariance), logs[row] + log
     return {row: MeasurementUpdate(*beliefs[row], logs[row], measured[row], ()) for row in moments}
 

@@ -325,7 +325,7 @@ def take(
     log_evidence = 0.0
     for one in used.values():
         if one.choices:
-            mean, covariance, log_own = mix(mean, covariance, fields, one, is_unscented)
+            mean, covariance, log_own = mix_choices(mean, covariance, fields, one, is_unscented)
             log_evidence += log_own
             continue
         if one.seen is None:
@@ -415,7 +415,7 @@ def allow_for(
     return mean, covariance
 
 
-def mix(
+def mix_choices(
     mean: Floats,
     covariance: Floats,
     fields: tuple[str, ...],
