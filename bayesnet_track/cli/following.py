@@ -330,6 +330,7 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
         whom = ", ".join(lost) if len(lost) <= MOST_NAMED else str(len(lost))
         status = f"lost: {whom} of {len(result.targets)}"
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
+    unit = next((metrics.ud_unit for metrics in result.targets), "px²")
     # As if no time passed while kernels are compiled: the rate is that of frames.
     now = time.monotonic() - WATCH.seconds
-    run_silently(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
+    run_silently(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status, unit))

@@ -233,6 +233,11 @@ class FrameMetrics(HasBox):
     state: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     identities: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
+    @property
+    def ud_unit(self) -> str:
+        """Unit of the UD at the root: m² of a state in metres, else px², as of views and agents."""
+        return "m²" if "x_m" in self.state else "px²"
+
     def __repr__(self) -> str:
         """The main facts: who, when, how sure, where, and by whose evidence."""
         agents = ", ".join(self.active) or "no agent"

@@ -149,13 +149,16 @@ class Progress:
         self._width = 0
         self._last = ""
 
-    def update(self, now: float, done: int, active: Sequence[str], ud_px2: float, status: str) -> None:
+    def update(
+        self, now: float, done: int, active: Sequence[str], ud_px2: float, status: str, unit: str = "px²"
+    ) -> None:
         """Tell that `done` frames are ready at time `now` (seconds, any origin); shows it when it is due."""
-        finite = round(ud_px2, 1) if abs(ud_px2) < float("inf") else None
+        digits = 1 if unit == "px²" else 5
+        finite = round(ud_px2, digits) if abs(ud_px2) < float("inf") else None
         self.advance(
             now,
             done,
-            f"{', '.join(active) or 'none'} | UD {ud_px2:.0f} px² | {status}",
+            f"{', '.join(active) or 'none'} | UD {ud_px2:.{digits - 1}f} {unit} | {status}",
             {"active": list(active), "ud_px2": finite, "status": status},
         )
 

@@ -141,7 +141,7 @@ def _label(
     def extent(text: str) -> int:
         return int(cv2.getTextSize(text, font, size, weight)[0][0])
 
-    head = f"{metrics.target} {metrics.status}  UD {_short(metrics.ud_px2)} px2"
+    head = f"{metrics.target} {metrics.status}  UD {_short(metrics.ud_px2)} {metrics.ud_unit[:-1]}2"
     lines = [_fit([head], room, extent), _fit(list(metrics.active) or ["no agent"], room, extent)]
     unseen = [f"{name} {part.status}" for name, part in metrics.parts.items() if part.status != "seen"]
     lines += [_fit(unseen, room, extent)] if unseen else []

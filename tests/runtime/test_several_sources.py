@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import csv
+import re
 
 import numpy as np
 import pytest
 
 from bayesnet_track import track
+from bayesnet_track.cli.commands.diagnose import advise
+from bayesnet_track.cli.findings import Finding
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
+from bayesnet_track.runtime.recording.run_reader import open_run
 from bayesnet_track.sources.paths import SourceError
 from tests.engine.test_several_cameras import CAMERAS, boxes_of, write_graph
 
@@ -258,3 +262,14 @@ def test_a_target_that_the_first_camera_cannot_see_has_no_box(tmp_path):
     assert main(["export", str(out), "--format", "mot", "--out", str(tmp_path / "mot.txt")]) == 0
     exported, own = (np.loadtxt(path, delimiter=",") for path in (tmp_path / "mot.txt", out / "tracks.txt"))
     np.testing.assert_allclose(exported, own, atol=1e-5)
+
+
+def test_reports_are_in_metres(room, tmp_path, capsys):
+    out = tmp_path / "run"
+    named = options_of(detections_in(room))
+    assert main(["run", str(room), *named, "--out", str(out)]) == 0
+    assert re.search(r"UD 0\.\d{4} m² \| tracking", capsys.readouterr().err)
+    assert main(["log", str(out), "--why", "9"]) == 0
+    assert re.search(r"UD +person 0\.\d+ m², view.east [\d.]+ px²", capsys.readouterr().out)
+    advice = advise(open_run(out), Finding("1", "measures closer", "wide", "seen.south"))
+    assert advice["try"].endswith("person.motion.constant_velocity.sd_velocity=0.25")

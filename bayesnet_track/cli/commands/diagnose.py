@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -80,10 +81,17 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
     if finding.remedy is None:
         # Another seed is worth a try where chance may have lost a target, not where its detections ended.
         return advice | {"seed": finding.measure != "failed" and not is_born(run, finding.target)}
-    from bayesnet_track.cli.findings import REMEDIES
+    from bayesnet_track.cli.findings import MOTION, REMEDIES, ROOT
 
     remedy = REMEDIES[finding.remedy]
     names = names_of(run.graph_text, kind, finding.agent)
+    if remedy.key.endswith(".sd_px") and "ground" in _types(run.graph_text)[kind].get("state", ()):
+        factor = 2.0 if finding.remedy == "narrow" else 0.5
+        metres, value = "sd", f"{{x: {factor:g}, y: {factor:g}}}"
+        if names[MOTION] == "constant_velocity":
+            motion = _types(run.graph_text)[kind]["nodes"][names[ROOT]]["motion"]
+            metres, value = "sd_velocity", f"{factor * motion[names[MOTION]].get('sd_velocity', 1.0):g}"
+        remedy = replace(remedy, key=remedy.key.replace("sd_px", metres), value=value)
     setting: str | None = remedy.setting(names)
     refused = _refused(run.graph_text, str(setting))
     return advice | {
@@ -146,6 +154,7 @@ def names_of(text: str, plate: str, agent: str | None = None) -> Mapping[str, st
     root = next(name for name, node in nodes.items() if "parent" not in node)
     motion = nodes[root].get("motion", MOTION)
     names = {ROOT: root, MOTION: motion if isinstance(motion, str) else next(iter(motion))}
+    agent = agent if agent in nodes else str(agent).partition(".")[0]  # of one of several cameras
     if agent in nodes:
         cue = nodes[agent]["agent"]
         names |= {AGENT: str(agent), "CUE": cue if isinstance(cue, str) else next(iter(cue))}

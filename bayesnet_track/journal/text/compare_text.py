@@ -166,7 +166,7 @@ def _standing(run: RunRecord, moment: Moment, target: str) -> str:
     line = next((measured for measured in of_frame if measured.target == target), None)
     if line is None:
         return f"target {target} is not live"
-    ud = f"UD {line.ud_px2:.3g} px²" if abs(line.ud_px2) < 1000 else f"UD {line.ud_px2:.0f} px²"
+    ud = f"UD {line.ud_px2:{'.3g' if abs(line.ud_px2) < 1000 else '.0f'}} {line.ud_unit}"
     if not moment.node or not _is_agent(run, moment.node):
         return f"no such decision; {ud}, {line.status}"
     switch = "on" if moment.node in line.active else "off"

@@ -178,7 +178,9 @@ def why(
 
 def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, float]) -> str:
     x, y, w, h = line.centre_box
-    quiet = "not yet measured" if line.quiet_px2 is None else f"{_ud(line.quiet_px2)} px²"
+    quiet = "not yet measured" if line.quiet_px2 is None else f"{_ud(line.quiet_px2)} {line.ud_unit}"
+    units = [line.ud_unit, *("px²" for _ in line.ud_nodes)]
+    uds = [f"{node} {_ud(ud)} {unit}" for (node, ud), unit in zip(line.ud_nodes.items(), units, strict=False)]
     sample = f"{line.particles}, of which {line.ess:.0f} effective"
     rows = [
         f"frame {line.frame} at {line.time_s:.3f} s, target {line.target}: {line.status}, "
@@ -186,7 +188,7 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
         f"  estimate   centre {x:.1f}, {y:.1f}, {w:.1f} x {h:.1f} px; "
         f"sd {', '.join(f'{value:.1f}' for value in line.sd)} px",
         f"  hypotheses {sample}; log evidence {line.log_evidence:.2f}",
-        f"  UD         {', '.join(f'{node} {_ud(ud)} px²' for node, ud in line.ud_nodes.items())}; "
+        f"  UD         {', '.join(uds)}; "
         f"baseline {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
     ]
     if line.modes:
