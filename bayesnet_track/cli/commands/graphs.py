@@ -18,6 +18,26 @@ if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 
 
+SCENE_GRAPHS = {
+    "ball_between_children": "ball_between_children",
+    "carried_box": "carried_box",
+    "crowd": "crowd",
+    "orange_and_gray": "orange_and_gray",
+    "gray_square": "gray_square",
+    "flying_ball": "kalman_ball",
+    "person_and_board": "person_shape",
+    "person_parts": "person_parts",
+    "person_stereo": "person_stereo",
+    "glass_wall": "person_stereo",
+    "person_color_stereo": "person_color_stereo",
+    "person_same_clothes": "person_same_clothes",
+    "person_same_clothes_nearer": "person_same_clothes",
+    "two_people_color_stereo_shape": "two_people_color_stereo_shape",
+    "street": "street",
+}
+"""Scenes that do not run with the graph `two_squares`."""
+
+
 def validate(options: argparse.Namespace) -> int:
     """Check graph files; all errors of all files."""
     from bayesnet_track.graph.text.explain import describe_error
@@ -163,12 +183,13 @@ def list_installed(options: argparse.Namespace) -> int:
     from bayesnet_track.observation.detector import installed_detectors
     from bayesnet_track.observation.plugins import allowed, others
     from bayesnet_track.sources.scenes import scene_names
+    from bayesnet_track.sources.scenes.people import ROOMS
 
     say(f"graphs (name one, or copy its file from {graph_folder()}):")
     for graph, about in graphs_about().items():
         say(f"  {graph:29} {about}")
     say("scenes (for `demo`):")
-    for line in wrap(", ".join(scene_names()), 100, break_on_hyphens=False):
+    for line in wrap(", ".join((*scene_names(), *ROOMS)), 100, break_on_hyphens=False):
         say(f"  {line}")
     say("cues:")
     for cue in installed_cues(allowed()).values():
@@ -291,8 +312,9 @@ def completion(options: argparse.Namespace) -> int:
     from bayesnet_track.graphs import graph_names
     from bayesnet_track.observation.detector import installed_detectors
     from bayesnet_track.sources.scenes import scene_names
+    from bayesnet_track.sources.scenes.people import ROOMS
 
-    names = {"graphs": graph_names(), "scenes": scene_names(), "detectors": installed_detectors()}
+    names = {"graphs": graph_names(), "scenes": (*scene_names(), *ROOMS), "detectors": installed_detectors()}
     for action in actions(options.parser):
         kind = kind_of(action)
         if kind is not None:

@@ -29,6 +29,7 @@ from bayesnet_track.cli.arguments import (
     whole_number,
     writing,
 )
+from bayesnet_track.cli.commands.graphs import SCENE_GRAPHS
 from bayesnet_track.cli.commands.tracking import executor_of, track_source
 from bayesnet_track.cli.following import Narrator, begin_again, follow, open_view
 from bayesnet_track.cli.options import (
@@ -47,28 +48,12 @@ if TYPE_CHECKING:
     from bayesnet_track.sources.scenes.library import SceneSource
 
 
-SCENE_GRAPHS = {
-    "ball_between_children": "ball_between_children",
-    "carried_box": "carried_box",
-    "crowd": "crowd",
-    "orange_and_gray": "orange_and_gray",
-    "gray_square": "gray_square",
-    "flying_ball": "kalman_ball",
-    "person_and_board": "person_shape",
-    "person_parts": "person_parts",
-    "person_stereo": "person_stereo",
-    "glass_wall": "person_stereo",
-    "person_color_stereo": "person_color_stereo",
-    "person_same_clothes": "person_same_clothes",
-    "person_same_clothes_nearer": "person_same_clothes",
-    "two_people_color_stereo_shape": "two_people_color_stereo_shape",
-    "street": "street",
-}
-"""Scenes that do not run with the graph `two_squares`."""
-
-
 def demo(options: argparse.Namespace) -> int:
     """Track in a built-in scene, then tell what happened and how well it went."""
+    from bayesnet_track.sources.scenes.people import ROOMS
+
+    if options.scene in ROOMS:
+        return _demo_room(options, ROOMS[options.scene])
     with open_view(options) as view:
         return _demo(options, view)
 
@@ -123,6 +108,42 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
         f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` writes a page about it; "
         f"`bayesnet-track log {out} --why {explained_frame}` explains a frame"
     )
+    return code
+
+
+def _demo_room(options: argparse.Namespace, fault: str) -> int:
+    """Track by the detections of several cameras in a room, of which the last one has the fault."""
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.journal.reader import read_events
+    from bayesnet_track.journal.text.sentences import kinds_of
+    from bayesnet_track.journal.text.story import narrate_all
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.several_cameras import open_cameras
+    from bayesnet_track.sources.scenes.people import write_room
+
+    if options.view is not None:
+        raise UsageError(f"--view is of one image, and {options.scene} has several cameras")
+    run_path = run_folder(options.out or f"runs/{options.scene}")
+    options.overwrite = options.overwrite or options.out is None
+    folder = run_path.with_name(f"{run_path.name}_inputs")
+    with writing(folder):
+        path, options.detections, truth = write_room(folder, fault, options.seed)
+    graph = load_graph(options.graph or path)
+    if options.set:
+        graph = set_values(graph.text, options.set, True, graph.masks, graph.calibrations)
+    with users_mistake(), open_cameras(graph, None, options.detections, end=options.end) as source:
+        code = track_source(options, graph, source, [], run_path, video=False)
+    if code != OK:
+        return code
+    directory = RunDirectory.open(run_path)
+    if options.json:
+        say(json.dumps({"run": str(run_path), "scene": options.scene}))
+    elif not options.quiet:
+        events = list(read_events(directory.journal))
+        say("\nwhat was decided, and why:")
+        for line in narrate_all(events, kinds_of(events), True):
+            say(by_status(line, sys.stdout))
+        _say_world(directory, truth)
     return code
 
 

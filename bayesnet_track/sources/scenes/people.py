@@ -1,8 +1,10 @@
-"""Scenes of people and cars for one camera: a box carried, parts seen, a board, a street."""
+"""Scenes of people and cars: a box carried, parts seen, a board, a street, a room with several cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -303,3 +305,135 @@ def _background(camera: Camera, rng: np.random.Generator) -> Floats:
     gray = np.where((y > ROAD[0]) & (y < ROAD[1]), np.where(dashes, 220.0, road), tiles)
     gray = np.where(np.hypot(x, y) > 150, 190.0, gray)
     return np.repeat(gray[:, :, None], 3, axis=2)
+
+
+ROOM_SIZE, ROOM_FPS, ROOM_FRAMES, ROOM_PEOPLE = (8.0, 6.0), 10.0, 200, 5
+"""Length and width in m; frames a second; frames of each camera; number of people."""
+LATE_S, KNOCK_DEG = 0.4, (1.5, 0.5)
+"""Delay of a late camera's clock; pan and tilt by which a knocked one turns at half time."""
+ROOMS = {"room": "", "room_late": "late", "room_knocked": "knocked"}
+"""Demo -> the fault of its last camera."""
+
+ROOM_GRAPH = """\
+# People in a room, seen by three cameras in its corners; detections of each come from a file.
+bayesnet: 1
+name: room
+cameras:
+  north: {{calibration: north.yaml, bias_px: {{sd: 3}}}}
+  east: {{calibration: east.yaml, bias_px: {{sd: 3}}}}
+  west: {{calibration: west.yaml, bias_px: {{sd: 3}}{clock}}}
+targets:
+  person:
+    state:
+      ground:
+        unit: m
+        width: {{mean: 0.55, sd: 0.1}}
+        height: {{mean: 1.7, sd: 0.15}}
+        area: [[0, 0], [8, 0], [8, 6], [0, 6]]
+    associate: marginal
+    existence: {{}}
+    birth: {{detector: detections, max_targets: 12}}
+    nodes:
+      person:
+        belief: {{gaussian: {{filter: extended, likelihood: sigma_points, gate: 1}}}}
+        motion: {{constant_velocity: {{sd_velocity: 0.5, start_velocity_sd: 1.5, sd: {{w: 0.02, h: 0.02}}}}}}
+        fuse: product
+        estimate: mean
+      view: {{parent: person, camera: [north, east, west]}}
+      seen:
+        parent: view
+        agent: {{detection: {{sd_place: 0.01, sd_size: 0.01, sd_place_px: 1.1, sd_size_px: 2.1}}}}
+"""
+
+
+def room_cameras() -> dict[str, Camera]:
+    """The cameras of the room by name: 2.6 m high in three corners, half a metre outside, looking inward."""
+    length, width = ROOM_SIZE
+    corners = {"north": (-0.5, width + 0.5), "east": (length + 0.5, width + 0.5), "west": (-0.5, -0.5)}
+    return {name: _looking(np.array([*corner, 2.6]), (0.0, 0.0)) for name, corner in corners.items()}
+
+
+def _looking(centre: Floats, turned_deg: tuple[float, float]) -> Camera:
+    """A camera that looks at the middle of the room, but for what it is turned by: pan and tilt."""
+    sight = np.array([ROOM_SIZE[0] / 2, ROOM_SIZE[1] / 2, 0.9]) - centre
+    pan = np.arctan2(sight[1], sight[0]) + np.deg2rad(turned_deg[0])
+    tilt = np.arctan2(-sight[2], np.hypot(sight[0], sight[1])) + np.deg2rad(turned_deg[1])
+    axis = np.array([np.cos(pan) * np.cos(tilt), np.sin(pan) * np.cos(tilt), -np.sin(tilt)])
+    right = np.array([np.sin(pan), -np.cos(pan), 0.0])
+    rotation = np.array([right, np.cross(axis, right), axis])
+    matrix = np.array([[330.0, 0, 320.0], [0, 330.0, 180.0], [0, 0, 1]])
+    return Camera(matrix, np.zeros(0), rotation, -rotation @ centre, (WIDTH, HEIGHT))
+
+
+def room(fault: str = "", seed: int = 0, frames: int = ROOM_FRAMES) -> dict[str, GroundTruth]:
+    """People who walk to and fro in a room, as each camera sees them; the last camera has the fault.
+
+    `late`: its clock is `LATE_S` behind: a frame shows what was so long before. `knocked`: from half time on
+    it is turned by `KNOCK_DEG`, and its calibration is that from before. The truth is the same for all.
+    """
+    rng = np.random.default_rng(seed)
+    rates, phases = rng.uniform(0.25, 0.5, (ROOM_PEOPLE, 2)), rng.uniform(0.0, 6.28, (ROOM_PEOPLE, 2))
+    sizes = np.column_stack([rng.uniform(0.48, 0.6, ROOM_PEOPLE), rng.uniform(1.58, 1.85, ROOM_PEOPLE)])
+    middle = np.array(ROOM_SIZE) / 2
+
+    def paths_at(times: Floats) -> Floats:
+        places = middle + (middle - 1.0) * np.sin(rates[:, None] * times[:, None] + phases[:, None])
+        return np.concatenate([places, np.broadcast_to(sizes[:, None], places.shape)], axis=-1)
+
+    times = np.arange(frames) / ROOM_FPS
+    cameras = room_cameras()
+    faulty = [*cameras][-1]
+    by_camera = {}
+    for name, camera in cameras.items():
+        is_faulty = name == faulty
+        paths = paths_at(times - LATE_S if is_faulty and fault == "late" else times)
+        boxes = camera.boxes(paths.reshape(-1, 4)).reshape(ROOM_PEOPLE, frames, 4)
+        if is_faulty and fault == "knocked":
+            turned = _looking(-camera.rotation.T @ camera.translation, KNOCK_DEG)
+            later = turned.boxes(paths.reshape(-1, 4)).reshape(boxes.shape)
+            boxes = np.where(np.arange(frames)[None, :, None] < frames // 2, boxes, later)
+        centre = -camera.rotation.T @ camera.translation
+        distances = np.hypot(*(paths[..., :2] - centre[:2]).transpose(2, 0, 1))
+        visible = np.array([_mostly_visible(boxes[:, k], distances[:, k]) for k in range(frames)]).T
+        truth = paths_at(times)
+        by_camera[name] = GroundTruth(camera, truth, visible, _detections(boxes, visible, rng), 1 / ROOM_FPS)
+    return by_camera
+
+
+def _mostly_visible(boxes: Floats, distances: Floats) -> Bools:
+    """(n,) True of each centre box (n, 4) of which nearer ones hide less than half."""
+    hiding = [
+        tuple(boxes[person][None] for person in np.flatnonzero(distances < distance))
+        for distance in distances
+    ]
+    shares = [
+        visible_share(box[None], nearer, WIDTH, HEIGHT)[0] for box, nearer in zip(boxes, hiding, strict=True)
+    ]
+    return np.array(shares) > 0.5
+
+
+def write_room(folder: Path, fault: str = "", seed: int = 0) -> tuple[Path, dict[str, Path], Path]:
+    """Write what a run in the room needs: paths of the graph, of each camera's detections and of the truth.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    from bayesnet_track.vision.camera_calibration import write_camera
+
+    by_camera = room(fault, seed)
+    detections = {}
+    for name, ground in by_camera.items():
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        write_camera(folder / f"{name}.yaml", ground.camera, {})
+        (folder / name / "seqinfo.ini").write_text(
+            f"[Sequence]\nimWidth={WIDTH}\nimHeight={HEIGHT}\nframeRate={ROOM_FPS:g}\nseqLength={ROOM_FRAMES}\n"
+        )
+        detections[name] = folder / name / "detections.txt"
+        detections[name].write_text(ground.detections_mot(), encoding="utf-8")
+    graph, truth = folder / "room.yaml", folder / "truth.csv"
+    clock = ", clock: {offset_s: {sd: 0.3}}" if fault == "late" else ""
+    graph.write_text(ROOM_GRAPH.format(clock=clock), encoding="utf-8")
+    visible = np.any([ground.seen for ground in by_camera.values()], axis=0)
+    first = next(iter(by_camera.values()))
+    truth.write_text(replace(first, seen=visible).truth_csv(), encoding="utf-8")
+    return graph, detections, truth
