@@ -238,6 +238,13 @@ OTHER_FORMS: Sequence[Rule] = (
         ),
     ),
     (
+        r"^unknown key '(?P<key>relocalize|camera|inflate|size_reversion)'; allowed: fields, drift",
+        lambda match, _: (
+            f"{match['key']} changes the drift or the noise of the motions that are not written out, such as "
+            "constant_velocity; beside expressions say it in drift or sd, of a camera by inputs"
+        ),
+    ),
+    (
         r"^unknown key 'delay'",
         _always(
             "delay is of readings that come late: agent: {readings: {file: FILE.csv, sd: {u: 3}, delay: 2}}"
