@@ -20,11 +20,63 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.presence import Chain, Known, Presence, count_lasting, estimate_chain, share_hidden
+from bayesnet_track.adapt.presence import UNSEEN, Chain, Known, Presence
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.association import marginalise
 from bayesnet_track.numerics.records import evolve
+
+MET = 3
+"""Detections at which a false alarm is one that lasts."""
+
+
+def estimate_chain(
+    seen: float, seen_again: float, missed_frames: float, false_frames: float, most: float = 0.99
+) -> Chain:
+    """The chain by two rates: of detections, and of detections right after one, in the open.
+
+    With the mean length of a run of misses m = `missed_frames`, leave l = 1 / m, enter e and detection d,
+    seen = d l / (e + l) and seen_again = d (1 - e), so that e^2 - (1 - l) e + l (seen_again / seen - 1) = 0.
+
+    >>> chain = estimate_chain(0.8, 0.93, 5.0, 5.0)
+    >>> share = 1.0 - chain.blind_share
+    >>> round(chain.detection * share, 6), round(chain.detection * (1.0 - chain.enter), 6)
+    (0.8, 0.93)
+    """
+    ends = 1.0 / false_frames if false_frames > 1.0 else 1.0
+    if missed_frames <= 1.0 or seen_again <= seen:
+        return Chain(min(seen, most), 0.0, 1.0, ends)
+    leave = 1.0 / missed_frames
+    root = (1.0 - leave) ** 2 - 4.0 * leave * (seen_again / seen - 1.0)
+    enter = ((1.0 - leave) - math.sqrt(max(root, 0.0))) / 2.0
+    return Chain(min(seen_again / (1.0 - enter), most), enter, leave, ends)
+
+
+def count_lasting(over: Presence, survival: float, false_frames: float) -> tuple[Floats, Floats]:
+    """How many false detections began a lasting false alarm, and how many there were: (2,) spots and doubles.
+
+    `over` are tracks and targets that ended. One that was detected n times was a false alarm, of which a
+    share 1 - 1 / `false_frames` lasts from look to look, rather than a target of `survival`, by the
+    probabilities of these n. Fewer than three detections may have met by chance: alarms of three or more are
+    counted, and their share of all that last is known.
+    """
+    lasts, n = 1.0 - 1.0 / false_frames, np.maximum(over.seen, 1.0)
+    log_odds = n * math.log(survival / lasts) + math.log(max(1.0 - survival, 1e-9) * false_frames)
+    is_false = np.where(n < MET - 0.5, 1.0, 1.0 / (1.0 + np.exp(np.minimum(log_odds, 700.0))))
+    both = (over.begun * is_false)[:, None] * np.column_stack([1.0 - over.near, over.near])
+    lasting = both[n >= MET - 0.5].sum(axis=0) / lasts ** (MET - 1)
+    return lasting, both.sum(axis=0)
+
+
+def share_hidden(in_the_open: float, covered: float) -> float:
+    """Share of covered targets that are hidden, if those are detected with probability `covered`.
+
+    >>> share_hidden(0.9, 0.9), share_hidden(0.9, 0.05)
+    (0.0, 1.0)
+    """
+    least = min(UNSEEN, covered)
+    return (in_the_open - min(covered, in_the_open)) / (in_the_open - least) if in_the_open > least else 0.0
+
 
 NEGLIGIBLE = 1e-3
 """Detections that are a target's with less probability are left out of its update."""

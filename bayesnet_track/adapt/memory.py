@@ -10,14 +10,14 @@ A target by itself is a group of one. All arrays are left as they are: a frame m
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import Adapt, Information
+from bayesnet_track.graph.spec import Adapt
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
 
@@ -65,26 +65,6 @@ def goes_by_information(rules: Adapt) -> bool:
     """True where rules choose agents by what they contributed."""
     on = rules.activate is not None and rules.activate.which == "information_per_ms"
     return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
-
-
-def expected_per_ms(
-    worth: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float], settings: Information
-) -> dict[str, float]:
-    """Agent -> information that may be expected of it per declared cost, nats per ms.
-
-    >>> worth = InformationRate().after({"a": 0.4, "b": 0.6}, memory=100)
-    >>> found = expected_per_ms(worth, "abc", {"a": 0.5, "b": 1.0, "c": 9.0}, Information(exploration=0))
-    >>> round(found["a"], 9), round(found["b"], 9), found["c"]
-    (0.8, 0.6, inf)
-    """
-    return {agent: worth.hope(agent, settings.exploration) / costs_ms[agent] for agent in agents}
-
-
-def remembered_per_ms(
-    worth: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float]
-) -> dict[str, float]:
-    """Agent -> mean information that it gave per declared cost, nats per ms; for agents that are active."""
-    return {agent: (worth.mean(agent) or 0.0) / costs_ms[agent] for agent in agents}
 
 
 BASELINE_WINDOW = 50

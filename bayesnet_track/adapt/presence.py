@@ -28,8 +28,6 @@ from bayesnet_track.numerics.records import evolve
 UNSEEN = 0.05
 """Probability that a target is detected which is blind or hidden."""
 
-MET = 3
-"""Detections at which a false alarm is one that lasts."""
 
 LASTS = 0.9
 """How much of what is known of a covered target is still true one frame later."""
@@ -130,44 +128,6 @@ class Chain:
         return self.enter / (self.enter + self.leave) if self.enter else 0.0
 
 
-def estimate_chain(
-    seen: float, seen_again: float, missed_frames: float, false_frames: float, most: float = 0.99
-) -> Chain:
-    """The chain by two rates: of detections, and of detections right after one, in the open.
-
-    With the mean length of a run of misses m = `missed_frames`, leave l = 1 / m, enter e and detection d,
-    seen = d l / (e + l) and seen_again = d (1 - e), so that e^2 - (1 - l) e + l (seen_again / seen - 1) = 0.
-
-    >>> chain = estimate_chain(0.8, 0.93, 5.0, 5.0)
-    >>> share = 1.0 - chain.blind_share
-    >>> round(chain.detection * share, 6), round(chain.detection * (1.0 - chain.enter), 6)
-    (0.8, 0.93)
-    """
-    ends = 1.0 / false_frames if false_frames > 1.0 else 1.0
-    if missed_frames <= 1.0 or seen_again <= seen:
-        return Chain(min(seen, most), 0.0, 1.0, ends)
-    leave = 1.0 / missed_frames
-    root = (1.0 - leave) ** 2 - 4.0 * leave * (seen_again / seen - 1.0)
-    enter = ((1.0 - leave) - math.sqrt(max(root, 0.0))) / 2.0
-    return Chain(min(seen_again / (1.0 - enter), most), enter, leave, ends)
-
-
-def count_lasting(over: Presence, survival: float, false_frames: float) -> tuple[Floats, Floats]:
-    """How many false detections began a lasting false alarm, and how many there were: (2,) spots and doubles.
-
-    `over` are tracks and targets that ended. One that was detected n times was a false alarm, of which a
-    share 1 - 1 / `false_frames` lasts from look to look, rather than a target of `survival`, by the
-    probabilities of these n. Fewer than three detections may have met by chance: alarms of three or more are
-    counted, and their share of all that last is known.
-    """
-    lasts, n = 1.0 - 1.0 / false_frames, np.maximum(over.seen, 1.0)
-    log_odds = n * math.log(survival / lasts) + math.log(max(1.0 - survival, 1e-9) * false_frames)
-    is_false = np.where(n < MET - 0.5, 1.0, 1.0 / (1.0 + np.exp(np.minimum(log_odds, 700.0))))
-    both = (over.begun * is_false)[:, None] * np.column_stack([1.0 - over.near, over.near])
-    lasting = both[n >= MET - 0.5].sum(axis=0) / lasts ** (MET - 1)
-    return lasting, both.sum(axis=0)
-
-
 def pass_time(presence: Presence, chain: Chain, dt: float) -> Presence:
     """The presence as it is expected after `dt` frame intervals in which nobody looked."""
     kept = max(1.0 - chain.enter - chain.leave, 0.0) ** dt
@@ -175,16 +135,6 @@ def pass_time(presence: Presence, chain: Chain, dt: float) -> Presence:
     free = 1.0 - presence.hidden
     blind = chain.blind_share * free + (presence.blind - chain.blind_share * free) * kept
     return evolve(presence, blind=blind, spot=lasts * presence.spot, double=lasts * presence.double)
-
-
-def share_hidden(in_the_open: float, covered: float) -> float:
-    """Share of covered targets that are hidden, if those are detected with probability `covered`.
-
-    >>> share_hidden(0.9, 0.9), share_hidden(0.9, 0.05)
-    (0.0, 1.0)
-    """
-    least = min(UNSEEN, covered)
-    return (in_the_open - min(covered, in_the_open)) / (in_the_open - least) if in_the_open > least else 0.0
 
 
 def expect_cover(presence: Presence, cover: Floats, share: float) -> Presence:

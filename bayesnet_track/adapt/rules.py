@@ -15,13 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesnet_track.adapt.memory import (
-    InformationRate,
-    RuleMemory,
-    Streak,
-    expected_per_ms,
-    remembered_per_ms,
-)
+from bayesnet_track.adapt.memory import InformationRate, RuleMemory, Streak
 from bayesnet_track.adapt.rule_columns import RuleColumns, remember
 from bayesnet_track.adapt.rule_inputs import (
     Reading,
@@ -35,12 +29,40 @@ from bayesnet_track.adapt.rule_inputs import (
     read_ud,
     read_ud_beside_more,
 )
-from bayesnet_track.adapt.status import give_up_on_missing, judge_status, readmit, schedule
-from bayesnet_track.graph.spec import Adapt, Condition, Level
+from bayesnet_track.adapt.status import judge_status, on_call_rule, quarantine
+from bayesnet_track.graph.spec import Adapt, Condition, Information, Level
 from bayesnet_track.journal.events.faults import Readmitted
-from bayesnet_track.journal.events.switches import Activated, Deactivated, LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.switches import (
+    Activated,
+    Deactivated,
+    LocallyAdapted,
+    Scheduled,
+    SelfStopped,
+)
 from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.records import evolve
+
+MISSED_FRAMES = 3
+"""Frames in a row without an answer after which an agent is out for a while: others wait for it."""
+
+
+def give_up_on_missing(
+    now: RuleInputs, memory: RuleMemory, decisions: list[Decision]
+) -> Mapping[str, int] | None:
+    """Put out agents that gave no answer for some frames in a row; how many there were of the others.
+
+    None where all gave one, in the last frame, too.
+    """
+    if not now.missed and not memory.missed.any():
+        return None
+    columns = memory.layout.agents
+    missed = {agent: int(memory.missed[0, columns[agent]]) + 1 for agent in now.missed}
+    for agent, count in list(missed.items()):
+        if count >= MISSED_FRAMES:
+            reason = f"gave no answer in {count} frames in a row, the last time: {now.missed[agent]}"
+            decisions.append(quarantine(now.net, now.frame, now.target, agent, reason))
+            del missed[agent]
+    return missed
 
 
 def decide(now: RuleColumns, memory: RuleMemory) -> tuple[dict[int, tuple[Decision, ...]], RuleMemory]:
@@ -283,3 +305,66 @@ def _wake(now: RuleInputs, decisions: list[Decision]) -> None:
     for agent in _eligible(now):
         governor = now.plate.governor[agent] or now.plate.root
         decisions.append(Activated(now.frame, now.target, agent, governor, None))
+
+
+def readmit(now: RuleInputs) -> list[Decision]:
+    """The agents whose time is over, in the order of the plate."""
+    decisions: list[Decision] = []
+    for agent in now.plate.agents:
+        fault = now.net.faults.get(agent)
+        if fault is None or agent not in now.net.quarantined or fault.until is None:
+            continue
+        if fault.until <= now.frame + 1:
+            on = now.net.by_hand.get(agent, fault.was_on)
+            waited = now.frame + 1 - fault.frame
+            decisions.append(Readmitted(now.frame, now.target, agent, on, fault.times, waited))
+    return decisions
+
+
+def schedule(now: RuleInputs, memory: RuleMemory) -> tuple[Scheduled, ...]:
+    """Decision when the agents on call run next; nothing where that is as it was."""
+    rule, call, turn = on_call_rule(now.plate), now.call, now.net.turn
+    if rule is None or call is None or not call.ran:
+        return ()
+    reading = read_ud(now, memory, now.plate.root, rule.above)
+    doubt = reading.cause(1, reading.value) if reading is not None and reading.above else None
+    gap = 1
+    if call.overlap >= rule.agree and doubt is None and now.net.status != "lost":
+        gap = min((1 if turn is None else turn.gap) + 1, rule.every)
+    if gap == 1 and turn is None:
+        return ()
+    scheduled = Scheduled(
+        now.frame,
+        now.target,
+        call.agents,
+        now.plate.root,
+        call.overlap,
+        rule.agree,
+        gap,
+        now.frame + gap * now.stride,
+        now.frame if turn is None else turn.due,
+        call.cause,
+        doubt,
+        now.net.status,
+    )
+    return (scheduled,)
+
+
+def expected_per_ms(
+    worth: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float], settings: Information
+) -> dict[str, float]:
+    """Agent -> information that may be expected of it per declared cost, nats per ms.
+
+    >>> worth = InformationRate().after({"a": 0.4, "b": 0.6}, memory=100)
+    >>> found = expected_per_ms(worth, "abc", {"a": 0.5, "b": 1.0, "c": 9.0}, Information(exploration=0))
+    >>> round(found["a"], 9), round(found["b"], 9), found["c"]
+    (0.8, 0.6, inf)
+    """
+    return {agent: worth.hope(agent, settings.exploration) / costs_ms[agent] for agent in agents}
+
+
+def remembered_per_ms(
+    worth: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float]
+) -> dict[str, float]:
+    """Agent -> mean information that it gave per declared cost, nats per ms; for agents that are active."""
+    return {agent: (worth.mean(agent) or 0.0) / costs_ms[agent] for agent in agents}

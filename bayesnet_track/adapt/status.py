@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from bayesnet_track.adapt.memory import FOUND, LOST, SEEN, UNFIT, UNSURE, RuleMemory
@@ -11,9 +10,8 @@ from bayesnet_track.adapt.rule_inputs import RuleInputs, read_ud
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.adapt import OnCall
 from bayesnet_track.graph.spec import Lost
-from bayesnet_track.journal.events.faults import Quarantined, Readmitted
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.events.switches import Scheduled
 from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import Cause, Fault, FitCause, ScoreCause, TargetNet
 
@@ -25,9 +23,6 @@ LONGEST_WAIT = 1280
 
 STEADY = 10
 """An agent that works so many times as long as it was out has not failed in a row."""
-
-MISSED_FRAMES = 3
-"""Frames in a row without an answer after which an agent is out for a while: others wait for it."""
 
 
 def quarantine(net: TargetNet, frame: int, target: str, agent: str, reason: str) -> Quarantined:
@@ -54,39 +49,6 @@ def next_try(frame: int, before: Fault | None) -> tuple[int, int]:
     return frame + min(FIRST_WAIT * 2 ** min(times - 1, 20), LONGEST_WAIT), times
 
 
-def readmit(now: RuleInputs) -> list[Decision]:
-    """The agents whose time is over, in the order of the plate."""
-    decisions: list[Decision] = []
-    for agent in now.plate.agents:
-        fault = now.net.faults.get(agent)
-        if fault is None or agent not in now.net.quarantined or fault.until is None:
-            continue
-        if fault.until <= now.frame + 1:
-            on = now.net.by_hand.get(agent, fault.was_on)
-            waited = now.frame + 1 - fault.frame
-            decisions.append(Readmitted(now.frame, now.target, agent, on, fault.times, waited))
-    return decisions
-
-
-def give_up_on_missing(
-    now: RuleInputs, memory: RuleMemory, decisions: list[Decision]
-) -> Mapping[str, int] | None:
-    """Put out agents that gave no answer for some frames in a row; how many there were of the others.
-
-    None where all gave one, in the last frame, too.
-    """
-    if not now.missed and not memory.missed.any():
-        return None
-    columns = memory.layout.agents
-    missed = {agent: int(memory.missed[0, columns[agent]]) + 1 for agent in now.missed}
-    for agent, count in list(missed.items()):
-        if count >= MISSED_FRAMES:
-            reason = f"gave no answer in {count} frames in a row, the last time: {now.missed[agent]}"
-            decisions.append(quarantine(now.net, now.frame, now.target, agent, reason))
-            del missed[agent]
-    return missed
-
-
 def on_call_rule(plate: CheckedTarget) -> OnCall | None:
     """The rule of a plate's root by which agents are on call."""
     rules = plate.inference(plate.root).adapt
@@ -96,35 +58,6 @@ def on_call_rule(plate: CheckedTarget) -> OnCall | None:
 def is_due(net: TargetNet, frame: int) -> bool:
     """True where agents on call run in a frame, whatever the others say of it."""
     return net.turn is None or frame >= net.turn.due or net.status == "lost"
-
-
-def schedule(now: RuleInputs, memory: RuleMemory) -> tuple[Scheduled, ...]:
-    """Decision when the agents on call run next; nothing where that is as it was."""
-    rule, call, turn = on_call_rule(now.plate), now.call, now.net.turn
-    if rule is None or call is None or not call.ran:
-        return ()
-    reading = read_ud(now, memory, now.plate.root, rule.above)
-    doubt = reading.cause(1, reading.value) if reading is not None and reading.above else None
-    gap = 1
-    if call.overlap >= rule.agree and doubt is None and now.net.status != "lost":
-        gap = min((1 if turn is None else turn.gap) + 1, rule.every)
-    if gap == 1 and turn is None:
-        return ()
-    scheduled = Scheduled(
-        now.frame,
-        now.target,
-        call.agents,
-        now.plate.root,
-        call.overlap,
-        rule.agree,
-        gap,
-        now.frame + gap * now.stride,
-        now.frame if turn is None else turn.due,
-        call.cause,
-        doubt,
-        now.net.status,
-    )
-    return (scheduled,)
 
 
 def judge_status(now: RuleInputs, memory: RuleMemory, decisions: list[Decision]) -> None:

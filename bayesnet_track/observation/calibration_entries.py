@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.calibration_files import CalibrationError, line_of, numbers
+from bayesnet_track.observation.calibration_files import CalibrationError, numbers
 from bayesnet_track.observation.settings import CalibrationNotice, callers_depth
 
 UNITS: Mapping[str, float] = MappingProxyType(
@@ -289,3 +289,16 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 def unlikely(text: str) -> None:
     """Warn, at the line outside of this package, of what a calibration has and is not used or unlikely."""
     warnings.warn(text, CalibrationNotice, stacklevel=callers_depth())
+
+
+def line_of(text: str, key: str) -> int | None:
+    """Line of a key that stands once in a text, from 1; None where it stands more often.
+
+    >>> line_of("a: 1\\nrotation: 2\\n", "rotation")
+    2
+    """
+    word = re.compile(rf"(?<![\w.-]){re.escape(key)}(?![\w.-])")
+    lines = [n for n, line in enumerate(text.splitlines(), 1) if word.search(line)]
+    closing = [n for n in lines if f"</{key}" in text.splitlines()[n - 1]]
+    lines = [n for n in lines if n not in closing] or lines
+    return lines[0] if len(lines) == 1 else None

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from math import isfinite
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +25,78 @@ from bayesnet_track.sources.entrances.boxes import (
 )
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import (
+    SHOWN,
     Lines,
     NotTextError,
     explain_word,
     is_number,
-    read_text,
     split_lines,
-    whole,
 )
 from bayesnet_track.sources.mot_blocks import KITTI, Layout, NumberedRow, corner_boxes, is_kitti, layout_of
+
+PACKED = {
+    b"PK\x03\x04": "a zip, or arrays of NumPy (.npz)",
+    b"\x93NUMPY": "an array of NumPy (.npy)",
+    b"\x1f\x8b": "packed by gzip",
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"\x80\x03": "a pickle of Python",
+    b"\x80\x04": "a pickle of Python",
+    b"\x80\x05": "a pickle of Python",
+    b"\x89HDF": "HDF5",
+    b"MATLAB": "a MAT file of MATLAB",
+    b"SQLite": "a database of SQLite",
+    b"%PDF": "a PDF",
+}
+"""How a file begins -> what it is."""
+
+
+def name_bytes(data: bytes) -> str:
+    """What a file that is no text is, in parentheses, by its first bytes; empty where that is not known."""
+    return next((f" ({what})" for start, what in PACKED.items() if data.startswith(start)), "")
+
+
+BOMS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+
+def read_text(path: str | Path) -> str:
+    """A whole file as text: UTF-8, or UTF-16 with a byte order mark.
+
+    Raises:
+        OSError: it cannot be read.
+        NotTextError: it is not text.
+    """
+    data = Path(path).read_bytes()
+    encoding = next((name for mark, name in BOMS.items() if data.startswith(mark)), "utf-8")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        raise NotTextError(f"{path}: not a text file{name_bytes(data)}") from None
+    if "\0" in text:
+        raise NotTextError(f"{path}: not a text file{name_bytes(data)}")
+    return text
+
+
+def whole(word: str) -> int | None:
+    """A whole number of 64 bits, exactly: also 7.0 and 1e3; None for anything else.
+
+    >>> whole("9223372036854775807"), whole("7.0"), whole("7.5")
+    (9223372036854775807, 7, None)
+    """
+    if not word.isascii() or "_" in word:
+        return None
+    try:
+        number = int(word)
+    except ValueError:
+        try:
+            exact = Decimal(word.strip())
+        except InvalidOperation:
+            return None
+        if not exact.is_finite() or exact.adjusted() > SHOWN or exact != exact.to_integral_value():
+            return None
+        number = int(exact)
+    return number if -(2**63) <= number < 2**63 else None
+
 
 COLUMNS = "frame,id,left,top,width,height,confidence,..."
 LEAST, MOST = 6, 10

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.net import pool_exponents
@@ -141,20 +141,6 @@ def lay_out(target: CheckedTarget, active: Set[str]) -> GraphLayout:
     height = 2 * MARGIN + NODE_HEIGHT + LAYER * max(depth.values()) + LEGEND_HEIGHT
     return GraphLayout(
         width + 2 * MARGIN, height, nodes, edges, tuple(f for f in forks.values() if f is not None)
-    )
-
-
-def with_factors(target: CheckedTarget) -> CheckedTarget:
-    """The plate as it is drawn: its factors are leaves, behind the other children of the node above."""
-    factors_of = {
-        name: [own for own, factor in target.factors.items() if factor.parent == name]
-        for name in target.order
-    }
-    return replace(
-        target,
-        order=(*target.order, *target.factors),
-        parent={**target.parent, **{name: factor.parent for name, factor in target.factors.items()}},
-        children={name: (*children, *factors_of[name]) for name, children in target.children.items()},
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from bayesnet_track.view.graph_layout import (
     GraphLayout,
     NodeShape,
     lay_out,
-    with_factors,
 )
 from bayesnet_track.view.svg import document, element, text_of
 
@@ -263,3 +263,17 @@ def _dashes(points: NDArray[np.float64], dash: float = 5.0, gap: float = 4.0) ->
 def _bgr(colour: str) -> tuple[int, int, int]:
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
     return blue, green, red
+
+
+def with_factors(target: CheckedTarget) -> CheckedTarget:
+    """The plate as it is drawn: its factors are leaves, behind the other children of the node above."""
+    factors_of = {
+        name: [own for own, factor in target.factors.items() if factor.parent == name]
+        for name in target.order
+    }
+    return replace(
+        target,
+        order=(*target.order, *target.factors),
+        parent={**target.parent, **{name: factor.parent for name, factor in target.factors.items()}},
+        children={name: (*children, *factors_of[name]) for name, children in target.children.items()},
+    )

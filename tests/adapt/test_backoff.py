@@ -4,7 +4,8 @@ import pytest
 
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.rule_inputs import Measures, RuleInputs
-from bayesnet_track.adapt.status import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
+from bayesnet_track.adapt.rules import MISSED_FRAMES, give_up_on_missing, readmit
+from bayesnet_track.adapt.status import next_try, quarantine
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.target_net import Fault, TargetNet
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.memory import InformationRate, expected_per_ms, remembered_per_ms
+from bayesnet_track.adapt.memory import InformationRate
+from bayesnet_track.adapt.rules import expected_per_ms, remembered_per_ms
 from bayesnet_track.graph.spec import Information
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.target_net import TargetNet

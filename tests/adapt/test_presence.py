@@ -5,18 +5,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.presence import (
-    LASTS,
-    UNSEEN,
-    Known,
-    Presence,
-    Weights,
-    count_lasting,
-    estimate_chain,
-    expect_cover,
-    pass_time,
-    share_hidden,
-)
+from bayesnet_track.adapt.existence import count_lasting, estimate_chain, share_hidden
+from bayesnet_track.adapt.presence import LASTS, UNSEEN, Known, Presence, Weights, expect_cover, pass_time
 from bayesnet_track.numerics.records import evolve
 
 SURVIVAL, SHARE = 0.97, 0.4

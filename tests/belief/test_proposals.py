@@ -8,22 +8,26 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
-from bayesnet_track.belief.particles.fitted import (
-    STRETCH,
-    Message,
-    fit_message,
-    fit_proposal,
-    flatten,
-    paired_log_density,
+from bayesnet_track.belief.particles.fitted import flatten
+from bayesnet_track.belief.particles.importance import (
+    auxiliary_pass,
+    combine,
+    edit,
+    mixture_pass,
+    proposal_of,
+    select,
 )
-from bayesnet_track.belief.particles.importance import auxiliary_pass, edit, mixture_pass, proposal_of, select
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.proposals import (
+    STRETCH,
     Draws,
-    combine,
+    Message,
     draw_by_parents,
     draw_fitted,
+    fit_message,
+    fit_proposal,
     mix_defensive,
+    paired_log_density,
 )
 from bayesnet_track.belief.particles.sample_size import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph import spec

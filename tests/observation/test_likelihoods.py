@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track import floored
-from bayesnet_track.observation.likelihoods import blend_arrays, blend_sizes, log_logistic, log_size_penalty
+from bayesnet_track.observation.cue import blend_arrays, blend_sizes, log_logistic, log_size_penalty
 
 ratios = st.floats(0.1, 10.0)
 

@@ -28,8 +28,8 @@ from hypothesis.stateful import (
 from bayesnet_track import Result, Start, track
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
-from bayesnet_track.runtime.checkpoints.resume import resume
-from bayesnet_track.runtime.checkpoints.standing import inputs_before, verify
+from bayesnet_track.runtime.checkpoints.resume import inputs_before, resume
+from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.runtime.recording.manifest import ManifestError, passing
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.sources import open_source

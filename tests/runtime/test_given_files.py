@@ -4,7 +4,8 @@ import hashlib
 
 import pytest
 
-from bayesnet_track.runtime.checkpoints.origins import file_sha256, given_file
+from bayesnet_track.runtime.checkpoints.origins import file_sha256
+from bayesnet_track.runtime.checkpoints.recipe import given_file
 
 
 def test_a_file_is_as_it_was_until_its_bytes_change(tmp_path):

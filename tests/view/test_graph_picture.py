@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track import load_graph
-from bayesnet_track.view.graph_layout import MARGIN, lay_out, pool_weights, with_factors
-from bayesnet_track.view.graph_picture import graph_image, graph_svg
+from bayesnet_track.view.graph_layout import MARGIN, lay_out, pool_weights
+from bayesnet_track.view.graph_picture import graph_image, graph_svg, with_factors
 
 SVG = "{http://www.w3.org/2000/svg}"
 

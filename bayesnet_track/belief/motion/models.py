@@ -25,11 +25,11 @@ from bayesnet_track.belief.motion.noise import (
     component_log_shares,
     component_variances,
     is_log,
-    is_same_everywhere,
     noisy,
 )
 from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.spec import Noise
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import read_only
 
@@ -417,3 +417,8 @@ def propagate_rows(
 def draws_twice(motion: KinematicMotion) -> bool:
     """True if a target's numbers are drawn in two turns, for the velocities and for the box."""
     return motion.diffusion != 0 and any(noisy(motion.noise))
+
+
+def is_same_everywhere(noise: Noise) -> bool:
+    """True when its variances do not depend on the box."""
+    return noise.sd_box.x == 0 and noise.sd_box.y == 0 and not is_log(noise)

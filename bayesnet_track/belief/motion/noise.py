@@ -139,11 +139,6 @@ def is_log(noise: Noise) -> bool:
     return noise.sd_log.scale > 0 or noise.sd_log.aspect > 0
 
 
-def is_same_everywhere(noise: Noise) -> bool:
-    """True when its variances do not depend on the box."""
-    return noise.sd_box.x == 0 and noise.sd_box.y == 0 and not is_log(noise)
-
-
 def box_coordinates(noise: Noise, boxes: Floats) -> tuple[Floats, Floats]:
     """(M, 4) coordinates of boxes (M, 4), noisy or not, and the (M,) log-Jacobian of the noisy ones."""
     points = boxes.copy()

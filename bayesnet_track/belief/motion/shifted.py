@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.borders import Wrapped
-from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.graph.settings.motion import SizeReversion
 from bayesnet_track.numerics.arrays import Floats
 
 
@@ -104,53 +102,3 @@ def camera_shift(flow: Floats, dt: float) -> CameraShift | None:
         return None
     linear = np.asarray(np.linalg.inv(np.eye(2) - dt * flow[:, :2]), dtype=np.float64)
     return CameraShift(linear, linear @ (dt * flow[:, 2]))
-
-
-@dataclass(frozen=True, eq=False)
-class SizeShift:
-    """The logarithms of scale and aspect go toward their first values: m + keep (s - m).
-
-    Attributes:
-        first: (2,) m: log sqrt(w h) and log(w / h) of the first box.
-        keep: (2,) share of the difference that stays.
-    """
-
-    first: Floats
-    keep: Floats
-
-    def apply(self, states: Floats) -> Floats:
-        """(N, D) states with sizes drawn back."""
-        moved = states.copy()
-        log_w, log_h = np.log(states[:, 2]), np.log(states[:, 3])
-        scale = self.first[0] + self.keep[0] * ((log_w + log_h) / 2 - self.first[0])
-        aspect = self.first[1] + self.keep[1] * (log_w - log_h - self.first[1])
-        moved[:, 2], moved[:, 3] = np.exp(scale + aspect / 2), np.exp(scale - aspect / 2)
-        return moved
-
-    def jacobian(self, state: Floats) -> Floats:
-        """(D, D): of log w and log h a constant matrix, of w and h that times w' / w."""
-        found = np.eye(len(state))
-        to_log = np.array([[0.5, 0.5], [1.0, -1.0]])
-        from_log = np.array([[1.0, 0.5], [1.0, -0.5]])
-        after = self.apply(state[None])[0, 2:4]
-        found[2:4, 2:4] = after[:, None] * (from_log @ np.diag(self.keep) @ to_log) / state[2:4]
-        return found
-
-
-def revert_size(motion: KinematicMotion, settings: SizeReversion, first: Floats, dt: float) -> ShiftedMotion:
-    """The motion with log size an Ornstein-Uhlenbeck process around the size (2,) `first`, over `dt`.
-
-    With the noise's sd s per frame interval and the sd S in the long run, the rate is k = s^2 / (2 S^2), and
-    over `dt` exactly: keep = exp(-k dt), variance S^2 (1 - keep^2), which is s^2 dt for a large S.
-    """
-    own = motion.noise.sd_log
-    sds, limits = (own.scale, own.aspect), (settings.sd_scale, settings.sd_aspect)
-    keep, noise = np.ones(2), list(sds)
-    for n, (sd, limit) in enumerate(zip(sds, limits, strict=True)):
-        if limit is not None and sd > 0:
-            keep[n] = np.exp(-(sd**2) / (2 * limit**2) * dt)
-            noise[n] = float(limit * np.sqrt((1.0 - keep[n] ** 2) / dt))
-    sd_log = own.model_copy(update={"scale": noise[0], "aspect": noise[1]})
-    kept = replace(motion, noise=motion.noise.model_copy(update={"sd_log": sd_log}))
-    log_w, log_h = np.log(first)
-    return ShiftedMotion(kept, SizeShift(np.array([(log_w + log_h) / 2, log_w - log_h]), keep))

@@ -12,17 +12,53 @@ from bayesnet_track.belief.contract import Evaluate, MotionModel, Report, Step, 
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.jumps import modal_of
 from bayesnet_track.belief.motion.models import KinematicMotion
-from bayesnet_track.belief.motion.modes import Modal
+from bayesnet_track.belief.motion.modes import FIELD, Modal
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.importance import proposal_of
-from bayesnet_track.belief.particles.kernel_shrinkage import shrink_constants
+from bayesnet_track.belief.particles.kernel_shrinkage import formulas_in, static_fields
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import SizeMemory, WeightedSample, prior_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.density import mixture_argmax
+from bayesnet_track.numerics.gaussian import root, weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import evolve
+from bayesnet_track.numerics.resampling import systematic
+
+LEAST = 0.1
+"""Covariances are enlarged tenfold at most, where one hypothesis has nearly all of the weight."""
+
+
+def shrink_constants(prior: ParticleSet, motion: MotionModel, stream: Stream) -> ParticleSet:
+    """The belief resampled, with its unknown constants spread anew; itself where there is no discount.
+
+    Mean and covariance of the constants are kept, and with them what was learnt. They are spread after new
+    parents are drawn, so that the frame's evidence compares as many values as there are hypotheses.
+    """
+    motions = list(formulas_in(motion))
+    discounts = [one.static_discount for one in motions if one.static_discount is not None]
+    names = static_fields(motion)
+    if not discounts or not names:
+        return prior
+    kept = (3.0 * min(discounts) - 1.0) / (2.0 * min(discounts))
+    columns = np.array([prior.fields.index(name) for name in names])
+    weights, size = prior.weights.weights, len(prior)
+    parents = systematic(weights, size, stream("constants of parents"))
+    states, rng = prior.states[parents], stream("constants")
+    has_modes = prior.fields[-1] == FIELD
+    modes, before = (one[:, -1] if has_modes else np.zeros(size) for one in (states, prior.states))
+    for mode in np.unique(modes):
+        chosen, own = np.flatnonzero(modes == mode), weights * (before == mode)
+        own = own / own.sum()
+        mean, covariance = weighted_moments(prior.states[:, columns], own)
+        unbiased = 1.0 / max(1.0 - float(own @ own), LEAST)
+        lower = root(covariance * (unbiased - kept**2))
+        spread = rng.standard_normal((len(chosen), lower.shape[1])) @ lower.T
+        at = np.ix_(chosen, columns)
+        states[at] = kept * states[at] + (1.0 - kept) * mean + spread
+    return replace(prior, states=states, weights=LogWeights.uniform(size))
+
 
 Prior = tuple[Floats, LogWeights]
 """The belief before the motion: (K, D) states and their weights, normalised or not."""

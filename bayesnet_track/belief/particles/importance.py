@@ -23,7 +23,7 @@ from bayesnet_track.belief.particles.fitted import Kernels, flatten, log_prior
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.proposals import (
     CombinedSample,
-    combine,
+    Draws,
     confine,
     draw_by_parents,
     draw_fitted,
@@ -403,3 +403,33 @@ def _report(
 
 def _ess(one: WeightedSample) -> float:
     return LogWeights.normalise(one.prior_log + one.evidence.log_likelihood)[0].ess
+
+
+def combine(
+    first: WeightedSample, second: WeightedSample, draws: Draws, weights: str
+) -> CombinedSample | None:
+    """Both passes as one; None when they cannot be joined.
+
+    Args:
+        first: draws from the prior, which may be weighted.
+        second: the draws of a second pass with their evidence.
+        draws: how they were drawn.
+        weights: `balance`, each hypothesis by what both passes could have drawn it with (at most twice its
+            weight in the first alone, for equal sizes); `separate`, each pass by itself; or `second_only`.
+            Balanced weights depend on the first pass's likelihoods, and so their evidence falls short by a
+            share of the order of one over its effective size; the others' does not.
+    """
+    n, m, alone = len(first), len(draws.states), draws.log_alone
+    if second.evidence.faults.keys() != first.evidence.faults.keys():
+        return None
+    log_second = log_sum(alone + second.evidence.log_likelihood)
+    if weights == "second_only":
+        return CombinedSample(reweight_sample(second, alone), log_second)
+    share = n / (n + m)
+    if weights == "separate":
+        return CombinedSample(concatenate(first, reweight_sample(second, alone), share), log_second)
+    log_n, log_m = np.log(n), np.log(m)
+    of_first = first.prior_log + log_n - np.logaddexp(log_n, log_m + draws.log_ratio_first)
+    of_second = -np.logaddexp(log_n, log_m + draws.log_ratio)
+    whole = concatenate(first, second, share)
+    return CombinedSample(reweight_sample(whole, np.concatenate([of_first, of_second])), log_second)

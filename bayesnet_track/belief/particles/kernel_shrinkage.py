@@ -14,51 +14,10 @@ share of 1 / ESS, and kernels that kept it would narrow in each frame.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
-import numpy as np
-
-from bayesnet_track.belief.contract import MotionModel, Stream
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.formulas import FormulaMotion
-from bayesnet_track.belief.motion.modes import FIELD
 from bayesnet_track.belief.motion.start_prior import StartPrior
-from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.numerics.gaussian import root, weighted_moments
-from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.numerics.resampling import systematic
-
-LEAST = 0.1
-"""Covariances are enlarged tenfold at most, where one hypothesis has nearly all of the weight."""
-
-
-def shrink_constants(prior: ParticleSet, motion: MotionModel, stream: Stream) -> ParticleSet:
-    """The belief resampled, with its unknown constants spread anew; itself where there is no discount.
-
-    Mean and covariance of the constants are kept, and with them what was learnt. They are spread after new
-    parents are drawn, so that the frame's evidence compares as many values as there are hypotheses.
-    """
-    motions = list(formulas_in(motion))
-    discounts = [one.static_discount for one in motions if one.static_discount is not None]
-    names = static_fields(motion)
-    if not discounts or not names:
-        return prior
-    kept = (3.0 * min(discounts) - 1.0) / (2.0 * min(discounts))
-    columns = np.array([prior.fields.index(name) for name in names])
-    weights, size = prior.weights.weights, len(prior)
-    parents = systematic(weights, size, stream("constants of parents"))
-    states, rng = prior.states[parents], stream("constants")
-    has_modes = prior.fields[-1] == FIELD
-    modes, before = (one[:, -1] if has_modes else np.zeros(size) for one in (states, prior.states))
-    for mode in np.unique(modes):
-        chosen, own = np.flatnonzero(modes == mode), weights * (before == mode)
-        own = own / own.sum()
-        mean, covariance = weighted_moments(prior.states[:, columns], own)
-        unbiased = 1.0 / max(1.0 - float(own @ own), LEAST)
-        lower = root(covariance * (unbiased - kept**2))
-        spread = rng.standard_normal((len(chosen), lower.shape[1])) @ lower.T
-        at = np.ix_(chosen, columns)
-        states[at] = kept * states[at] + (1.0 - kept) * mean + spread
-    return replace(prior, states=states, weights=LogWeights.uniform(size))
 
 
 def static_fields(motion: MotionModel) -> tuple[str, ...]:

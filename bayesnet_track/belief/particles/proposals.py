@@ -14,18 +14,139 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.borders import Confined
-from bayesnet_track.belief.particles.fitted import (
-    EFFECTIVE,
-    fit_message,
-    fit_proposal,
-    paired_log_density,
-)
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.particles.fitted import EFFECTIVE, flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.belief.particles.sample_size import WeightedSample, concatenate, prior_of
+from bayesnet_track.belief.particles.sample_size import WeightedSample, prior_of
 from bayesnet_track.graph.settings.beliefs import SecondPassProposal
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
+
+STRETCH = 2.0
+"""How far the fit to a flattened likelihood L^t is sharpened again, at most; the rest of 1 / t is caution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """A Gaussian likelihood exp(information' x - x' precision x / 2) of K coordinates.
+
+    Attributes:
+        precision: (K, K), positive semi-definite.
+        information: (K,).
+    """
+
+    precision: Floats
+    information: Floats
+
+
+def fit_message(
+    points: Floats, beta: LogWeights, log_likelihood: Floats, effective: float = EFFECTIVE[0]
+) -> Message:
+    """The Gaussian that turns the mean and covariance of a prior sample into those of its posterior.
+
+    Directions in which the posterior is not narrower get no precision. In a surprise few hypotheses hold all
+    weight, and their covariance says nothing: then L^t is fitted, t < 1 as large as leaves `effective`
+    hypotheses (at most a quarter of all), and the Gaussian is raised to min(1 / t, STRETCH).
+
+    Args:
+        points: (N, K) coordinates of the sample.
+        beta: their prior weights.
+        log_likelihood: (N,) finite or -inf, not all -inf.
+        effective: hypotheses that are to count.
+
+    Raises:
+        DegenerateWeights: no hypothesis has a positive, finite weight.
+    """
+    power, posterior = flatten(beta, log_likelihood, min(effective, len(points) / 4))
+    centre, spread = weighted_moments(points, beta.weights)
+    mean, covariance = weighted_moments(points, posterior.weights)
+    # In coordinates in which the prior has covariance 1.
+    # Where all of it lies on the image's border a coordinate has no variance of its own.
+    root = np.linalg.cholesky(spread + np.diag(1e-9 * np.diagonal(spread) + 1e-12))
+    whiten = np.linalg.inv(root)
+    variances, axes = np.linalg.eigh(whiten @ covariance @ whiten.T)
+    precisions = 1.0 / np.maximum(variances, 1e-6)
+    shift = axes.T @ (whiten @ (mean - centre))
+    gained = np.maximum(precisions - 1.0, 0.0)
+    gained_shift = np.where(gained > 0, precisions * shift, 0.0)
+    stretch = min(1.0 / power, STRETCH)
+    back = whiten.T @ axes
+    precision = (back * (stretch * gained)) @ back.T
+    return Message(precision, back @ (stretch * gained_shift) + precision @ centre)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A proposal q(k, x) over pairs of a parent and a state: C components for each of K' parents.
+
+    Attributes:
+        transition: p(x | k).
+        log_shares: (C, K') log-probability of a component and a parent.
+        means: (C, K', K) of the coordinates.
+        roots: (C, K', K, K) lower roots of their covariances.
+    """
+
+    transition: Transition
+    log_shares: Floats
+    means: Floats
+    roots: Floats
+
+    def draw(self, size: int, rng: np.random.Generator) -> tuple[Ancestors, Floats]:
+        """(size,) parents and (size, K) coordinates."""
+        flat = systematic(np.exp(self.log_shares).ravel(), size, rng)
+        component, parent = np.unravel_index(flat, self.log_shares.shape)
+        noise = rng.standard_normal((size, self.means.shape[2]))
+        steps = np.einsum("nij,nj->ni", self.roots[component, parent], noise)
+        return parent.astype(np.intp, copy=False), self.means[component, parent] + steps
+
+    def log_density(self, points: Floats, parents: Ancestors) -> Floats:
+        """(M,) log q(k_m, x_m) of coordinates (M, K) and their parents, per unit of the coordinates."""
+        parts = []
+        for shares, means, roots in zip(self.log_shares, self.means, self.roots, strict=True):
+            root = roots[parents]
+            away = np.linalg.solve(root, (points - means[parents])[:, :, None])[:, :, 0]
+            log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+            parts.append(shares[parents] - 0.5 * np.sum(away**2 + np.log(2 * np.pi), axis=1) - log_det)
+        return np.asarray(np.logaddexp.reduce(parts, axis=0))
+
+
+def fit_proposal(transition: Transition, weights: LogWeights, message: Message) -> Fitted:
+    """beta_k p(x | k) times a Gaussian likelihood, normalised: exact for what both Gaussians say.
+
+    Args:
+        transition: p(x | k) of all parents.
+        weights: beta, theirs.
+        message: the likelihood.
+    """
+    means, sds = transition.means, transition.sds
+    own = sds**-2.0
+    # (C, K', K, K): the precisions of motion and message add up.
+    precision = own[..., None] * np.eye(means.shape[1]) + message.precision
+    covariance = np.linalg.inv(precision)
+    information = own * means + message.information
+    centres = np.einsum("ckij,ckj->cki", covariance, information)
+    # The integral of motion times message over x, without what is the same for all.
+    overlap = 0.5 * (
+        np.einsum("cki,cki->ck", information, centres)
+        - np.sum(own * means**2, axis=2)
+        + np.linalg.slogdet(covariance)[1]
+        - 2.0 * np.log(sds).sum(axis=2)
+    )
+    log_shares = transition.log_shares[:, None] + weights.log + overlap
+    shares = LogWeights.normalise(log_shares.ravel())[0].log.reshape(log_shares.shape)
+    return Fitted(transition, shares, centres, np.linalg.cholesky(covariance))
+
+
+def paired_log_density(transition: Transition, points: Floats, parents: Ancestors) -> Floats:
+    """(M,) log p(x_m | k_m) of coordinates (M, K) and their parents, per unit of the coordinates."""
+    means = transition.means[parents]
+    parts = []
+    for share, sds in zip(transition.log_shares, transition.sds, strict=True):
+        away = (points - means) / sds[parents]
+        parts.append(share - np.sum(0.5 * (away**2 + np.log(2 * np.pi)) + np.log(sds[parents]), axis=1))
+    return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,36 +183,6 @@ class CombinedSample:
 
     whole: WeightedSample
     log_second: float
-
-
-def combine(
-    first: WeightedSample, second: WeightedSample, draws: Draws, weights: str
-) -> CombinedSample | None:
-    """Both passes as one; None when they cannot be joined.
-
-    Args:
-        first: draws from the prior, which may be weighted.
-        second: the draws of a second pass with their evidence.
-        draws: how they were drawn.
-        weights: `balance`, each hypothesis by what both passes could have drawn it with (at most twice its
-            weight in the first alone, for equal sizes); `separate`, each pass by itself; or `second_only`.
-            Balanced weights depend on the first pass's likelihoods, and so their evidence falls short by a
-            share of the order of one over its effective size; the others' does not.
-    """
-    n, m, alone = len(first), len(draws.states), draws.log_alone
-    if second.evidence.faults.keys() != first.evidence.faults.keys():
-        return None
-    log_second = log_sum(alone + second.evidence.log_likelihood)
-    if weights == "second_only":
-        return CombinedSample(reweight_sample(second, alone), log_second)
-    share = n / (n + m)
-    if weights == "separate":
-        return CombinedSample(concatenate(first, reweight_sample(second, alone), share), log_second)
-    log_n, log_m = np.log(n), np.log(m)
-    of_first = first.prior_log + log_n - np.logaddexp(log_n, log_m + draws.log_ratio_first)
-    of_second = -np.logaddexp(log_n, log_m + draws.log_ratio)
-    whole = concatenate(first, second, share)
-    return CombinedSample(reweight_sample(whole, np.concatenate([of_first, of_second])), log_second)
 
 
 def confine(motion: MotionModel, states: Floats) -> Floats:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.modes import modes_are_joined
 from bayesnet_track.graph.checks.plates import Check, Plate, is_seen
 from bayesnet_track.graph.settings.lifecycle import Confirm, join_of
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
@@ -15,6 +14,31 @@ from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, detectors_of_graphs
 from bayesnet_track.observation.plugins import why_absent
+
+
+def modes_are_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """Targets with modes are in no attachments; those that a mode can hide are in no joins of pixels."""
+    for number, join in enumerate(spec.joins):
+        for kind in dict.fromkeys(join.between or spec.targets):
+            target = spec.targets.get(kind)
+            for name, node in () if target is None else target.nodes.items():
+                if not isinstance(node, InferenceNode) or (node.modes is None and node.category is None):
+                    continue
+                hides = any(mode.hidden is not None for mode in (node.modes or {}).values())
+                where: KeyPath = ("joins", number)
+                if join.attachment is not None:
+                    found = f"attachment of {kind}, whose node {name} has modes: being carried is a mode, too"
+                    allowed = "kinds without modes"
+                    if node.modes is None:
+                        found = (
+                            f"attachment of {kind}, whose node {name} has a category, as if it were a mode"
+                        )
+                        allowed = "kinds without category"
+                    yield at.message((*where, "attachment"), found, allowed, on_key=True)
+                elif hides and join.factor is None:
+                    found = f"a join of {kind}, which a mode can hide: a hidden target has no pixels to share"
+                    yield at.message(where, found, "a join with factor; or modes without hidden")
+
 
 DETECTOR = ("birth", "detector")
 

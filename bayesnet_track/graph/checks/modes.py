@@ -7,8 +7,8 @@ from math import isclose
 
 from bayesnet_track.graph.checks.plates import Check, Plate, fields_of_motion
 from bayesnet_track.graph.settings.motion import Mode, Motion
-from bayesnet_track.graph.spec import GraphSpec, InferenceNode
-from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
+from bayesnet_track.graph.spec import InferenceNode
+from bayesnet_track.graph.text.messages import GraphMessage, KeyPath
 
 KINEMATIC = ("inflate", "size_reversion", "camera")
 """Settings that change the noise or the drift of a kinematic motion."""
@@ -215,30 +215,6 @@ def _noisy(motion: Motion, starts: Mapping[str, float]) -> tuple[str, ...]:
         moved += [name for name in own if name != "angle" and driven]
     order = ("x", "y", "w", "h", "scale", "aspect", *starts)
     return tuple(name for name in order if name in moved or name in anew)
-
-
-def modes_are_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
-    """Targets with modes are in no attachments; those that a mode can hide are in no joins of pixels."""
-    for number, join in enumerate(spec.joins):
-        for kind in dict.fromkeys(join.between or spec.targets):
-            target = spec.targets.get(kind)
-            for name, node in () if target is None else target.nodes.items():
-                if not isinstance(node, InferenceNode) or (node.modes is None and node.category is None):
-                    continue
-                hides = any(mode.hidden is not None for mode in (node.modes or {}).values())
-                where: KeyPath = ("joins", number)
-                if join.attachment is not None:
-                    found = f"attachment of {kind}, whose node {name} has modes: being carried is a mode, too"
-                    allowed = "kinds without modes"
-                    if node.modes is None:
-                        found = (
-                            f"attachment of {kind}, whose node {name} has a category, as if it were a mode"
-                        )
-                        allowed = "kinds without category"
-                    yield at.message((*where, "attachment"), found, allowed, on_key=True)
-                elif hides and join.factor is None:
-                    found = f"a join of {kind}, which a mode can hide: a hidden target has no pixels to share"
-                    yield at.message(where, found, "a join with factor; or modes without hidden")
 
 
 MODE_CHECKS: tuple[Check, ...] = (

@@ -13,7 +13,7 @@ from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
 from bayesnet_track.graph.settings.net import node_kind
 from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.graph.text.document import MAX_BYTES
-from bayesnet_track.graph.text.hints import A_NODE, NODE_KEYS, Shape, expects, hint_of, is_like_node, shape_of
+from bayesnet_track.graph.text.hints import A_NODE, NODE_KEYS, Shape, expects, hint_of, shape_of
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
     GraphError,
@@ -329,3 +329,8 @@ def _lines(file: str) -> list[str]:
         return path.read_text(encoding="utf-8", errors="replace").removeprefix("\ufeff").splitlines()
     except (OSError, ValueError):
         return []
+
+
+def is_like_node(value: Any) -> bool:
+    """True if a value has a key by which a node is known."""
+    return isinstance(value, Mapping) and not NODE_KEYS.isdisjoint(value)

@@ -137,11 +137,6 @@ def hint_of(message: GraphMessage) -> str:
     return ""
 
 
-def is_like_node(value: Any) -> bool:
-    """True if a value has a key by which a node is known."""
-    return isinstance(value, Mapping) and not NODE_KEYS.isdisjoint(value)
-
-
 def _nested(found: re.Match[str], _: GraphMessage) -> str:
     """A number where a mapping is needed: the mapping's first key takes it."""
     return f"write {found['key']}: {{{found['first']}: {found['value']}}}"

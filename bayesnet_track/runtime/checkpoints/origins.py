@@ -77,32 +77,6 @@ def describe_machine() -> Mapping[str, str]:
     return MappingProxyType(said)
 
 
-def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
-    """Differences between two descriptions, in words.
-
-    >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
-    ('NumPy CPU: without AVX2',)
-    >>> name_differences({"zlib": "1.2"}, {"zlib": "1.3"}), name_differences({}, {"zlib": "1.3"})
-    (('zlib 1.2, now 1.3',), ())
-    """
-    names = dict.fromkeys((*then, *now))
-    if "zlib" not in then:
-        names.pop("zlib", None)  # earlier runs did not record it
-    return tuple(
-        _difference(name, then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)
-    )
-
-
-def _difference(name: str, then: str | None, now: str | None) -> str:
-    before, after = (then or "").split(), (now or "").split()
-    if not name.endswith("CPU") or not (before and after):
-        return f"{name} {then or 'none'}, now {now or 'none'}"
-    without = [word for word in before if word not in after]
-    more = [word for word in after if word not in before]
-    parts = [f"{word} {' '.join(words)}" for word, words in (("without", without), ("with", more)) if words]
-    return f"{name}: {', '.join(parts)}"
-
-
 def _numpy() -> dict[str, str]:
     # NumPy shows them in `numpy.show_runtime()` only, which prints.
     core = "numpy.core" if np.__version__.startswith("1.") else "numpy._core"
@@ -210,11 +184,6 @@ def steady(paths: Iterable[str | PathLike[str] | None]) -> Iterator[Callable[[],
             f"{few(changed)}: changed during the run, which used what it held at the start; run.json has the "
             "SHA-256 of that"
         )
-
-
-def given_file(path: str | PathLike[str]) -> GivenFile:
-    """A file as it is now; raises OSError when it cannot be read."""
-    return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
 
 
 def file_sha256(path: str | PathLike[str]) -> str:

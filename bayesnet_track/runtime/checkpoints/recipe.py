@@ -30,7 +30,7 @@ from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import CueFile, GivenCue, file_of
 from bayesnet_track.observation.image_files import AnyMask, Mask, PictureError, read_mask
-from bayesnet_track.runtime.checkpoints.origins import GivenFile, given_file, model_files, versions
+from bayesnet_track.runtime.checkpoints.origins import GivenFile, file_sha256, model_files, versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
 
@@ -415,3 +415,8 @@ def _codec() -> Any:
     from pydantic import TypeAdapter
 
     return TypeAdapter(Recipe)
+
+
+def given_file(path: str | PathLike[str]) -> GivenFile:
+    """A file as it is now; raises OSError when it cannot be read."""
+    return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))

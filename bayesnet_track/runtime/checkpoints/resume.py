@@ -16,7 +16,7 @@ from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.event import Input
 from bayesnet_track.journal.events.runs import MachineChanged
-from bayesnet_track.journal.reader import Notice
+from bayesnet_track.journal.reader import Notice, read_inputs
 from bayesnet_track.journal.writer import PART, OutputError, write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
@@ -39,13 +39,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
     remove,
     write_checkpoint,
 )
-from bayesnet_track.runtime.checkpoints.origins import (
-    describe_machine,
-    file_sha256,
-    name_differences,
-    steady,
-    versions,
-)
+from bayesnet_track.runtime.checkpoints.origins import describe_machine, file_sha256, steady, versions
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.standing import (
     ResumeError,
@@ -53,7 +47,6 @@ from bayesnet_track.runtime.checkpoints.standing import (
     check_files,
     check_outputs,
     check_same,
-    inputs_before,
     standing,
 )
 from bayesnet_track.runtime.executors import Executing, make_executor
@@ -387,3 +380,52 @@ def _drop_damaged(directory: RunDirectory) -> None:
                 read_checkpoint(path)
         except CheckpointError:
             remove(path)
+
+
+def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """Differences between two descriptions, in words.
+
+    >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
+    ('NumPy CPU: without AVX2',)
+    >>> name_differences({"zlib": "1.2"}, {"zlib": "1.3"}), name_differences({}, {"zlib": "1.3"})
+    (('zlib 1.2, now 1.3',), ())
+    """
+    names = dict.fromkeys((*then, *now))
+    if "zlib" not in then:
+        names.pop("zlib", None)  # earlier runs did not record it
+    return tuple(
+        _difference(name, then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)
+    )
+
+
+def _difference(name: str, then: str | None, now: str | None) -> str:
+    before, after = (then or "").split(), (now or "").split()
+    if not name.endswith("CPU") or not (before and after):
+        return f"{name} {then or 'none'}, now {now or 'none'}"
+    without = [word for word in before if word not in after]
+    more = [word for word in after if word not in before]
+    parts = [f"{word} {' '.join(words)}" for word, words in (("without", without), ("with", more)) if words]
+    return f"{name}: {', '.join(parts)}"
+
+
+def inputs_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
+    """External inputs, by frame.
+
+    Raises:
+        OSError: a file cannot be read.
+        JournalError: it is damaged; says file and line.
+    """
+    by_frame = _by_frame(directory.ahead)
+    for frame, inputs in _by_frame(directory.inputs).items():
+        # A frame that was tracked again has what it was given then, unless that is only the first part of
+        # what it had before: then the run was broken off while it was written again.
+        if by_frame.get(frame, [])[: len(inputs)] != inputs:
+            by_frame[frame] = inputs
+    return by_frame
+
+
+def _by_frame(path: Path) -> dict[int, list[Input]]:
+    by_frame: dict[int, list[Input]] = {}
+    for line in read_inputs(path) if path.exists() else ():
+        by_frame.setdefault(line.frame, []).append(line)
+    return by_frame

@@ -9,7 +9,7 @@ Compare a run directory with its manifest: whether every output is, byte for byt
 from __future__ import annotations
 
 import stat
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -17,9 +17,9 @@ from typing import Literal
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.journal.codec import JournalError, from_json
-from bayesnet_track.journal.events.event import Event, Input
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded
-from bayesnet_track.journal.reader import Notice, read_inputs
+from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import Position, read_position
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP
 from bayesnet_track.observation.cue_files import GivenCue, file_of, own_cues
@@ -84,29 +84,6 @@ def _ending(journal: Path) -> str | None:
     except (OSError, JournalError, UnicodeDecodeError):
         return None
     return last.reason if isinstance(last, RunEnded) else None
-
-
-def inputs_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
-    """External inputs, by frame.
-
-    Raises:
-        OSError: a file cannot be read.
-        JournalError: it is damaged; says file and line.
-    """
-    by_frame = _by_frame(directory.ahead)
-    for frame, inputs in _by_frame(directory.inputs).items():
-        # A frame that was tracked again has what it was given then, unless that is only the first part of
-        # what it had before: then the run was broken off while it was written again.
-        if by_frame.get(frame, [])[: len(inputs)] != inputs:
-            by_frame[frame] = inputs
-    return by_frame
-
-
-def _by_frame(path: Path) -> dict[int, list[Input]]:
-    by_frame: dict[int, list[Input]] = {}
-    for line in read_inputs(path) if path.exists() else ():
-        by_frame.setdefault(line.frame, []).append(line)
-    return by_frame
 
 
 class ResumeError(ValueError):

@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 from bayesnet_track.observation.settings import setting
-
-PACKED = {
-    b"PK\x03\x04": "a zip, or arrays of NumPy (.npz)",
-    b"\x93NUMPY": "an array of NumPy (.npy)",
-    b"\x1f\x8b": "packed by gzip",
-    b"\x89PNG": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
-    b"\x80\x03": "a pickle of Python",
-    b"\x80\x04": "a pickle of Python",
-    b"\x80\x05": "a pickle of Python",
-    b"\x89HDF": "HDF5",
-    b"MATLAB": "a MAT file of MATLAB",
-    b"SQLite": "a database of SQLite",
-    b"%PDF": "a PDF",
-}
-"""How a file begins -> what it is."""
 
 JSON_LINES = "JSON Lines of detections"
 ROWS = "MOT lines (frame,id,left,top,width,height,confidence) or a header line of names"
@@ -37,11 +18,6 @@ IMPORT = "`annotate --import` reads it"
 _MASK = re.compile(r"[mM]\d+,\d+,\d+,\d+(,\d+)*$", re.ASCII)
 _STATE = re.compile(r"[0-3]$", re.ASCII)
 _YOLO = re.compile(r"\d{1,5}( [01]?\.\d+(e-?\d+)?){4,5}( \d+)?$", re.ASCII)
-
-
-def name_bytes(data: bytes) -> str:
-    """What a file that is no text is, in parentheses, by its first bytes; empty where that is not known."""
-    return next((f" ({what})" for start, what in PACKED.items() if data.startswith(start)), "")
 
 
 def explain_foreign(text: str) -> str | None:
@@ -145,7 +121,6 @@ def refuse_foreign(text: str, name: str, is_taken: str = "") -> None:
         raise ValueError(f"{name}: it is {known}")
 
 
-BOMS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 SHOWN = 40
 
 Line = tuple[int, list[str]]
@@ -183,24 +158,6 @@ class Lines:
             words = split_words(line)
             if words:
                 yield number, words
-
-
-def read_text(path: str | Path) -> str:
-    """A whole file as text: UTF-8, or UTF-16 with a byte order mark.
-
-    Raises:
-        OSError: it cannot be read.
-        NotTextError: it is not text.
-    """
-    data = Path(path).read_bytes()
-    encoding = next((name for mark, name in BOMS.items() if data.startswith(mark)), "utf-8")
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError:
-        raise NotTextError(f"{path}: not a text file{name_bytes(data)}") from None
-    if "\0" in text:
-        raise NotTextError(f"{path}: not a text file{name_bytes(data)}")
-    return text
 
 
 def split_lines(text: str, name: str) -> Lines:
@@ -254,27 +211,6 @@ def is_number(word: str) -> bool:
     except ValueError:
         return False
     return word.isascii() and "_" not in word
-
-
-def whole(word: str) -> int | None:
-    """A whole number of 64 bits, exactly: also 7.0 and 1e3; None for anything else.
-
-    >>> whole("9223372036854775807"), whole("7.0"), whole("7.5")
-    (9223372036854775807, 7, None)
-    """
-    if not word.isascii() or "_" in word:
-        return None
-    try:
-        number = int(word)
-    except ValueError:
-        try:
-            exact = Decimal(word.strip())
-        except InvalidOperation:
-            return None
-        if not exact.is_finite() or exact.adjusted() > SHOWN or exact != exact.to_integral_value():
-            return None
-        number = int(exact)
-    return number if -(2**63) <= number < 2**63 else None
 
 
 def explain_word(words: list[str], place: str, expected: str) -> ValueError:

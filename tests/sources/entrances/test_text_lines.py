@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from bayesnet_track.evaluate.truth import parse_truth
 from bayesnet_track.sources.entrances.boxes import are_corners, count_up, refuse_shares
-from bayesnet_track.sources.entrances.text_lines import split_lines, split_words, whole
-from bayesnet_track.sources.mot_lines import LEAST, MOST, parse_mot
+from bayesnet_track.sources.entrances.text_lines import split_lines, split_words
+from bayesnet_track.sources.mot_lines import LEAST, MOST, parse_mot, whole
 
 ROWS = st.lists(
     st.tuples(
