@@ -20,7 +20,7 @@ import struct
 import tokenize
 import warnings
 import zlib
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import FileIO
@@ -175,26 +175,31 @@ def unpacked(data: bytes) -> Columns:
     }
 
 
-def structured(contents: Sequence[bytes], header: bytes, names: Container[str]) -> NDArray[Any]:
+def structured(contents: Sequence[bytes], header: bytes, names: frozenset[str]) -> NDArray[Any]:
     """(N,) records of the same header, one below the other, with those of their columns that are in `names`.
 
     Raises:
         ValueError: they are damaged.
     """
+    kind = _selected(header, names)
+    if any(len(content) != kind.itemsize for content in contents):
+        raise ValueError(f"not {kind.itemsize} bytes of columns")
+    return np.frombuffer(contents[0] if len(contents) == 1 else b"".join(contents), kind, len(contents))
+
+
+@lru_cache(maxsize=256)
+def _selected(header: bytes, names: frozenset[str]) -> np.dtype[Any]:
+    """Type of a record with this header, of which only the columns in `names` have one."""
     fields, length = _fields(header)
-    data = contents[0] if len(contents) == 1 else b"".join(contents)
-    if any(len(content) != length for content in contents):
-        raise ValueError(f"not {length} bytes of columns")
-    chosen = [field for field in fields if field[0] in names or f"{field[0].partition('/')[0]}/" in names]
-    kind = np.dtype(
+    selected = [field for field in fields if field[0] in names or f"{field[0].partition('/')[0]}/" in names]
+    return np.dtype(
         {
-            "names": [name for name, *_ in chosen],
-            "formats": [(kind, shape) for _, kind, shape, _, _ in chosen],
-            "offsets": [offset for *_, offset in chosen],
+            "names": [name for name, *_ in selected],
+            "formats": [(kind, shape) for _, kind, shape, _, _ in selected],
+            "offsets": [offset for *_, offset in selected],
             "itemsize": length,
         }
     )
-    return np.frombuffer(data, kind, len(contents))
 
 
 def _content(data: bytes) -> bytes:
