@@ -77,6 +77,7 @@ class DecodedFrame(Frame):
             stride=stride,
             inputs={},
             cameras={},
+            last_frames={},
         )
         frame.__dict__["_decoded"] = decoded
         return frame
