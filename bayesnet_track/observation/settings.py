@@ -21,6 +21,7 @@ PARAMETERS = {
     "--draws": "draws",
     "--end": "end",
     "--executor": "executor",
+    "--hosts": "hosts",
     "--keep-beliefs": "keep_beliefs=True",
     "--map": "most_probable=True",
     "--no-live": "live=False",

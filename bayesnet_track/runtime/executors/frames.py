@@ -24,6 +24,7 @@ import numpy as np
 from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Depth, Frame, PointMap, RightEye, StereoGeometry
+from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.executors.messages import Call
 from bayesnet_track.sources.frames import EndReason, Source, SourceItem
 from bayesnet_track.sources.origin import Origin
@@ -299,7 +300,7 @@ class HostedSource:
                     self._source.description,
                     f"the host of camera {self._camera} gave no frame after {number}: {error}",
                     "a host that can read the video",
-                    "use --hosts engine, or resume the run",
+                    f"use {setting('--hosts', 'engine')}, or resume the run",
                 ) from error
             for item in items:
                 yield item.frame() if isinstance(item, HostedFrame) else item

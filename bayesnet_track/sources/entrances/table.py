@@ -130,7 +130,7 @@ FRAMES = (
         "cameras over a ground",
         "`cameras:` of a graph, `calibrate camera`, `ground` and `poses`, `cameras`, `--points`",
         (
-            "observation.calibration_files: read_tree _storage",
+            "observation.calibrations: read_tree _storage",
             "graph.checks.cameras: read_file",
             "cli.commands.calibrate_cameras: read_points",
             "cli.commands.detect: read_cameras",
@@ -210,8 +210,8 @@ BOXES = (
             "sources.detection_files: file_detector",
             "sources.detection_files: names_boxes BoxReader.__init__ _described",
             "runtime.arguments: explain_unused",
-            "sources.mot_lines: parse_mot",
-            "sources.entrances.text_lines: read_text split_words",
+            "sources.mot_lines: parse_mot read_text",
+            "sources.entrances.text_lines: split_words",
         ),
         "boxes without an area, and confidences that are not finite, with their lines; detections of "
         "frames that are not read, outside of the frame, of other labels, or below the thresholds of the "
@@ -272,11 +272,11 @@ BOXES = (
         "imported annotations",
         "`annotate --import`: COCO, CVAT, Label Studio, YOLO, MOT, or a zip of one",
         (
-            "runtime.annotation.formats.formats: read_annotations",
+            "runtime.annotation.desk: read_annotations",
             "runtime.annotation.formats.json_formats: read_coco",
             "runtime.annotation.formats.cvat: read_cvat",
             "runtime.annotation.formats.json_formats: read_label_studio",
-            "runtime.annotation.formats.formats: read_mot _classes",
+            "runtime.annotation.desk: read_mot _classes",
             "runtime.annotation.formats.yolo: read_yolo _frames _about _about_of_yaml",
             "runtime.annotation.formats.reading: read_json read_xml",
             "runtime.annotation.formats.reading: _unpack text_of",

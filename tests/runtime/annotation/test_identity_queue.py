@@ -159,11 +159,11 @@ def test_arguments_that_do_not_go_together(
     assert found in capsys.readouterr().err
 
 
-def straight(name: str, first: int, last: int, x: float, speed: float) -> pieces.Path:
+def straight(name: str, first: int, last: int, x: float, speed: float) -> pieces.TrackPath:
     frame = np.arange(first, last + 1)
     boxes = np.tile([0.0, 240.0, 30.0, 60.0], (len(frame), 1))
     boxes[:, 0] = x + speed * (frame - first)
-    return pieces.Path(name, frame, boxes, np.ones(len(frame), dtype=bool))
+    return pieces.TrackPath(name, frame, boxes, np.ones(len(frame), dtype=bool))
 
 
 def test_an_answer_about_one_says_something_of_those_that_share_its_end() -> None:
