@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.sources.scenes import Scene
@@ -71,7 +72,8 @@ def always_on(
         del nodes[name]
     for node in nodes.values():
         node.pop("adapt", None)
-        node.pop("self_check", None)
+        for rule in AGENT_RULES:
+            node.pop(rule, None)
         if "learn" in node:
             node["learn"]["below"] = {"ud_box": 0.9}
         if particles is not None and "belief" in node:

@@ -18,6 +18,7 @@ from sequences import Sequence
 
 from bayesnet_track import Tracker
 from bayesnet_track.evaluate.scores import score
+from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.switches import Activated, Deactivated, SelfStopped
@@ -77,7 +78,8 @@ def without_rules(spec: GraphSpec) -> GraphSpec:
     for plate in written["targets"].values():
         for node in plate["nodes"].values():
             node.pop("adapt", None)
-            node.pop("self_check", None)
+            for rule in AGENT_RULES:
+                node.pop(rule, None)
     return GraphSpec.model_validate(written)
 
 

@@ -195,7 +195,7 @@ def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, allowed, key=("adapt", "deactivate"), on_key=True)
         elif adapt.deactivate is None and not any(plate.agents[agent].adapts for agent in agents):
             found = "activate can never fire: every agent here is on, and nothing switches one off"
-            rules_of_agents = ", ".join(f"a {key}" for key in AGENT_RULES)
+            rules_of_agents = ", ".join(f"{'an' if key[0] in 'aeiou' else 'a'} {key}" for key in AGENT_RULES)
             allowed = f"a deactivate rule, {rules_of_agents}, active: false, or no such rule"
             yield plate.message(name, found, allowed, key=("adapt", "activate"), on_key=True)
 
