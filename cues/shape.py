@@ -22,6 +22,7 @@ from bayesnet_track.vision.shape import (
     fields,
     load_model,
     merge,
+    model_path,
     vectors,
 )
 
@@ -263,6 +264,6 @@ CUE = CueDeclaration(
     parameters=ShapeParameters,
     make=_make,
     cost_ms=16.0,
-    files=lambda parameters: () if parameters.model is None else (parameters.model,),
+    files=lambda parameters: () if parameters.model is None else (model_path(parameters.model),),
     adapts=True,
 )

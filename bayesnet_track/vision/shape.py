@@ -337,18 +337,21 @@ GRID = 16
 """Cells along each side of the vectors of a model from one image."""
 
 
+def model_path(path: str | Path) -> str:
+    """The file at `path`, or if there is none, that of its name among the installed graphs."""
+    installed = Path(graph_folder()) / path
+    return str(installed) if not Path(path).exists() and installed.is_file() else str(path)
+
+
 def load_model(path: str | Path) -> ShapeModel:
     """Read what `save_model` wrote, or the silhouette in an image; nothing in the file is executed.
 
-    An image is a mask, above 0 inside: the mean shape, without modes. A path that leads nowhere is looked for
-    among the installed graphs.
+    An image is a mask, above 0 inside: the mean shape, without modes. The file is that of `model_path`.
 
     Raises:
         ShapeModelError: it cannot be read, is something else, of another version, or its arrays do not fit.
     """
-    installed = Path(graph_folder()) / path
-    if not Path(path).exists() and installed.is_file():
-        path = installed
+    path = model_path(path)
     if Path(path).suffix.lower() == ".png":
         try:
             vector, _ = mask_example(read_mask(Path(path)).gray, GRID)

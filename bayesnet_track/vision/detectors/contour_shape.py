@@ -21,7 +21,15 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.detectors.selection import select
 from bayesnet_track.vision.planes import EdgePlane
-from bayesnet_track.vision.shape import COVER, ShapeModel, ShapeModelError, contours, fields, load_model
+from bayesnet_track.vision.shape import (
+    COVER,
+    ShapeModel,
+    ShapeModelError,
+    contours,
+    fields,
+    load_model,
+    model_path,
+)
 
 
 class ContourShapeParameters(DetectorParameters):
@@ -171,5 +179,5 @@ DETECTOR = DetectorDeclaration(
     parameters=ContourShapeParameters,
     make=_make,
     cost_ms=20.0,
-    files=lambda parameters: (parameters.model,),
+    files=lambda parameters: (model_path(parameters.model),),
 )
