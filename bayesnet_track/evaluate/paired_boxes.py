@@ -318,7 +318,7 @@ def _solved(rows: Ints, columns: Ints, gains: Floats, places: Ints) -> Iterator[
         gain = gains[places[members]]
         table = csr_array(
             (np.append(gain + gain.max(), np.full(count, gain.max())),
-             (np.append(row, spare), np.append(column, width + spare))),
+             (np.append(row, spare).astype(np.int32), np.append(column, width + spare).astype(np.int32))),
             (count, width + count),
         )  # fmt: skip
         solved_rows, solved_columns = min_weight_full_bipartite_matching(table, maximize=True)
