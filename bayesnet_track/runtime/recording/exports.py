@@ -43,7 +43,7 @@ from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.paths import SourceError, image_names
 
 MAX_NUMBERS = 250_000_000
-"""Of the whole set: 1 GB as float32."""
+"""Largest number of values of the whole set, 1 GB as float32."""
 
 
 class ArvizError(ValueError):
