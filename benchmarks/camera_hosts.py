@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import pickle
+import socket
 import tempfile
 import time
 from collections.abc import Sequence
@@ -101,25 +103,22 @@ class Counted:
         self.bytes, self.references, self.is_on = 0, 0, False
         send, receive = messages.send, messages.receive
 
-        def counted_send(channel, plain, *values):  # type: ignore[no-untyped-def]
-            self.count(plain, values)
-            send(channel, plain, *values)
+        def counted_send(channel: socket.socket, message: object) -> None:
+            self.count(message, getattr(message, "arguments", ()))
+            send(channel, message)
 
-        def counted_receive(channel):  # type: ignore[no-untyped-def]
-            plain, values = receive(channel)
-            self.count(plain, values)
-            return plain, values
+        def counted_receive(channel: socket.socket) -> object:
+            message = receive(channel)
+            self.count(message, (getattr(message, "value", None),))
+            return message
 
         workers.send, workers.receive = counted_send, counted_receive
 
-    def count(self, plain: object, values: Sequence[object]) -> None:
-        """Count a message as it is packed; which takes time, and is therefore not done in timed runs."""
-        if not self.is_on:
-            return
-        packing = messages._Packing()
-        flat = [packing.flat(value) for value in values]
-        self.bytes += len(messages.marshal.dumps((plain, flat), messages.VERSION)) + packing.size
-        self.references += sum(map(size_of, values))
+    def count(self, message: object, values: Sequence[object]) -> None:
+        """Count a message by packing it again; which takes time, and is therefore not done in timed runs."""
+        if self.is_on:
+            self.bytes += messages.HEAD.size + len(pickle.dumps(message, protocol=5))
+            self.references += sum(map(size_of, values))
 
 
 def size_of(value: object) -> int:

@@ -1,12 +1,10 @@
 """Questions to agents in other processes and their answers, and how they become bytes.
 
-A message is a head, a description of plain values (`marshal`), and the arrays that it names, each at a
-multiple of `ALIGNED` bytes. What else a cue may be asked or return is pickled. Both ends run one version.
+A message is the size of a pickle, and the pickle. Both ends run one version, and trust each other.
 """
 
 from __future__ import annotations
 
-import marshal
 import pickle
 import socket
 import struct
@@ -18,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, read_only
 
 LEARN_AND_BLEND = "learn and blend"
@@ -56,6 +53,20 @@ class Call(NamedTuple):
     arguments: tuple[Any, ...]
     next_number: int = 0
     forget: tuple[int, ...] = ()
+
+
+class Employ(NamedTuple):
+    """An agent, or a stream of frames, that a worker has from now on, and how it is made."""
+
+    agent: str
+    make: Any
+    parameters: Any
+
+
+class Dismiss(NamedTuple):
+    """An agent that a worker has no more."""
+
+    agent: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,154 +206,33 @@ class Received:
         return EncodedReference(arrays)
 
 
-HEAD = struct.Struct("=QQ")
-"""Where the arrays begin, and how many bytes follow the head."""
-ALIGNED = 64
-SMALL = 512
-"""Bytes of an array up to which it stands in the description."""
-MOST_PIECES = 256
-"""Pieces of memory that are handed to the kernel at once; it takes 1024."""
-VERSION = 2
-"""Of marshal: the last one that does not look for values that occur twice."""
-PLAIN = frozenset({type(None), bool, int, float, str, bytes})
-NUMBERS = frozenset("biufc")
-"""Kinds of arrays whose memory any buffer can be made of."""
-
-EMPLOY, DISMISS, ASK = range(3)
-"""What a message to a worker is for, the first of its plain part."""
-
-SMALL_ARRAY, ARRAY, TUPLE, FLOAT64, HYPOTHESES, REGION, MEASUREMENT, TOLD, OTHER = range(9)
+HEAD = struct.Struct("=Q")
+"""How many bytes follow the head."""
 
 
-def send(channel: socket.socket, plain: tuple[Any, ...], *values: Any) -> None:
-    """Send a message: `plain` of what `marshal` takes, and any values; raises OSError."""
-    packing = _Packing()
-    flat = [packing.flat(value) for value in values]
-    description = marshal.dumps((plain, flat), VERSION)
-    arrays_at = -(-len(description) // ALIGNED) * ALIGNED
-    size = arrays_at + packing.size
-    pieces = [HEAD.pack(arrays_at, size) + description.ljust(arrays_at, b"\0"), *packing.pieces]
-    if len(pieces) > MOST_PIECES:
-        pieces = [b"".join(pieces)]
-    unsent = HEAD.size + size - channel.sendmsg(pieces)
-    if unsent:
-        channel.sendall(memoryview(b"".join(pieces))[-unsent:])
+def send(channel: socket.socket, message: Any) -> None:
+    """Send a message; raises OSError."""
+    body = pickle.dumps(message, protocol=5)
+    channel.sendall(HEAD.pack(len(body)) + body)
 
 
-def receive(channel: socket.socket) -> tuple[Any, list[Any]]:
-    """The plain part and the values of the next message, waited for; large arrays are views of it.
+def receive(channel: socket.socket) -> Any:
+    """The next message, waited for.
 
     Raises:
         EOFError: the other end has closed.
         OSError: it is lost.
     """
-    head = channel.recv(HEAD.size)
-    while len(head) < HEAD.size:
-        chunk = channel.recv(HEAD.size - len(head)) if head else b""
-        if not chunk:
-            raise EOFError
-        head += chunk
-    arrays_at, size = HEAD.unpack(head)
+    (size,) = HEAD.unpack(_received(channel, HEAD.size))
+    return pickle.loads(_received(channel, size))
+
+
+def _received(channel: socket.socket, size: int) -> bytearray:
     body = bytearray(size)
-    received = channel.recv_into(body)
+    received = 0
     while received < size:
-        came = channel.recv_into(memoryview(body)[received:]) if received else 0
-        if not came:
+        arrived = channel.recv_into(memoryview(body)[received:])
+        if not arrived:
             raise EOFError
-        received += came
-    plain, flat = marshal.loads(body)  # what is behind it is not looked at
-    return plain, [part if type(part) is not tuple else _whole(part, body, arrays_at) for part in flat]
-
-
-class _Packing:
-    """The arrays of a message, one behind the other."""
-
-    def __init__(self) -> None:
-        self.pieces: list[Any] = []
-        self.size = 0
-
-    def flat(self, value: Any) -> Any:
-        """The value without classes and arrays."""
-        kind = type(value)
-        if kind in PLAIN:
-            return value
-        if kind is np.ndarray:
-            return self._array(value)
-        if kind is Hypotheses and type(value.fields) is dict:
-            fields = [
-                (self.flat(name), self.flat(values_of_field))
-                for name, values_of_field in value.fields.items()
-            ]
-            return HYPOTHESES, self.flat(value.boxes), fields
-        if kind is EncodedReference:
-            return TOLD, [
-                (self.flat(name), number, None if array is None else self.flat(array))
-                for name, (number, array) in value.arrays.items()
-            ]
-        if kind is np.float64:
-            return FLOAT64, float(value)
-        if kind is tuple:
-            return TUPLE, [self.flat(part) for part in value]
-        if kind is Region:
-            return REGION, value.x0, value.y0, value.x1, value.y1
-        if kind is Measurement:
-            gaussian = (value.fields, value.mean, value.covariance, value.floor)
-            return MEASUREMENT, [self.flat(part) for part in (*gaussian, value.choices, value.confidence)]
-        return OTHER, pickle.dumps(value, protocol=5)
-
-    def _array(self, array: Array) -> tuple[Any, ...]:
-        dtype, flags = array.dtype, array.flags
-        if dtype.kind not in NUMBERS or not (flags.c_contiguous or flags.f_contiguous):
-            return OTHER, pickle.dumps(array, protocol=5)
-        is_turned = not flags.c_contiguous
-        rows = array.T if is_turned else array
-        if rows.nbytes <= SMALL:
-            return SMALL_ARRAY, dtype.str, array.shape, is_turned, rows.tobytes()
-        self.pieces.append(rows)
-        described = ARRAY, dtype.str, array.shape, is_turned, self.size, rows.size
-        gap = -rows.nbytes % ALIGNED
-        if gap:
-            self.pieces.append(bytes(gap))
-        self.size += rows.nbytes + gap
-        return described
-
-
-def _whole(flat: Any, body: bytearray, arrays_at: int) -> Any:
-    """The value that `_Packing.flat` was given; large arrays are views of `body`, from `arrays_at` on."""
-    if type(flat) is not tuple:
-        return flat
-    kind = flat[0]
-    if kind == SMALL_ARRAY:
-        return _shape(np.array(np.frombuffer(flat[4], flat[1])), flat[2], flat[3])
-    if kind == ARRAY:
-        return _shape(np.frombuffer(body, flat[1], flat[5], arrays_at + flat[4]), flat[2], flat[3])
-    if kind == HYPOTHESES:
-        fields = {_whole(name, body, arrays_at): _whole(values, body, arrays_at) for name, values in flat[2]}
-        return Hypotheses(_whole(flat[1], body, arrays_at), fields)
-    if kind == TOLD:
-        return EncodedReference(
-            {
-                _whole(name, body, arrays_at): (number, _kept(_whole(array, body, arrays_at)))
-                for name, number, array in flat[1]
-            }
-        )
-    if kind == FLOAT64:
-        return np.float64(flat[1])
-    if kind == TUPLE:
-        return tuple([_whole(part, body, arrays_at) for part in flat[1]])
-    if kind == REGION:
-        return Region(*flat[1:])
-    if kind == MEASUREMENT:
-        return Measurement(*[_whole(part, body, arrays_at) for part in flat[1]])
-    return pickle.loads(flat[1])
-
-
-def _shape(values: Array, shape: tuple[int, ...], is_turned: bool) -> Array:
-    if len(shape) == 1:
-        return values
-    return values.reshape(shape[::-1]).T if is_turned else values.reshape(shape)
-
-
-def _kept(value: Any) -> Any:
-    """The part that outlasts the message, without its other bytes."""
-    return value.copy(order="K") if type(value) is np.ndarray and value.nbytes > SMALL else value
+        received += arrived
+    return body

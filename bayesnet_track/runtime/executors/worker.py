@@ -28,9 +28,13 @@ from bayesnet_track.runtime.executors.messages import (
     LEARN_AND_BLEND,
     Answer,
     Call,
+    Dismiss,
+    Employ,
     EncodedReference,
     Foreign,
     Received,
+    receive,
+    send,
 )
 from bayesnet_track.runtime.executors.workers import END_S, NUMBER, READY, UNKNOWN, WORKER
 
@@ -265,34 +269,16 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
 
 
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
-    from bayesnet_track.observation.planes import Region
-    from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame
-    from bayesnet_track.runtime.executors.messages import DISMISS, EMPLOY, Call, receive, send
+    """Answer questions until the channel closes."""
+    from bayesnet_track.runtime.executors.frames import FrameView
 
     host = AgentHost(FrameView(frames).get, is_limited)
-    known_frames: dict[int | None, SharedFrame | None] = {None: None}
-    while True:
-        try:
-            (kind, agent, *plain), values = receive(channel)
-        except (EOFError, ConnectionError):
-            return
-        if kind == EMPLOY:
-            host.assign(agent, *values)
-            continue
-        if kind == DISMISS:
-            host.unassign(agent)
-            continue
-        method, numbers, region_bounds, next_number, forget, frame_count = plain
-        for frame in [values.pop() for _ in range(frame_count)]:
-            known_frames[frame.number] = frame
-            if len(known_frames) > 4 * SLOTS:
-                for number in [n for n in known_frames if n is not None and n <= frame.number - SLOTS]:
-                    del known_frames[number]
-        both = None if numbers is None else (known_frames[numbers[0]], known_frames[numbers[1]])
-        region = None if region_bounds is None else Region(*region_bounds)
-        question = Call(agent, method, both, region, tuple(values), next_number, forget)
-        answer = host.answer(question)
-        try:
-            send(channel, (answer.raised, answer.out_of_memory, answer.seconds), answer.value)
-        except ConnectionError:
-            return
+    with suppress(EOFError, ConnectionError):
+        while True:
+            match receive(channel):
+                case Employ(agent, make, parameters):
+                    host.assign(agent, make, parameters)
+                case Dismiss(agent):
+                    host.unassign(agent)
+                case question:
+                    send(channel, host.answer(question))

@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 from types import MappingProxyType
 from typing import IO, Any
@@ -21,13 +21,11 @@ from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.observation.child import cut, python, tie
 from bayesnet_track.observation.cue_files import pack
 from bayesnet_track.observation.settings import setting
-from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
 from bayesnet_track.runtime.executors.messages import (
-    ASK,
-    DISMISS,
-    EMPLOY,
     Answer,
     Call,
+    Dismiss,
+    Employ,
     EncodedReference,
     Sent,
     receive,
@@ -270,7 +268,6 @@ class Worker:
         self._sent = Sent()
         self._known: set[tuple[str, str]] = set()
         self._asked = ("", "")
-        self._frames: dict[int, None] = {}
         self.agents: set[str] = set()
         self.busy_with: str | None = None
 
@@ -286,31 +283,25 @@ class Worker:
 
     def assign(self, agent: str, make: Any, parameters: Any) -> None:
         """Have it make the cue of an agent."""
-        self._send((EMPLOY, agent), make, parameters)
+        self._send(Employ(agent, make, parameters))
         self.agents.add(agent)
 
     def unassign(self, agent: str) -> None:
         """Have it drop an agent."""
-        self._send((DISMISS, agent))
+        self._send(Dismiss(agent))
         self.agents.discard(agent)
 
     def ask(self, call: Call) -> None:
         """Send it a question; raises WorkerLost."""
         question = self._sent.question(call)
-        agent, method, frames, region = call[:4]
+        agent, method = call[:2]
         is_first = (agent, method) not in self._known
         self._patience_s = (
             max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
         )
         self._asked = agent, method
         self.busy_with, self.until = agent, time.monotonic() + self._patience_s
-        numbers, new = None, []
-        if frames is not None:
-            numbers = tuple([None if one is None else one.number for one in frames])
-            new = [one for one in frames if one is not None and self._is_new(one)]
-        where = None if region is None else (region.x0, region.y0, region.x1, region.y1)
-        plain = ASK, agent, method, numbers, where, question.next_number, question.forget, len(new)
-        self._send(plain, *question.arguments, *new)
+        self._send(question)
 
     def answer(self) -> Answer:
         """Its answer, which is there; references told in it are understood.
@@ -319,22 +310,22 @@ class Worker:
             WorkerLost: there is none, and never will be.
         """
         try:
-            (raised, out_of_memory, seconds), (value,) = receive(self.channel)
+            answer: Answer = receive(self.channel)
         except (EOFError, OSError):
             raise WorkerLost(self._death()) from None
         except Exception:  # nor could what follows in the channel
             self.close()
             raise WorkerLost("gave an answer that cannot be read") from None
         self.busy_with = None
-        if out_of_memory:
+        if answer.out_of_memory:
             self.close()
             raise WorkerLost(
                 f"needs more than {self._limits.memory_mb} MB above what its process starts with"
             )
         self._known.add(self._asked)
-        return Answer(
-            self._sent.decode(value) if isinstance(value, EncodedReference) else value, raised, False, seconds
-        )
+        if isinstance(answer.value, EncodedReference):
+            return replace(answer, value=self._sent.decode(answer.value))
+        return answer
 
     def overdue(self) -> WorkerLost:
         """Kill it, since it has not answered `until` then; what is to be said of that."""
@@ -352,19 +343,9 @@ class Worker:
         lifeline, self._lifeline = self._lifeline, -1
         cut(lifeline)
 
-    def _is_new(self, frame: SharedFrame) -> bool:
-        """True if the worker has not been told of the frame; from now on it has."""
-        if frame.number in self._frames:
-            return False
-        self._frames[frame.number] = None
-        if len(self._frames) > 3 * SLOTS:
-            for number in [known for known in self._frames if known <= frame.number - SLOTS]:
-                del self._frames[number]
-        return True
-
-    def _send(self, plain: tuple[Any, ...], *values: Any) -> None:
+    def _send(self, message: Any) -> None:
         try:
-            send(self.channel, plain, *values)
+            send(self.channel, message)
         except BlockingIOError:
             self.close()
             raise WorkerLost(f"took no question in {self._limits.answer_s:.3g} s, and was killed") from None

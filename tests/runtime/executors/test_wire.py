@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import socket
 from fractions import Fraction
 from threading import Thread
@@ -15,49 +14,16 @@ from bayesnet_track.observation.planes import Region
 from bayesnet_track.runtime.executors.messages import HEAD, EncodedReference, receive, send
 
 VALUES = np.random.default_rng(0).normal(size=(7, 10))
-ARRAYS = {
-    "many rows": np.tile(VALUES, (50, 3)),
-    "many columns": np.asfortranarray(np.tile(VALUES, (3, 50))),
-    "rows": VALUES,
-    "columns": np.asfortranarray(VALUES),
-    "every other": VALUES[::2, ::2],
-    "no dimension": np.array(-0.0),
-    "nothing": np.zeros((0, 4)),
-    "not a number": np.array([np.nan, np.inf, -np.inf]),
-    "bytes": np.arange(65, dtype=np.uint8),
-    "bits": np.array([True, False]),
-    "big-endian": np.arange(3, dtype=">f4"),
-    "words": np.array(["a", "bc"]),
-    "days": np.array(["2020-02-29"], dtype="M8[D]"),
-    "records": np.zeros(3, dtype=[("x", "f8"), ("n", "i2")]),
-    "objects": np.array([Fraction(1, 3), None], dtype=object),
-    "masked": np.ma.masked_greater(np.arange(4.0), 2.0),
-}
 
 
 def across(*message):
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        sending = Thread(target=send, args=(ours, ("plain", 7), *message))
+        sending = Thread(target=send, args=(ours, message))
         sending.start()
-        plain, received = receive(theirs)
+        received = receive(theirs)
         sending.join()
-    assert plain == ("plain", 7)
     return received
-
-
-@pytest.mark.parametrize("name", ARRAYS)
-def test_arrays_arrive_as_from_a_pickle(name):
-    array = ARRAYS[name]
-    between, other = across(7, array, "end")[1], pickle.loads(pickle.dumps(array, protocol=5))
-    assert type(between) is type(other) and between.dtype == other.dtype and between.shape == other.shape
-    assert between.flags.f_contiguous == other.flags.f_contiguous
-    assert between.flags.c_contiguous == other.flags.c_contiguous and between.flags.aligned
-    assert between.flags.writeable
-    if array.dtype.hasobject:
-        assert between.tolist() == array.tolist()
-    else:
-        assert between.tobytes() == array.tobytes()
 
 
 def test_values_arrive_as_they_were():
@@ -66,7 +32,7 @@ def test_values_arrive_as_they_were():
         {"a": (None,)}, Region(-3, 0, 5, 9), np.float64(0.1), np.int32(7), np.float32(0.5), Fraction(1, 3),
     )  # fmt: skip
     arrived = across(*message)
-    assert arrived == list(message) and [type(one) for one in arrived] == [type(one) for one in message]
+    assert arrived == message and [type(one) for one in arrived] == [type(one) for one in message]
     assert str(arrived[4]) == "-0.0"
 
 
@@ -104,7 +70,7 @@ def test_messages_larger_than_the_channel_holds_and_of_many_arrays_arrive():
 def test_a_channel_that_is_closed_amid_a_message_is_told():
     ours, theirs = socket.socketpair()
     with theirs:
-        ours.sendall(HEAD.pack(5, 100) + b"begun")
+        ours.sendall(HEAD.pack(100) + b"begun")
         ours.close()
         with pytest.raises(EOFError):
             receive(theirs)
