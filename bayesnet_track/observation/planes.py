@@ -178,7 +178,7 @@ class Frame:
             eye.
         stride: of the source's frames every so many-th is tracked.
         inputs: what is known of the frame beside its image: the graph's `inputs`, by name.
-        cameras: of a step of several cameras: the own frame of each that has one at this time, by name.
+        cameras: of a step of several cameras: the frames that there are now, by name; None of one image.
         last_frames: of such a step: the last frame before it of each camera that had one.
         place: where the pixels are, of a frame that another process decodes; its image is black then.
     """
@@ -191,7 +191,7 @@ class Frame:
     depth: Depth | None = None
     stride: int = 1
     inputs: Mapping[str, float] = field(default_factory=dict)
-    cameras: Mapping[str, Frame] = field(default_factory=dict)
+    cameras: Mapping[str, Frame] | None = None
     last_frames: Mapping[str, Frame] = field(default_factory=dict)
     place: Any = None
 
@@ -209,7 +209,7 @@ class Frame:
 
     def of(self, camera: str) -> Frame | None:
         """The frame of a camera: this one where there is only one; None where it has none at this time."""
-        return self.cameras.get(camera) if self.cameras else self
+        return self if self.cameras is None else self.cameras.get(camera)
 
     @property
     def height(self) -> int:
@@ -314,7 +314,7 @@ class FramePair:
 
     def of(self, camera: str) -> FramePair | None:
         """The pair of a camera; None where it has no frame at this time."""
-        if not self.current.cameras:
+        if self.current.cameras is None:
             return self
         current, previous = self.current.of(camera), self.current.last_frames.get(camera)
         if current is None:
@@ -404,7 +404,7 @@ class PlaneCache:
 
     def of_camera(self, camera: str) -> PlaneCache | None:
         """The planes of a camera's own frame, None where it has none; these for "" and where there is one."""
-        if not camera or not self.frames.current.cameras:
+        if not camera or self.frames.current.cameras is None:
             return self
         if camera not in self._of_cameras:
             pair = self.frames.of(camera)

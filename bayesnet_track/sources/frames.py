@@ -76,7 +76,7 @@ class DecodedFrame(Frame):
             depth=None,
             stride=stride,
             inputs={},
-            cameras={},
+            cameras=None,
             last_frames={},
         )
         frame.__dict__["_decoded"] = decoded

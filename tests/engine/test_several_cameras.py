@@ -110,6 +110,23 @@ def corrected(camera, mean, covariance, box):
     return mean + gain @ away, covariance - gain @ slopes @ covariance
 
 
+def test_nobody_looks_in_a_frame_of_no_camera(tmp_path):
+    """All targets are predicted there, as where a program says that no detector looked."""
+    tracker = DetectionsTracker(write_graph(tmp_path), fps=FPS)
+    for frame in range(12):
+        boxes = {camera: boxes_of(camera, walk()[0]) for camera in ("south", "east")}
+        tracker.update({camera: detections_of(box) for camera, box in boxes.items()}, time_s=frame / FPS)
+    (target,) = tracker.targets
+    mean = np.array([target.state[name] for name in FIELDS])
+    covariance = tracker._now.state.targets[target.target].belief.covariance
+    for frame in (12, 13):
+        assert tracker.update(None, time_s=frame / FPS) is None
+        mean, covariance = moved(mean, covariance, 1 / FPS)
+    (target,) = tracker.targets
+    assert target.state["x_m_sd"] == pytest.approx(covariance[0, 0] ** 0.5, rel=1e-6)
+    assert [target.state[name] for name in FIELDS] == pytest.approx(mean, abs=1e-9)
+
+
 @pytest.mark.parametrize("order", [("south", "east"), ("east", "south")])
 def test_each_camera_is_an_update_in_the_order_of_the_graph(tmp_path, order):
     tracker = DetectionsTracker(write_graph(tmp_path, order=order), fps=FPS)

@@ -94,7 +94,7 @@ class Checkpoint:
 
 def pixels_of(frame: Frame) -> int:
     """A checksum of all that a frame shows, of several cameras in all of them."""
-    if frame.cameras:
+    if frame.cameras is not None:
         checksums = [pixels_of(image) for image in frame.cameras.values()]
         return zlib.crc32(np.array(checksums, np.uint32).tobytes())
     if frame.place is not None:

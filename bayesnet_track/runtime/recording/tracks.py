@@ -301,7 +301,7 @@ class CameraWriter(LineFile):
             if "x_m" in numbers
         }
         statuses = dict(zip(tracked.targets, tracked.statuses, strict=True))
-        for camera, own in frame.cameras.items():
+        for camera, own in (frame.cameras or {}).items():
             first = f"{frame.index},{frame.time_s:.6f},{_cell(camera)},{own.index}"
             for target, state in states.items():
                 view = self._views[camera].get(kinds[target])
