@@ -114,11 +114,11 @@ class MotionModel(Protocol):
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D), at a state (D,): the drift's Jacobian, and the covariance of the noise."""
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) log p(new_m | old_n) over the fields that have noise."""
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
+        """(M, N) log p(states_m | previous_n) over the fields that have noise."""
 
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """p(new | old) in coordinates in which it is a mixture of diagonal Gaussians."""
+    def transition(self, previous: Floats, dt: float) -> Transition:
+        """p(states | previous) in coordinates in which it is a mixture of diagonal Gaussians."""
 
 
 class Posterior(Protocol):
@@ -139,7 +139,7 @@ class Posterior(Protocol):
     def covariance(self) -> Floats:
         """(D, D) covariance of the state."""
 
-    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+    def uncertainty(self, reference: Floats, columns: Sequence[int]) -> float:
         """UD = E |s - about|^2 over the columns of the state, about a state (D,)."""
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
@@ -243,7 +243,7 @@ class Belief(Protocol[P]):
         """The belief after `dt` frame intervals and the evidence of a frame."""
 
 
-def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
+def estimate(settings: spec.Estimate | None, step: Step[Posterior]) -> Floats:
     """(D,) the state that stands for the belief after a step; the MAP when nothing is chosen.
 
     - `map`: largest posterior density, prior density included.
@@ -255,20 +255,22 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
       nearest to the mean prediction (General Distribution Filter 1.3, corrected). The weights of a grid are
       densities; those of particles that were drawn from the prediction are likelihoods.
     """
-    kind = "map" if chosen is None else chosen.kind
+    kind = "map" if settings is None else settings.kind
     if kind == "map":
         return step.map_state
     if kind == "mean":
         return step.posterior.mean
     states, weights = step.support.states, step.support.weights.weights
-    if chosen is not None and chosen.nearest is not None:
+    if settings is not None and settings.nearest is not None:
         predicted = step.prior.weights @ states[:, :2]
-        return np.asarray(states[nearest_probable(states[:, :2], weights, predicted, chosen.nearest.epsilon)])
-    best = np.asarray(states[int(np.argmax(weights))])
-    if kind == "max_weight" or chosen is None or chosen.robust_mean is None:
-        return best
-    reach = chosen.robust_mean.box * float(np.sqrt(best[2] * best[3]))
-    x, y = (np.abs(states[:, axis] - best[axis]) <= reach for axis in (0, 1))
-    near = np.flatnonzero(x & y)
-    shares = weights[near]
-    return np.asarray(shares @ states[near] / shares.sum())
+        return np.asarray(
+            states[nearest_probable(states[:, :2], weights, predicted, settings.nearest.epsilon)]
+        )
+    peak = np.asarray(states[int(np.argmax(weights))])
+    if kind == "max_weight" or settings is None or settings.robust_mean is None:
+        return peak
+    reach = settings.robust_mean.box * float(np.sqrt(peak[2] * peak[3]))
+    x, y = (np.abs(states[:, axis] - peak[axis]) <= reach for axis in (0, 1))
+    neighbours = np.flatnonzero(x & y)
+    shares = weights[neighbours]
+    return np.asarray(shares @ states[neighbours] / shares.sum())

@@ -58,25 +58,25 @@ def smooth_particles(
     """
     if len(moves) != len(filtered) - 1:
         raise ValueError(f"{len(filtered)} beliefs need {len(filtered) - 1} moves, not {len(moves)}")
-    last = heaviest(filtered[-1])
-    smoothed, drawn = [last], last.states[_draw(last.weights.weights, draws, rng)]
+    final = heaviest(filtered[-1])
+    smoothed, drawn_states = [final], final.states[_draw(final.weights.weights, draws, rng)]
     for belief, move in zip(reversed(filtered[:-1]), reversed(moves), strict=True):
-        kept = heaviest(belief)
+        particles = heaviest(belief)
         with np.errstate(over="ignore"):  # of states that are out of reach
-            log = kept.weights.log + move.motion.log_density(drawn, kept.states, move.dt)
+            log = particles.weights.log + move.motion.log_density(drawn_states, particles.states, move.dt)
         top = log.max(axis=1)
         reached = np.isfinite(top)
         if not reached.any():
-            smoothed.append(kept)
-            drawn = kept.states[_draw(kept.weights.weights, draws, rng)]
+            smoothed.append(particles)
+            drawn_states = particles.states[_draw(particles.weights.weights, draws, rng)]
             continue
         shares = np.exp(log[reached] - top[reached, None])
         shares /= shares.sum(axis=1, keepdims=True)
         weights = LogWeights.normalise(np.log(np.maximum(shares.mean(axis=0), 1e-300)))[0]
-        smoothed.append(replace(kept, weights=weights))
+        smoothed.append(replace(particles, weights=weights))
         rows = np.arange(draws) % len(shares)
-        chosen = (shares.cumsum(axis=1)[rows] < rng.random((draws, 1))).sum(axis=1)
-        drawn = kept.states[np.minimum(chosen, len(kept) - 1)]
+        indices = (shares.cumsum(axis=1)[rows] < rng.random((draws, 1))).sum(axis=1)
+        drawn_states = particles.states[np.minimum(indices, len(particles) - 1)]
     return smoothed[::-1]
 
 
@@ -93,8 +93,8 @@ def heaviest(belief: ParticleSet) -> ParticleSet:
 
 
 def _draw(weights: Floats, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    chosen = np.searchsorted(weights.cumsum(), rng.random(size) * weights.sum())
-    return np.asarray(np.minimum(chosen, len(weights) - 1))
+    indices = np.searchsorted(weights.cumsum(), rng.random(size) * weights.sum())
+    return np.asarray(np.minimum(indices, len(weights) - 1))
 
 
 def most_probable_trajectory(
@@ -116,26 +116,29 @@ def most_probable_trajectory(
     """
     if len(moves) != len(filtered) - 1:
         raise ValueError(f"{len(filtered)} beliefs need {len(filtered) - 1} moves, not {len(moves)}")
-    kept = [heaviest(belief) for belief in filtered]
-    best, came = kept[0].weights.log, [np.zeros(len(kept[0]), dtype=np.intp)]
-    for before, after, move in zip(kept[:-1], kept[1:], moves, strict=True):
+    particle_sets = [heaviest(belief) for belief in filtered]
+    best_log, came = particle_sets[0].weights.log, [np.zeros(len(particle_sets[0]), dtype=np.intp)]
+    for previous, current, move in zip(particle_sets[:-1], particle_sets[1:], moves, strict=True):
         with np.errstate(over="ignore"):  # of states that are out of reach
-            density = move.motion.log_density(after.states, before.states, move.dt)
-        evidence = after.weights.log
+            density = move.motion.log_density(current.states, previous.states, move.dt)
+        evidence = current.weights.log
         if on_grid:
-            evidence = evidence - np.logaddexp.reduce(density + before.weights.log, axis=1)
-        paths = density + best
-        chosen = paths.argmax(axis=1)
-        reached = paths[np.arange(len(paths)), chosen]
+            evidence = evidence - np.logaddexp.reduce(density + previous.weights.log, axis=1)
+        paths = density + best_log
+        parents = paths.argmax(axis=1)
+        reached = paths[np.arange(len(paths)), parents]
         if not np.isfinite(reached).any():
-            reached, chosen = np.full(len(paths), best.max()), np.full(len(paths), int(best.argmax()))
+            reached, parents = (
+                np.full(len(paths), best_log.max()),
+                np.full(len(paths), int(best_log.argmax())),
+            )
         with np.errstate(invalid="ignore"):
-            best = np.nan_to_num(evidence + reached, nan=-np.inf)
-        came.append(chosen)
-    at, states = int(best.argmax()), []
-    for belief, sources in zip(reversed(kept), reversed(came), strict=True):
-        states.append(belief.states[at])
-        at = int(sources[at])
+            best_log = np.nan_to_num(evidence + reached, nan=-np.inf)
+        came.append(parents)
+    index, states = int(best_log.argmax()), []
+    for belief, sources in zip(reversed(particle_sets), reversed(came), strict=True):
+        states.append(belief.states[index])
+        index = int(sources[index])
     return np.array(states[::-1])
 
 
@@ -163,13 +166,13 @@ def smooth_gaussians(
         if jumping_of(move.motion) is not None:
             smoothed.append(belief)
             continue
-        after = smoothed[-1]
+        following = smoothed[-1]
         mean, covariance = predict(belief.mean, belief.covariance, move.motion, move.dt, settings)
         gain = _cross(belief, move, settings) @ np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
-        held = belief.mean + gain @ (after.mean - mean)
-        held[2:4] = np.maximum(held[2:4], 1.0)
-        spread = symmetric(belief.covariance + gain @ (after.covariance - covariance) @ gain.T)
-        smoothed.append(replace(belief, mean=held, covariance=spread))
+        smoothed_mean = belief.mean + gain @ (following.mean - mean)
+        smoothed_mean[2:4] = np.maximum(smoothed_mean[2:4], 1.0)
+        spread = symmetric(belief.covariance + gain @ (following.covariance - covariance) @ gain.T)
+        smoothed.append(replace(belief, mean=smoothed_mean, covariance=spread))
     return smoothed[::-1]
 
 

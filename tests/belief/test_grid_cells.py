@@ -18,10 +18,10 @@ from bayesnet_track.belief.grid.cells import (
     Lattice,
     Limits,
     Patch,
+    crop_patch,
     find_kept,
     limits_of,
     stack_patches,
-    within,
 )
 from bayesnet_track.belief.motion.borders import Confined
 
@@ -132,12 +132,12 @@ def test_of_too_many_cells_those_around_the_mean_are_kept():
 
 def test_masses_beyond_the_image_fold_onto_its_border(rng):
     mass = rng.random((2, 2, 4, 5))
-    found = within(Patch(mass, -1, 8), Limits((0, 2), (0, 9), 50), 50)
+    found = crop_patch(Patch(mass, -1, 8), Limits((0, 2), (0, 9), 50), 50)
     assert (found.column, found.row) == (0, 8)
     across = np.stack([mass[..., :2].sum(-1), mass[..., 2], mass[..., 3:].sum(-1)], axis=-1)
     expected = np.stack([across[:, :, 0], across[:, :, 1:].sum(axis=2)], axis=2)
     np.testing.assert_allclose(found.mass, expected)
-    free = within(Patch(mass, -1, 8), Limits(None, None, 50), 50)
+    free = crop_patch(Patch(mass, -1, 8), Limits(None, None, 50), 50)
     assert (free.column, free.row) == (-1, 8)
     np.testing.assert_array_equal(free.mass, mass)
 

@@ -71,9 +71,9 @@ def predict(
         mean, spread = unscented_moments(mean, covariance, free, dt, settings.sigma)
         covariance = symmetric(spread + noise)
     else:
-        moved, spread = np.empty(len(mean)), np.empty((len(mean), len(mean)))
-        carry(for_reading(transition), plain(noise), plain(mean), plain(covariance), moved, spread)
-        mean = moved if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
+        carried_mean, spread = np.empty(len(mean)), np.empty((len(mean), len(mean)))
+        carry(for_reading(transition), plain(noise), plain(mean), plain(covariance), carried_mean, spread)
+        mean = carried_mean if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
         covariance = spread
     return motion.confine_moments(mean, covariance) if isinstance(motion, Confined) else (mean, covariance)
 
@@ -93,9 +93,9 @@ def unscented_moments(
         return motion.drift(mean[None], dt)[0], np.zeros_like(covariance)
     scale, weights, central = unscented_weights(width, sigma)
     points = motion.drift(mean + sigma_points(width, scale) @ lower.T, dt)
-    away = points - points[0]
-    shift = weights @ away
-    about_centre = (away * weights[:, None]).T @ away  # the central point's own weight falls out
+    deviations = points - points[0]
+    shift = weights @ deviations
+    about_centre = (deviations * weights[:, None]).T @ deviations  # the central point's own weight falls out
     spread = about_centre + (central - 1.0) * np.outer(shift, shift)
     return points[0] + shift, spread if _is_positive(spread) else about_centre
 
@@ -109,9 +109,9 @@ def unscented_cross(
     if width == 0:
         return np.zeros_like(covariance)
     scale, weights, _ = unscented_weights(width, sigma)
-    away = sigma_points(width, scale) @ lower.T
-    points = motion.drift(mean + away, dt)
-    return np.asarray((away * weights[:, None]).T @ (points - points[0]))
+    offsets = sigma_points(width, scale) @ lower.T
+    points = motion.drift(mean + offsets, dt)
+    return np.asarray((offsets * weights[:, None]).T @ (points - points[0]))
 
 
 def unscented_weights(width: int, sigma: spec.Unscented) -> tuple[float, Floats, float]:
@@ -168,10 +168,10 @@ class GaussianPosterior:
     def __len__(self) -> int:
         return self.size
 
-    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+    def uncertainty(self, reference: Floats, columns: Sequence[int]) -> float:
         """UD = tr Cov + |mean - about|^2 over the columns of the state."""
-        mean, at, variances = self.mean.tolist(), about.tolist(), self.covariance.diagonal().tolist()
-        return float(sum(variances[k] + (mean[k] - at[k]) ** 2 for k in columns))
+        mean, point, variances = self.mean.tolist(), reference.tolist(), self.covariance.diagonal().tolist()
+        return float(sum(variances[k] + (mean[k] - point[k]) ** 2 for k in columns))
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
         """Mass within `radius` px of `centre` (2,), exact."""
@@ -248,65 +248,68 @@ class GaussianFilter:
         """
         # Predict
         settings = self.settings
-        before = [predict(prior.mean, prior.covariance, motion, dt, settings) for prior in priors]
+        predictions = [predict(prior.mean, prior.covariance, motion, dt, settings) for prior in priors]
 
         # Evaluate
-        asked = stand_for_each(before, motion, settings, (stream("samples") for stream in streams))
-        hypotheses = [hypotheses_of(points.states, motion.fields) for points in asked]
-        evidence = evaluate_each(hypotheses, [points.beta.log for points in asked])
+        point_sets = stand_for_each(predictions, motion, settings, (stream("samples") for stream in streams))
+        hypotheses = [hypotheses_of(points.states, motion.fields) for points in point_sets]
+        evidence = evaluate_each(hypotheses, [points.beta.log for points in point_sets])
 
         # Update
-        weighed = [self._weigh(*of, motion) for of in zip(before, asked, evidence, strict=True)]
+        weighed = [self._weigh(*row, motion) for row in zip(predictions, point_sets, evidence, strict=True)]
         moments = [(mean, covariance) for mean, covariance, _ in weighed]
         measured = [
             {} if isinstance(log, str) else evidence_of_target.gaussians
             for evidence_of_target, (_, _, log) in zip(evidence, weighed, strict=True)
         ]
-        after = take_each(moments, motion.fields, measured, settings.gate, settings.filter == "unscented")
+        updates = take_each(moments, motion.fields, measured, settings.gate, settings.filter == "unscented")
         return [
             self._stepped(motion, likelihood[2], start, points, evidence_of_target, end)
             for likelihood, start, points, evidence_of_target, end in zip(
-                weighed, before, asked, evidence, after, strict=True
+                weighed, predictions, point_sets, evidence, updates, strict=True
             )
         ]
 
     def _weigh(
-        self, before: tuple[Floats, Floats], asked: SigmaPoints, evidence: Evidence, motion: MotionModel
+        self, predicted: tuple[Floats, Floats], points: SigmaPoints, evidence: Evidence, motion: MotionModel
     ) -> tuple[Floats, Floats, float | str]:
         """Mean, covariance and log-evidence by the likelihoods; why they cannot be used, if they cannot."""
         update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
         try:
-            mean, covariance, log_evidence = update(*before, asked, sampled_of(evidence))
+            mean, covariance, log_evidence = update(*predicted, points, sampled_of(evidence))
         except DegenerateWeights as fault:
-            return *before, str(fault)
+            return *predicted, str(fault)
         if shared := shared_columns(motion):
-            mean, covariance = allow_for(shared, before, (mean, covariance))
+            mean, covariance = allow_for(shared, predicted, (mean, covariance))
         return mean, covariance, log_evidence
 
     def _stepped(
         self,
         motion: MotionModel,
         log_evidence: float | str,
-        before: tuple[Floats, Floats],
-        asked: SigmaPoints,
+        predicted: tuple[Floats, Floats],
+        points: SigmaPoints,
         evidence: Evidence,
-        after: MeasurementUpdate,
+        update: MeasurementUpdate,
     ) -> Step[GaussianPosterior]:
         """The step of one target; `log_evidence` is that of the likelihoods, or why there is none."""
         fields = motion.fields
-        posterior = _posterior(after.mean, after.covariance, fields, len(asked.states), motion)
+        posterior = _posterior(update.mean, update.covariance, fields, len(points.states), motion)
         if isinstance(log_evidence, str):
-            return evolve(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=log_evidence)
+            return evolve(_step(posterior, -np.inf, points, points.beta, evidence), degenerate=log_evidence)
         stepped = _step(
             posterior,
-            log_evidence + after.log_evidence,
-            asked,
-            _weights(asked, evidence, after, fields),
+            log_evidence + update.log_evidence,
+            points,
+            _weights(points, evidence, update, fields),
             evidence,
-            tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
+            tuple(
+                partial(report_gated, outlier, self.settings.gate, len(update.used))
+                for outlier in update.gated
+            ),
         )
         return evolve(
-            stepped, predicted=(Predicted(1.0, *before),), log_gated=log_floors(after.gated, evidence)
+            stepped, predicted=(Predicted(1.0, *predicted),), log_gated=log_floors(update.gated, evidence)
         )
 
 
@@ -320,7 +323,7 @@ def log_floors(gated: Iterable[Gated], evidence: Evidence) -> float:
 
     Of agents whose log-likelihood is a density.
     """
-    agents = [one.agent for one in gated if one.agent in evidence.log_constants]
+    agents = [outlier.agent for outlier in gated if outlier.agent in evidence.log_constants]
     return sum(math.log(max(evidence.gaussians[agent].floor, LEAST_FLOOR)) for agent in agents)
 
 
@@ -337,15 +340,15 @@ def draws_of(settings: spec.Gaussian, width: int) -> int:
 def _posterior(
     mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int, motion: MotionModel
 ) -> GaussianPosterior:
-    held = mean.copy()
-    np.maximum(held[2:4], getattr(motion, "least_side", LEAST_SIDE_PX), out=held[2:4])
-    return GaussianPosterior(held, covariance, fields, size)
+    bounded = mean.copy()
+    np.maximum(bounded[2:4], getattr(motion, "least_side", LEAST_SIDE_PX), out=bounded[2:4])
+    return GaussianPosterior(bounded, covariance, fields, size)
 
 
 def _weights(
-    asked: SigmaPoints,
+    points: SigmaPoints,
     evidence: Evidence,
-    after: MeasurementUpdate,
+    update: MeasurementUpdate,
     fields: tuple[str, ...],
 ) -> LogWeights:
     """The hypotheses' posterior weights: by the net's messages, without measurements that were not used.
@@ -353,18 +356,18 @@ def _weights(
     Where all were used the weights are those of the net's own total, floors of measurements included, so that
     they compare with its messages.
     """
-    if not after.gated:
-        return asked.beta.times(evidence.log_likelihood)[0]
-    total, hypotheses = sampled_of(evidence), hypotheses_of(asked.states, fields)
-    for one in after.used.values():
-        total = total + log_message(one, hypotheses, fields)
-    return asked.beta.times(total)[0]
+    if not update.gated:
+        return points.beta.times(evidence.log_likelihood)[0]
+    total, hypotheses = sampled_of(evidence), hypotheses_of(points.states, fields)
+    for measurement in update.used.values():
+        total = total + log_message(measurement, hypotheses, fields)
+    return points.beta.times(total)[0]
 
 
 def _step(
     posterior: GaussianPosterior,
     log_evidence: float,
-    asked: SigmaPoints,
+    points: SigmaPoints,
     weights: LogWeights,
     evidence: Evidence,
     reports: tuple[Report, ...] = (),
@@ -372,14 +375,24 @@ def _step(
     return Step(
         posterior=posterior,
         log_evidence=log_evidence,
-        support=WeightedStates(asked.states, weights),
-        prior=asked.beta,
+        support=WeightedStates(points.states, weights),
+        prior=points.beta,
         evidence=evidence,
         find_map=lambda: posterior.mean,
         reports=reports,
     )
 
 
-def report_gated(one: Gated, gate: float, used: int, frame: int, target: str) -> Event:
-    """The event of a measurement that was not used, beside `used` that were."""
-    return MeasurementGated(frame, target, one.agent, one.d2, one.limit, gate, one.degrees, one.turning, used)
+def report_gated(outlier: Gated, gate: float, used_count: int, frame: int, target: str) -> Event:
+    """The event of a measurement that was gated out, beside `used_count` that were used."""
+    return MeasurementGated(
+        frame,
+        target,
+        outlier.agent,
+        outlier.d2,
+        outlier.limit,
+        gate,
+        outlier.degrees,
+        outlier.turning,
+        used_count,
+    )

@@ -61,17 +61,17 @@ def expect(posterior: Posterior, motion: MotionModel, dt: float, settings: spec.
     modes = modal_in(motion).modes
     filtered = ModalFilter(settings, modes)
     predicted = filtered.predict(_in_gaussians(posterior, len(modes)), motion, dt, np.random.default_rng(0))
-    seen = np.flatnonzero(~np.array(modes.hidden))
-    shares = predicted.mode_probabilities[seen]
+    visible_modes = np.flatnonzero(~np.array(modes.hidden))
+    shares = predicted.mode_probabilities[visible_modes]
     visible = float(shares.sum())
     if visible <= 0.0:
-        shares, visible = np.ones(len(seen)), 0.0
-    parts = [predicted.parts[mode] for mode in seen]
+        shares, visible = np.ones(len(visible_modes)), 0.0
+    parts = [predicted.parts[mode] for mode in visible_modes]
     means, covariances = (
         np.array([part.mean for part in parts]),
         np.array([part.covariance for part in parts]),
     )
-    values = {name: own[seen] for name, own in modes.index.items()}
+    values = {name: numbers[visible_modes] for name, numbers in modes.index.items()}
     return ExpectedInModes(shares / shares.sum(), means, covariances, min(visible, 1.0), values)
 
 
@@ -81,14 +81,14 @@ def _in_gaussians(posterior: Posterior, size: int) -> ModalPosterior:
         return posterior
     assert isinstance(posterior, ParticleSet)
     states, weights = posterior.states, posterior.weights.weights
-    modes, own = states[:, -1].astype(np.intp), states[:, :-1]
+    modes, points = states[:, -1].astype(np.intp), states[:, :-1]
     shares = np.bincount(modes, weights, minlength=size)
     parts = []
     for mode in range(size):
-        chosen = weights * (modes == mode) if shares[mode] > 0.0 else weights
-        chosen = chosen / chosen.sum()
-        mean = chosen @ own
-        away = own - mean
-        covariance = symmetric((away * chosen[:, None]).T @ away)
+        mode_weights = weights * (modes == mode) if shares[mode] > 0.0 else weights
+        mode_weights = mode_weights / mode_weights.sum()
+        mean = mode_weights @ points
+        deviations = points - mean
+        covariance = symmetric((deviations * mode_weights[:, None]).T @ deviations)
         parts.append(GaussianPosterior(mean, covariance, posterior.fields[:-1], len(states)))
     return ModalPosterior(tuple(parts), np.asarray(shares / shares.sum()))

@@ -83,9 +83,9 @@ class ModalPosterior:
             self.mode_probabilities,
         )[1]
 
-    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+    def uncertainty(self, reference: Floats, columns: Sequence[int]) -> float:
         """UD of the mixture."""
-        uds = [part.uncertainty(about, columns) for part in self.parts]
+        uds = [part.uncertainty(reference, columns) for part in self.parts]
         return float(self.mode_probabilities @ np.array(uds))
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
@@ -96,14 +96,14 @@ class ModalPosterior:
     def regions(self, shares: Sequence[float]) -> Floats:
         """(S, 4) x_low, x_high, y_low, y_high, px: the central share of the centre's weight on each axis."""
         tails = [((1.0 - share) / 2.0, (1.0 + share) / 2.0) for share in shares]
-        bounds = [[self._quantiles(axis, both) for axis in (0, 1)] for both in tails]
+        bounds = [[self._quantiles(axis, pair) for axis in (0, 1)] for pair in tails]
         return np.array(bounds).reshape(-1, 4)
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes."""
         counts = rng.multinomial(size, self.mode_probabilities / self.mode_probabilities.sum())
-        drawn = [part.draw(int(count), rng) for part, count in zip(self.parts, counts, strict=True)]
-        return np.concatenate(drawn)
+        boxes = [part.draw(int(count), rng) for part, count in zip(self.parts, counts, strict=True)]
+        return np.concatenate(boxes)
 
     def _quantiles(self, axis: int, tails: tuple[float, float]) -> tuple[float, float]:
         """By bisection of the mixture's distribution function."""
@@ -111,16 +111,16 @@ class ModalPosterior:
         sds = [max(float(np.sqrt(max(part.covariance[axis, axis], 0.0))), 1e-9) for part in self.parts]
         normals = [NormalDist(mean, sd) for mean, sd in zip(means, sds, strict=True)]
         weights = self.mode_probabilities.tolist()
-        found = []
+        quantiles = []
         for tail in tails:
-            low = min(one.inv_cdf(tail) for one in normals)
-            high = max(one.inv_cdf(tail) for one in normals)
+            low = min(normal.inv_cdf(tail) for normal in normals)
+            high = max(normal.inv_cdf(tail) for normal in normals)
             for _ in range(60):
                 middle = 0.5 * (low + high)
-                below = sum(w * one.cdf(middle) for w, one in zip(weights, normals, strict=True))
-                low, high = (middle, high) if below < tail else (low, middle)
-            found.append(0.5 * (low + high))
-        return found[0], found[1]
+                mass = sum(w * normal.cdf(middle) for w, normal in zip(weights, normals, strict=True))
+                low, high = (middle, high) if mass < tail else (low, middle)
+            quantiles.append(0.5 * (low + high))
+        return quantiles[0], quantiles[1]
 
 
 def mix(prior: ModalPosterior, chain: Floats) -> ModalPosterior:
@@ -146,9 +146,9 @@ def mix(prior: ModalPosterior, chain: Floats) -> ModalPosterior:
 def mixture_moments(means: Floats, covariances: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """(D,) and (D, D) of a mixture of Gaussians of means (K, D), covariances (K, D, D), weights (K,)."""
     mean = weights @ means
-    away = means - mean
-    within = np.tensordot(weights, covariances, 1)
-    return np.asarray(mean), symmetric(within + (away * weights[:, None]).T @ away)
+    deviations = means - mean
+    mean_covariance = np.tensordot(weights, covariances, 1)
+    return np.asarray(mean), symmetric(mean_covariance + (deviations * weights[:, None]).T @ deviations)
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,10 @@ class ModalFilter:
             for part in modal.parts:
                 require_linear(part)
         mean, covariance = modal.start_moments(np.asarray(box, dtype=np.float64))
-        one = GaussianPosterior(mean, covariance, modal.motions[0].fields, draws_of(self.settings, len(mean)))
-        return ModalPosterior((one,) * len(self.modes), self.modes.start())
+        gaussian = GaussianPosterior(
+            mean, covariance, modal.motions[0].fields, draws_of(self.settings, len(mean))
+        )
+        return ModalPosterior((gaussian,) * len(self.modes), self.modes.start())
 
     def predict(
         self, prior: ModalPosterior, motion: MotionModel, dt: float, rng: np.random.Generator
@@ -178,7 +180,9 @@ class ModalFilter:
         """The belief after `dt` frame intervals without evidence; `rng` is not used."""
         mixed = mix(prior, self.modes.chain.over(dt))
         parts = zip(mixed.parts, _motions(motion), strict=True)
-        return replace(mixed, parts=tuple(self._predict(part, one, dt) for part, one in parts))
+        return replace(
+            mixed, parts=tuple(self._predict(part, mode_motion, dt) for part, mode_motion in parts)
+        )
 
     def step(
         self, prior: ModalPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
@@ -190,31 +194,35 @@ class ModalFilter:
         """
         predicted = self.predict(prior, motion, dt, stream("predict"))
         motions = _motions(motion)
-        asked = [
-            stand_for_each([(part.mean, part.covariance)], one, self.settings, [stream(f"samples {number}")])[
-                0
-            ]
-            for number, (part, one) in enumerate(zip(predicted.parts, motions, strict=True))
+        point_sets = [
+            stand_for_each(
+                [(part.mean, part.covariance)], mode_motion, self.settings, [stream(f"samples {number}")]
+            )[0]
+            for number, (part, mode_motion) in enumerate(zip(predicted.parts, motions, strict=True))
         ]
-        together = _together(asked, predicted.mode_probabilities)
+        together = _together(point_sets, predicted.mode_probabilities)
         evidence = evaluate(hypotheses_of(together.states, (*predicted.fields, FIELD)), together.weights.log)
-        used, gated = self._gate(predicted, evidence)
+        accepted, gated = self._gate(predicted, evidence)
         log_gated = self._log_gated(gated, evidence, together.states[:, -1])
         sampled = evidence.log_likelihood if evidence.sampled is None else evidence.sampled
-        shared = {agent: one for agent, one in used.items() if one.choices}
-        chosen, log_chosen = self._choose(predicted, shared)
-        used = {agent: one for agent, one in used.items() if agent not in shared}
-        log_labels = self._log_labels(used)
-        parts, log_evidence = [], np.empty(len(asked))
-        ends = np.cumsum([len(one.states) for one in asked])
-        for mode, (part, one, end) in enumerate(zip(predicted.parts, asked, ends, strict=True)):
-            own = sampled[end - len(one.states) : end] + log_gated[mode]
-            own_choices = take(part.mean, part.covariance, part.fields, chosen[mode], 1.0)
+        shared = {agent: measurement for agent, measurement in accepted.items() if measurement.choices}
+        mode_choices, log_chosen = self._choose(predicted, shared)
+        accepted = {agent: measurement for agent, measurement in accepted.items() if agent not in shared}
+        log_labels = self._log_labels(accepted)
+        parts, log_evidence = [], np.empty(len(point_sets))
+        ends = np.cumsum([len(points.states) for points in point_sets])
+        for mode, (part, points, end) in enumerate(zip(predicted.parts, point_sets, ends, strict=True)):
+            log_likelihood = sampled[end - len(points.states) : end] + log_gated[mode]
+            own_choices = take(part.mean, part.covariance, part.fields, mode_choices[mode], 1.0)
             part = replace(part, mean=own_choices.mean, covariance=own_choices.covariance)
-            seen = {agent: one.in_mode(mode) for agent, one in used.items() if not self.modes.hidden[mode]}
-            after, log_evidence[mode] = self._update(part, one, own, seen)
+            measurements = {
+                agent: measurement.in_mode(mode)
+                for agent, measurement in accepted.items()
+                if not self.modes.hidden[mode]
+            }
+            updated, log_evidence[mode] = self._update(part, points, log_likelihood, measurements)
             log_evidence[mode] += log_chosen[mode] + log_labels[mode]
-            parts.append(after)
+            parts.append(updated)
         with np.errstate(divide="ignore"):
             log_prior = np.log(predicted.mode_probabilities)
         try:
@@ -224,47 +232,52 @@ class ModalFilter:
             return replace(step, degenerate=str(fault))
         posterior = ModalPosterior(tuple(parts), np.array(weights.weights))
         reports = tuple(
-            partial(report_gated, one, self.settings.gate, len(used) + len(shared)) for one in gated
+            partial(report_gated, outlier, self.settings.gate, len(accepted) + len(shared))
+            for outlier in gated
         )
         try:
-            held = together.weights.times(evidence.log_likelihood)[0]
+            support_weights = together.weights.times(evidence.log_likelihood)[0]
         except DegenerateWeights:
-            held = together.weights
+            support_weights = together.weights
         visible = tuple(
             Predicted(0.0 if hidden else float(share), part.mean, part.covariance)
             for part, share, hidden in zip(
                 predicted.parts, predicted.mode_probabilities, self.modes.hidden, strict=True
             )
         )
-        step = _step(posterior, total, together, held, evidence, reports)
+        step = _step(posterior, total, together, support_weights, evidence, reports)
         # Where it can hide, what lies outside of every gate is weighed as of the background.
         floors = 0.0 if self.modes.can_hide else log_floors(gated, evidence)
         return replace(step, predicted=visible, log_gated=floors)
 
     def _predict(self, part: GaussianPosterior, motion: MotionModel, dt: float) -> GaussianPosterior:
         mean, covariance = predict(part.mean, part.covariance, motion, dt, self.settings)
-        return replace(part, mean=_held(mean), covariance=covariance)
+        return replace(part, mean=_bound_size(mean), covariance=covariance)
 
     def _update(
-        self, part: GaussianPosterior, asked: SigmaPoints, sampled: Floats, used: Mapping[str, Measurement]
+        self,
+        part: GaussianPosterior,
+        points: SigmaPoints,
+        sampled: Floats,
+        measurements: Mapping[str, Measurement],
     ) -> tuple[GaussianPosterior, float]:
         """The Gaussian of a mode after the frame, and its log-evidence; -inf where nothing fits it."""
         update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
         try:
-            mean, covariance, log_evidence = update(part.mean, part.covariance, asked, sampled)
+            mean, covariance, log_evidence = update(part.mean, part.covariance, points, sampled)
         except DegenerateWeights:
             return part, -np.inf
-        after = take(mean, covariance, part.fields, used, 1.0, self.settings.filter == "unscented")
-        held = replace(part, mean=_held(after.mean), covariance=after.covariance)
-        return held, log_evidence + after.log_evidence
+        updated = take(mean, covariance, part.fields, measurements, 1.0, self.settings.filter == "unscented")
+        posterior = replace(part, mean=_bound_size(updated.mean), covariance=updated.covariance)
+        return posterior, log_evidence + updated.log_evidence
 
-    def _log_labels(self, used: Mapping[str, Measurement]) -> Floats:
+    def _log_labels(self, measurements: Mapping[str, Measurement]) -> Floats:
         """(K,) log-probability of the labels of what was measured, in each mode."""
         log = np.zeros(len(self.modes))
-        for one in used.values():
-            if one.label is not None:
-                own = one.label.of(self.modes.index)
-                log += np.where(self.modes.hidden, one.label.log_nobody, own)
+        for measurement in measurements.values():
+            if measurement.label is not None:
+                log_label = measurement.label.of(self.modes.index)
+                log += np.where(self.modes.hidden, measurement.label.log_nobody, log_label)
         return log
 
     def _choose(
@@ -277,10 +290,10 @@ class ModalFilter:
         the mode has sum_j w_j P(m | j), and in it detection j the weight w_j P(m | j) / P(m).
         """
         prior, hidden = predicted.mode_probabilities, np.array(self.modes.hidden)
-        given: list[dict[str, Measurement]] = [{} for _ in predicted.parts]
+        mode_measurements: list[dict[str, Measurement]] = [{} for _ in predicted.parts]
         log = np.zeros(len(prior))
-        for agent, one in shared.items():
-            weights = np.array([one.missed, *(weight for weight, _ in one.choices)])
+        for agent, measurement in shared.items():
+            weights = np.array([measurement.missed, *(weight for weight, _ in measurement.choices)])
             fit = np.zeros((len(prior), len(weights)))
             fit[:, 0] = np.where(hidden, 1.0, self.modes.missed if self.modes.can_hide else 1.0)
             for mode in np.flatnonzero(~hidden).tolist():
@@ -290,58 +303,60 @@ class ModalFilter:
                         update_by(part.mean, part.covariance, part.fields, choice).log_likelihood
                         + self._log_labels({agent: choice})[mode]
                     )
-                    for _, choice in one.choices
+                    for _, choice in measurement.choices
                 ]
             joint = prior[:, None] * fit
             total = joint.sum(axis=0)
             # What no mode explains says nothing of the mode.
             share = weights * np.where(total > 0.0, joint / np.where(total > 0.0, total, 1.0), prior[:, None])
-            after = share.sum(axis=1)
+            posterior = share.sum(axis=1)
             with np.errstate(divide="ignore"):
-                log += np.log(after) - np.log(prior) + np.log(max(float(weights @ total), 1e-300))
-            for mode, own in enumerate(share):
-                if hidden[mode] or after[mode] <= 0.0:
+                log += np.log(posterior) - np.log(prior) + np.log(max(float(weights @ total), 1e-300))
+            for mode, mode_shares in enumerate(share):
+                if hidden[mode] or posterior[mode] <= 0.0:
                     continue
                 choices = tuple(
-                    (float(weight / after[mode]), choice)
-                    for weight, (_, choice) in zip(own[1:], one.choices, strict=True)
+                    (float(weight / posterior[mode]), choice)
+                    for weight, (_, choice) in zip(mode_shares[1:], measurement.choices, strict=True)
                 )
-                given[mode][agent] = replace(one, choices=choices)
-        return given, log
+                mode_measurements[mode][agent] = replace(measurement, choices=choices)
+        return mode_measurements, log
 
     def _gate(
         self, predicted: ModalPosterior, evidence: Evidence
     ) -> tuple[dict[str, Measurement], tuple[Gated, ...]]:
         """Measurements inside the gate of a visible mode, and the rest as the nearest mode has it."""
         nearest: dict[str, Gated] = {}
-        used: dict[str, Measurement] = {}
+        accepted: dict[str, Measurement] = {}
         of_modes = zip(predicted.parts, self.modes.hidden, predicted.mode_probabilities, strict=True)
         for mode, (part, hidden, share) in enumerate(of_modes):
             if hidden or share <= 0.0:
                 continue
             is_unscented = self.settings.filter == "unscented"
-            taken = take(
+            update = take(
                 part.mean,
                 part.covariance,
                 part.fields,
-                {agent: one.in_mode(mode) for agent, one in evidence.gaussians.items()},
+                {agent: measurement.in_mode(mode) for agent, measurement in evidence.gaussians.items()},
                 self.settings.gate,
                 is_unscented,
             )
-            used |= taken.used
-            for one in taken.gated:
-                if one.agent not in nearest or one.d2 < nearest[one.agent].d2:
-                    nearest[one.agent] = one
-        kept = {agent: one for agent, one in evidence.gaussians.items() if agent in used}
-        return kept, tuple(one for agent, one in nearest.items() if agent not in used)
+            accepted |= update.used
+            for outlier in update.gated:
+                if outlier.agent not in nearest or outlier.d2 < nearest[outlier.agent].d2:
+                    nearest[outlier.agent] = outlier
+        measurements = {
+            agent: measurement for agent, measurement in evidence.gaussians.items() if agent in accepted
+        }
+        return measurements, tuple(outlier for agent, outlier in nearest.items() if agent not in accepted)
 
     def _log_gated(self, gated: Sequence[Gated], evidence: Evidence, modes: Floats) -> Floats:
         """(K,) a measurement outside of every gate is of the background, and the target was missed."""
         if not self.modes.can_hide:
             return np.zeros(len(self.modes))
-        at = int(np.argmax(np.isin(modes, np.flatnonzero(self.modes.hidden))))
+        row = int(np.argmax(np.isin(modes, np.flatnonzero(self.modes.hidden))))
         odds = np.log(self.modes.missed) - np.log1p(-self.modes.missed)
-        total = sum(float(evidence.messages[one.agent][at]) + odds for one in gated)
+        total = sum(float(evidence.messages[outlier.agent][row]) + odds for outlier in gated)
         return np.where(self.modes.hidden, 0.0, total)
 
 
@@ -361,23 +376,23 @@ def _motions(motion: MotionModel) -> tuple[MotionModel, ...]:
     """Motions of the target in each mode, confined where the motion is."""
     modal = modal_in(motion)
     if isinstance(motion, Confined):
-        return tuple(replace(motion, motion=one) for one in modal.motions)
+        return tuple(replace(motion, motion=part) for part in modal.motions)
     return modal.motions
 
 
-def _held(mean: Floats) -> Floats:
-    held = mean.copy()
-    np.maximum(held[2:4], 1.0, out=held[2:4])
-    return held
+def _bound_size(mean: Floats) -> Floats:
+    bounded = mean.copy()
+    np.maximum(bounded[2:4], 1.0, out=bounded[2:4])
+    return bounded
 
 
-def _together(asked: Sequence[SigmaPoints], shares: Floats) -> WeightedStates:
+def _together(point_sets: Sequence[SigmaPoints], shares: Floats) -> WeightedStates:
     """The hypotheses of all modes, the mode their last field, weighted by how probable it is predicted."""
     with np.errstate(divide="ignore"):
-        log = [one.beta.log + share for one, share in zip(asked, np.log(shares), strict=True)]
+        log = [points.beta.log + share for points, share in zip(point_sets, np.log(shares), strict=True)]
     states = [
-        np.concatenate([one.states, np.full((len(one.states), 1), float(mode))], axis=1)
-        for mode, one in enumerate(asked)
+        np.concatenate([points.states, np.full((len(points.states), 1), float(mode))], axis=1)
+        for mode, points in enumerate(point_sets)
     ]
     return WeightedStates(np.concatenate(states), LogWeights.normalise(np.concatenate(log))[0])
 
@@ -390,13 +405,13 @@ def _step(
     evidence: Evidence,
     reports: tuple[Report, ...] = (),
 ) -> Step[ModalPosterior]:
-    best = int(np.argmax(posterior.mode_probabilities))
+    mode = int(np.argmax(posterior.mode_probabilities))
     return Step(
         posterior=posterior,
         log_evidence=log_evidence,
         support=WeightedStates(np.ascontiguousarray(together.states[:, :-1]), weights),
         prior=together.weights,
         evidence=evidence,
-        find_map=lambda: posterior.parts[best].mean,
+        find_map=lambda: posterior.parts[mode].mean,
         reports=reports,
     )

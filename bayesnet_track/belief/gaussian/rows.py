@@ -89,11 +89,11 @@ def _draw_flat(
     rows: Sequence[int], moments: Sequence[Moments], motion: MotionModel, samples: int, halves: list[Floats]
 ) -> dict[int, SigmaPoints]:
     """Row -> samples of drawn Gaussian, so many or as many as drawn rank needs, of those that may be flat."""
-    alike: dict[int, list[tuple[int, Floats]]] = {}
+    groups: dict[int, list[tuple[int, Floats]]] = {}
     for row, lower in zip(rows, roots(np.array([moments[row][1] for row in rows])), strict=True):
-        alike.setdefault(lower.shape[1], []).append((row, lower))
+        groups.setdefault(lower.shape[1], []).append((row, lower))
     points: dict[int, SigmaPoints] = {}
-    for rank, group in alike.items():
+    for rank, group in groups.items():
         size = max(samples, 2 * (rank + 1))
         count = size // 2 * rank  # as if only these were drawn
         units = _whiten_each(
@@ -104,8 +104,8 @@ def _draw_flat(
         states = means[:, None] + units @ lowers.swapaxes(1, 2)
         _placed(states.reshape(-1, states.shape[2]), motion)
         beta = LogWeights.uniform(size)
-        for (row, lower), unit, drawn in zip(group, units, states, strict=True):
-            points[row] = SigmaPoints(unit, lower, drawn, beta)
+        for (row, lower), unit, row_states in zip(group, units, states, strict=True):
+            points[row] = SigmaPoints(unit, lower, row_states, beta)
     return points
 
 
@@ -125,7 +125,7 @@ def take_each(
     is_unscented: bool = False,
 ) -> list[MeasurementUpdate]:
     """Kalman updates of each Gaussian by what its agents measured (`update.take`)."""
-    alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    groups: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     updates: dict[int, MeasurementUpdate] = {}
     mixed = _rows_of_choices(measured)
     updates |= _mix_each({row: moments[row] for row in mixed}, fields, measured, is_unscented)
@@ -134,10 +134,10 @@ def take_each(
             continue
         agent, message = next(iter(messages.items()), ("", None))
         if message is not None and len(messages) == 1 and _is_correlated(message):
-            alike.setdefault((agent, message.fields), []).append(row)
+            groups.setdefault((agent, message.fields), []).append(row)
         else:
             updates[row] = take(*gaussian, fields, messages, gate, is_unscented)
-    for (agent, _), rows in alike.items():
+    for (agent, _), rows in groups.items():
         group = [measured[row][agent] for row in rows]
         for row, update in zip(
             rows, _update_each(agent, [moments[row] for row in rows], fields, group, gate), strict=True
@@ -198,17 +198,19 @@ def _update_each(
     )
     observe, noises = observe_fields(group[0], fields), np.array([message.covariance for message in group])
     innovations = np.array([message.mean for message in group]) - means @ observe.T
-    across = covariances @ observe.T
-    expected = symmetric(observe @ across + noises)
-    gains = np.linalg.solve(expected, across.swapaxes(1, 2)).swapaxes(1, 2)
-    kept = np.eye(means.shape[1]) - gains @ observe
+    cross = covariances @ observe.T
+    expected = symmetric(observe @ cross + noises)
+    gains = np.linalg.solve(expected, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    complement = np.eye(means.shape[1]) - gains @ observe
     d2s = (innovations[:, None] @ np.linalg.solve(expected, innovations[..., None]))[:, 0, 0]
     log_ratios = np.linalg.slogdet(noises)[1] - np.linalg.slogdet(expected)[1]
-    after = symmetric(kept @ covariances @ kept.swapaxes(1, 2) + gains @ noises @ gains.swapaxes(1, 2))
-    moved, logs = means + (gains @ innovations[..., None])[..., 0], 0.5 * log_ratios - 0.5 * d2s
+    updated_covariances = symmetric(
+        complement @ covariances @ complement.swapaxes(1, 2) + gains @ noises @ gains.swapaxes(1, 2)
+    )
+    updated_means, logs = means + (gains @ innovations[..., None])[..., 0], 0.5 * log_ratios - 0.5 * d2s
     limit = math.inf if gate >= 1.0 else chi_square_quantile(gate, len(group[0].fields))
     return [
-        MeasurementUpdate(moved[row], after[row], log, {agent: group[row]}, ())
+        MeasurementUpdate(updated_means[row], updated_covariances[row], log, {agent: group[row]}, ())
         if d2 <= limit
         else MeasurementUpdate(*moments[row], 0.0, {}, (gated_of(agent, d2, gate, len(group[row].fields)),))
         for row, (d2, log) in enumerate(zip(d2s.tolist(), logs.tolist(), strict=True))

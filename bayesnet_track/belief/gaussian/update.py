@@ -61,41 +61,41 @@ def update_by_errors(
     assert measured.seen is not None and measured.errors is not None
     total = 0.0
     for number in range(len(measured.fields)):
-        after = _update_by_one(mean, covariance, fields, (measured, number))
-        if after is None:
+        update = _update_by_one(mean, covariance, fields, (measured, number))
+        if update is None:
             return None
-        mean, covariance = after.mean, after.covariance
-        total += after.log_likelihood
+        mean, covariance = update.mean, update.covariance
+        total += update.log_likelihood
     return Updated(mean, covariance, 0.0, total - (measured.log_peak or 0.0))
 
 
 def _update_by_one(
-    mean: Floats, covariance: Floats, fields: tuple[str, ...], one: tuple[Measurement, int]
+    mean: Floats, covariance: Floats, fields: tuple[str, ...], component: tuple[Measurement, int]
 ) -> Updated | None:
-    measured, number = one
-    seen, errors = measured.seen, measured.errors
-    assert seen is not None and errors is not None
+    measured, number = component
+    quantities, errors = measured.seen, measured.errors
+    assert quantities is not None and errors is not None
 
-    centre, slopes = linearise_seen(mean[None], fields, seen)[0]
+    centre, slopes = linearise_seen(mean[None], fields, quantities)[0]
     slope = slopes[number]
     if not (np.isfinite(centre).all() and np.isfinite(slope).all()):
         return None
-    away = float(seen.less(measured.mean, centre)[number])
+    innovation = float(quantities.less(measured.mean, centre)[number])
     variance = float(slope @ covariance @ slope)
 
     def log_density(shift: Floats) -> Floats:
         """(M,) of what was measured, where s is moved by `shift` (M,) from its prediction."""
         gain = covariance @ slope / variance if variance > 0 else np.zeros(len(mean))
         states = mean + shift[:, None] * gain
-        left = np.zeros((len(shift), len(measured.fields)))
-        left[:, number] = away - shift
-        return errors.log_density(dict(zip(fields, states.T, strict=True)), left)[:, number]
+        residuals = np.zeros((len(shift), len(measured.fields)))
+        residuals[:, number] = innovation - shift
+        return errors.log_density(dict(zip(fields, states.T, strict=True)), residuals)[:, number]
 
     if not variance > 0.0:
         log = float(log_density(np.zeros(1))[0])
         return Updated(mean, covariance, 0.0, max(log, -1e300))
     spread, scale = variance**0.5, float(measured.covariance[number, number]) ** 0.5
-    ends = np.unique(np.concatenate([spread * PRIOR_SDS, away + scale * ERROR_SCALES]))
+    ends = np.unique(np.concatenate([spread * PRIOR_SDS, innovation + scale * ERROR_SCALES]))
     half = np.diff(ends)[:, None] / 2.0
     nodes, weights = _rule()
     shift = (ends[:-1, None] + half * (1.0 + nodes)).ravel()
@@ -106,12 +106,12 @@ def _update_by_one(
         return None
     shares = np.exp(log - top)
     mass = float(shares.sum())
-    moved = float(shares @ shift) / mass
-    left = float(shares @ (shift - moved) ** 2) / mass
+    mean_shift = float(shares @ shift) / mass
+    remaining = float(shares @ (shift - mean_shift) ** 2) / mass
     gain = covariance @ slope / variance
     return Updated(
-        mean + gain * moved,
-        symmetric(covariance - np.outer(gain, gain) * (variance - left)),
+        mean + gain * mean_shift,
+        symmetric(covariance - np.outer(gain, gain) * (variance - remaining)),
         0.0,
         top + float(np.log(mass)),
     )
@@ -121,26 +121,26 @@ FAR = 1e100
 """Where a quantity has no value, it is so far from what was measured."""
 
 
-def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
+def log_message(measured: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
     """(N,) -d^2 / 2 of hypotheses under a measurement."""
-    if one.choices:
-        each = (weight * np.exp(log_message(own, hypotheses, fields)) for weight, own in one.choices)
+    if measured.choices:
+        each = (w * np.exp(log_message(choice, hypotheses, fields)) for w, choice in measured.choices)
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(one.missed + sum(each)))
+            return np.asarray(np.log(measured.missed + sum(each)))
     states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
-    if one.errors is not None:
-        return replace(one, floor=0.0).log_by_errors(dict(zip(fields, states.T, strict=True)))
-    if one.seen is None:
-        away = states @ observe_fields(one, fields).T - one.mean
+    if measured.errors is not None:
+        return replace(measured, floor=0.0).log_by_errors(dict(zip(fields, states.T, strict=True)))
+    if measured.seen is None:
+        errors = states @ observe_fields(measured, fields).T - measured.mean
     else:
-        values = one.seen.function(dict(zip(fields, states.T, strict=True)))
-        away = np.nan_to_num(one.seen.less(values, one.mean), nan=FAR, posinf=FAR, neginf=-FAR)
-    return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))
+        values = measured.seen.function(dict(zip(fields, states.T, strict=True)))
+        errors = np.nan_to_num(measured.seen.less(values, measured.mean), nan=FAR, posinf=FAR, neginf=-FAR)
+    return np.asarray(-0.5 * np.einsum("nk,nk->n", errors, np.linalg.solve(measured.covariance, errors.T).T))
 
 
-def observe_fields(one: Measurement, fields: tuple[str, ...]) -> Floats:
+def observe_fields(measurement: Measurement, fields: tuple[str, ...]) -> Floats:
     """(K, D) H: the rows of the identity for the fields measured."""
-    return np.eye(len(fields))[list(columns_of(one.fields, fields))]
+    return np.eye(len(fields))[list(columns_of(measurement.fields, fields))]
 
 
 @lru_cache(maxsize=256)
@@ -183,7 +183,7 @@ def is_flat(log_likelihood: Floats) -> bool:
 
 
 def match_moments(
-    mean: Floats, covariance: Floats, asked: SigmaPoints, log_likelihood: Floats
+    mean: Floats, covariance: Floats, points: SigmaPoints, log_likelihood: Floats
 ) -> tuple[Floats, Floats, float]:
     """Mean, covariance and log-evidence after a likelihood (N,): the moments of the weighted hypotheses.
 
@@ -196,21 +196,21 @@ def match_moments(
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
     if is_flat(log_likelihood):
-        return mean, covariance, float(asked.beta.weights @ log_likelihood)
+        return mean, covariance, float(points.beta.weights @ log_likelihood)
     with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `times` refuses
-        weights, log_evidence = asked.beta.times(log_likelihood)
+        weights, log_evidence = points.beta.times(log_likelihood)
     w = weights.weights
-    shift = w @ asked.unit
-    away = asked.unit - shift
-    spread = (away * w[:, None]).T @ away
-    all_of_them = asked.beta.ess
+    shift = w @ points.unit
+    deviations = points.unit - shift
+    spread = (deviations * w[:, None]).T @ deviations
+    all_of_them = points.beta.ess
     share = (1.0 / weights.ess - 1.0 / all_of_them) / (1.0 - 1.0 / all_of_them)
     spread += max(share, 0.0) * np.eye(len(spread))
-    return mean + asked.lower @ shift, symmetric(asked.lower @ spread @ asked.lower.T), log_evidence
+    return mean + points.lower @ shift, symmetric(points.lower @ spread @ points.lower.T), log_evidence
 
 
 def fit_moments(
-    mean: Floats, covariance: Floats, asked: SigmaPoints, log_likelihood: Floats
+    mean: Floats, covariance: Floats, points: SigmaPoints, log_likelihood: Floats
 ) -> tuple[Floats, Floats, float]:
     """The same from sigma points: log L is taken as a parabola along each axis, through its three points.
 
@@ -224,19 +224,19 @@ def fit_moments(
         DegenerateWeights: no point has a positive, finite weight.
     """
     with np.errstate(invalid="ignore"):
-        asked.beta.times(log_likelihood)
+        points.beta.times(log_likelihood)
     log = np.maximum(log_likelihood, log_likelihood.max() + np.log(WORST))
-    width = asked.unit.shape[1]
+    width = points.unit.shape[1]
     if width == 0:
         return mean, covariance, float(log[0])
-    reach = float(asked.unit[1, 0])
-    ahead, behind = log[1 : width + 1], log[width + 1 :]
-    slope = (ahead - behind) / (2.0 * reach)
-    precision = 1.0 + np.maximum(2.0 * log[0] - ahead - behind, 0.0) / reach**2
+    reach = float(points.unit[1, 0])
+    log_plus, log_minus = log[1 : width + 1], log[width + 1 :]
+    slope = (log_plus - log_minus) / (2.0 * reach)
+    precision = 1.0 + np.maximum(2.0 * log[0] - log_plus - log_minus, 0.0) / reach**2
     shift = np.clip(slope / precision, -reach, reach)
     log_evidence = float(log[0] + 0.5 * np.sum(slope * shift - np.log(precision)))
-    spread = (asked.lower / precision) @ asked.lower.T
-    return mean + asked.lower @ shift, symmetric(spread), log_evidence
+    spread = (points.lower / precision) @ points.lower.T
+    return mean + points.lower @ shift, symmetric(spread), log_evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,64 +300,64 @@ def take(
     the state are taken by their derivative at the mean, or at sigma points where `is_unscented`; without a
     value there they are not used.
     """
-    used: dict[str, Measurement] = {}
+    accepted: dict[str, Measurement] = {}
     gated: list[Gated] = []
-    for agent, one in measured.items():
-        if one.choices or (one.errors is not None and not one.errors.is_normal):
-            used[agent] = one
+    for agent, measurement in measured.items():
+        if measurement.choices or (measurement.errors is not None and not measurement.errors.is_normal):
+            accepted[agent] = measurement
             continue
-        if one.seen is not None:
-            seen = update_seen(mean, covariance, fields, one, is_unscented)
-            if seen is None:
+        if measurement.seen is not None:
+            trial = update_seen(mean, covariance, fields, measurement, is_unscented)
+            if trial is None:
                 continue
-            d2 = seen.d2
+            d2 = trial.d2
         elif gate >= 1.0:  # nothing is too far
-            used[agent] = one
+            accepted[agent] = measurement
             continue
         else:
-            d2 = update_by(mean, covariance, fields, one).d2
-        degrees = len(one.fields)
+            d2 = update_by(mean, covariance, fields, measurement).d2
+        degrees = len(measurement.fields)
         limit = chi_square_quantile(gate, degrees)
         if d2 > limit:
             gated.append(gated_of(agent, d2, gate, degrees))
         else:
-            used[agent] = one
+            accepted[agent] = measurement
     log_evidence = 0.0
-    for one in used.values():
-        if one.choices:
-            mean, covariance, log_own = mix_choices(mean, covariance, fields, one, is_unscented)
+    for measurement in accepted.values():
+        if measurement.choices:
+            mean, covariance, log_own = mix_choices(mean, covariance, fields, measurement, is_unscented)
             log_evidence += log_own
             continue
-        if one.seen is None:
-            after = update_by(mean, covariance, fields, one)
+        if measurement.seen is None:
+            update = update_by(mean, covariance, fields, measurement)
         else:
             by_function = (
-                update_seen(mean, covariance, fields, one, is_unscented)
-                if one.errors is None
-                else update_by_errors(mean, covariance, fields, one)
+                update_seen(mean, covariance, fields, measurement, is_unscented)
+                if measurement.errors is None
+                else update_by_errors(mean, covariance, fields, measurement)
             )
             if by_function is None:
                 continue
-            after = by_function
-        mean, covariance = after.mean, after.covariance
-        log_evidence += after.log_likelihood
-    return MeasurementUpdate(mean, covariance, log_evidence, used, tuple(gated))
+            update = by_function
+        mean, covariance = update.mean, update.covariance
+        log_evidence += update.log_likelihood
+    return MeasurementUpdate(mean, covariance, log_evidence, accepted, tuple(gated))
 
 
-def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement) -> Updated:
+def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], measurement: Measurement) -> Updated:
     """The update by a measurement of fields of the state."""
-    if one.variances is not None:
-        columns = columns_of(one.fields, fields)
-        return update_by_fields(mean, covariance, columns, one.mean, one.variances)
-    observe = observe_fields(one, fields)
-    return linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+    if measurement.variances is not None:
+        columns = columns_of(measurement.fields, fields)
+        return update_by_fields(mean, covariance, columns, measurement.mean, measurement.variances)
+    observe = observe_fields(measurement, fields)
+    return linear_update(mean, covariance, measurement.mean - observe @ mean, observe, measurement.covariance)
 
 
 def update_seen(
     mean: Floats,
     covariance: Floats,
     fields: tuple[str, ...],
-    one: Measurement,
+    measurement: Measurement,
     is_unscented: bool,
     linear: tuple[Floats, Floats] | None = None,
 ) -> Updated | None:
@@ -367,51 +367,51 @@ def update_seen(
     Angles are taken as the shorter way from that of the mean. `linear` is what `linearise_seen` gives of the
     mean, if that was found before.
     """
-    assert one.seen is not None
-    seen = one.seen
+    assert measurement.seen is not None
+    quantities = measurement.seen
 
-    centre, slopes = linearise_seen(mean[None], fields, seen)[0] if linear is None else linear
+    centre, slopes = linearise_seen(mean[None], fields, quantities)[0] if linear is None else linear
     if not (np.isfinite(centre).all() and np.isfinite(slopes).all()):
         return None
-    measured = centre + seen.less(one.mean, centre)
-    if seen.beyond is not None:
-        shift, spread = seen.beyond(mean, covariance)
-        one = evolve(one, covariance=one.covariance + spread)
+    measured = centre + quantities.less(measurement.mean, centre)
+    if quantities.beyond is not None:
+        shift, spread = quantities.beyond(mean, covariance)
+        measurement = evolve(measurement, covariance=measurement.covariance + spread)
         measured = measured if is_unscented else measured - shift  # sigma points see it by themselves
 
     def unwrapped(states: Floats) -> Floats:
-        values = seen.function(dict(zip(fields, states.T, strict=True)))
-        return np.asarray(centre + seen.less(values, centre))
+        values = quantities.function(dict(zip(fields, states.T, strict=True)))
+        return np.asarray(centre + quantities.less(values, centre))
 
     try:
         if is_unscented:
             kappa = max(3.0 - root(covariance).shape[1], 0.0)
-            after = unscented_update(mean, covariance, measured, one.covariance, unwrapped, kappa)
+            update = unscented_update(mean, covariance, measured, measurement.covariance, unwrapped, kappa)
         else:
             functions = (lambda _: centre[None]), (lambda _: slopes)
-            after = extended_update(mean, covariance, measured, one.covariance, *functions)
+            update = extended_update(mean, covariance, measured, measurement.covariance, *functions)
     except np.linalg.LinAlgError:
         return None
-    if not (np.isfinite(after.mean).all() and np.isfinite(after.covariance).all()):
+    if not (np.isfinite(update.mean).all() and np.isfinite(update.covariance).all()):
         return None
-    if seen.shared:
-        columns = columns_of(seen.shared, fields)
-        held = allow_for(columns, (mean, covariance), (after.mean, after.covariance))
-        after = evolve(after, mean=held[0], covariance=held[1])
-    return after
+    if quantities.shared:
+        columns = columns_of(quantities.shared, fields)
+        moments = allow_for(columns, (mean, covariance), (update.mean, update.covariance))
+        update = evolve(update, mean=moments[0], covariance=moments[1])
+    return update
 
 
 def allow_for(
-    columns: Sequence[int], before: tuple[Floats, Floats], after: tuple[Floats, Floats]
+    columns: Sequence[int], prior: tuple[Floats, Floats], posterior: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Mean and covariance `after` an update in which some columns were to be allowed for, not estimated.
+    """Mean and covariance of a `posterior` in which some columns are to be allowed for, not estimated.
 
-    Schmidt's update: the gain of these columns is 0. That leaves their means and their covariance as they
-    were `before`; all other entries, those between them and the rest included, are as of the full update.
+    Schmidt's update: the gain of these columns is 0. Their means and their covariance are those of the
+    `prior`; all other entries, those between them and the rest included, are as of the full update.
     """
-    mean, covariance = after[0].copy(), after[1].copy()
-    at = np.ix_(columns, columns)
-    mean[list(columns)], covariance[at] = before[0][list(columns)], before[1][at]
+    mean, covariance = posterior[0].copy(), posterior[1].copy()
+    block = np.ix_(columns, columns)
+    mean[list(columns)], covariance[block] = prior[0][list(columns)], prior[1][block]
     return mean, covariance
 
 
@@ -429,22 +429,22 @@ def mix_choices(
     the same of all choices.
     """
     weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
-    for weight, one in measured.choices:
-        if one.seen is None:
-            after = update_by(mean, covariance, fields, one)
+    for weight, choice in measured.choices:
+        if choice.seen is None:
+            update = update_by(mean, covariance, fields, choice)
         else:
             if linear is None:
-                linear = linearise_seen(mean[None], fields, one.seen)[0]
-            by_function = update_seen(mean, covariance, fields, one, is_unscented, linear)
+                linear = linearise_seen(mean[None], fields, choice.seen)[0]
+            by_function = update_seen(mean, covariance, fields, choice, is_unscented, linear)
             if by_function is None:
                 return mean, covariance, 0.0
-            after = by_function
+            update = by_function
         weights.append(weight)
-        means.append(after.mean)
-        covariances.append(after.covariance)
-        evidence += weight * float(np.exp(after.log_likelihood))
+        means.append(update.mean)
+        covariances.append(update.covariance)
+        evidence += weight * float(np.exp(update.log_likelihood))
     shares = np.array(weights)
     centre = shares @ np.array(means)
-    away = np.array(means) - centre
-    spread = np.einsum("k,kij->ij", shares, np.array(covariances)) + (away * shares[:, None]).T @ away
+    shifts = np.array(means) - centre
+    spread = np.einsum("k,kij->ij", shares, np.array(covariances)) + (shifts * shares[:, None]).T @ shifts
     return centre, symmetric(spread), float(np.log(max(evidence, 1e-300)))

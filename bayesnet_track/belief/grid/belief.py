@@ -100,12 +100,12 @@ def judge_on_image(
     states[:, 0], states[:, 1] = np.tile(x, len(rows)), np.repeat(y, len(columns))
     evidence = ask(states)
     log_likelihood = evidence.log_likelihood
-    best = float(log_likelihood.max())
-    if evidence.faults or not np.isfinite(best):
+    log_peak = float(log_likelihood.max())
+    if evidence.faults or not np.isfinite(log_peak):
         return Verdict(None, -np.inf)
-    likelihood = np.exp(log_likelihood - best)
+    likelihood = np.exp(log_likelihood - log_peak)
     mean = float(likelihood.mean())
-    gamma = float(np.exp(min(log_evidence - best, 700.0))) / mean
+    gamma = float(np.exp(min(log_evidence - log_peak, 700.0))) / mean
     binned = np.zeros((len(rows), len(columns)))
     masses = prior.positions.sum(axis=0)
     at_row = _nearest(lattice.row + np.arange(masses.shape[0]), rows)
@@ -114,7 +114,7 @@ def judge_on_image(
     level = _level(rule, binned, likelihood.reshape(binned.shape))
     peak = states[int(np.argmax(log_likelihood)), :2]
     area = cells * lattice.cell_px**2
-    return Verdict(_report(rule, gamma, level, area), best + float(np.log(mean)), peak)
+    return Verdict(_report(rule, gamma, level, area), log_peak + float(np.log(mean)), peak)
 
 
 def unknown_velocity(belief: GridBelief, positions: Floats) -> GridBelief:
@@ -134,8 +134,8 @@ def window_around(belief: GridBelief, place: Floats, limits: Limits) -> GridBeli
     (left, right), (top, bottom) = spans
     scales = belief.positions.sum(axis=(1, 2))
     even = np.ones((bottom - top + 1, right - left + 1))
-    moved = replace(belief, lattice=replace(lattice, column=left, row=top))
-    return unknown_velocity(moved, scales[:, None, None] * even)
+    recentred = replace(belief, lattice=replace(lattice, column=left, row=top))
+    return unknown_velocity(recentred, scales[:, None, None] * even)
 
 
 def _level(rule: spec.Reset, prior: Floats, likelihood: Floats) -> float:
@@ -171,23 +171,23 @@ class GridFilter:
         """
         if motion.fields not in (BOX_FIELDS, (*BOX_FIELDS, "vx", "vy")):
             raise ValueError(f"a grid has cells for x, y, w, h, vx, vy, not for {', '.join(motion.fields)}")
-        chosen, (mean, covariance) = self.settings, motion.start_moments(box)
+        settings, (mean, covariance) = self.settings, motion.start_moments(box)
         x, y, w, h = (float(v) for v in box)
         if isinstance(motion, Confined):
             x, y = min(max(x, 0.0), motion.width - 1.0), min(max(y, 0.0), motion.height - 1.0)
         scales, velocities = np.zeros(1), np.zeros(1)
         if scale_sd(motion, mean, 1.0) > 0:
-            scales = chosen.scale_cell * _around_zero(chosen.scale_cells)
+            scales = settings.scale_cell * _around_zero(settings.scale_cells)
         first_velocities = np.ones((1, 1))
         if len(mean) > 4:
-            velocities = chosen.velocity_cell_px * _around_zero(chosen.velocity_cells)
+            velocities = settings.velocity_cell_px * _around_zero(settings.velocity_cells)
             vx, vy = (
-                _first(chosen, float(np.sqrt(covariance[k, k])) / chosen.velocity_cell_px) for k in (4, 5)
+                _first(settings, float(np.sqrt(covariance[k, k])) / settings.velocity_cell_px) for k in (4, 5)
             )
             first_velocities = np.outer(vy, vx)
         positions = np.zeros((len(scales), 1, 1))
         positions[len(scales) // 2] = 1.0
-        lattice = Lattice((x, y), chosen.cell_px, 0, 0, (w, h), scales, velocities)
+        lattice = Lattice((x, y), settings.cell_px, 0, 0, (w, h), scales, velocities)
         empty = GridBelief(np.ones((len(scales), 1, 1, 1, 1)), lattice, first_velocities)
         return unknown_velocity(empty, positions)
 
@@ -208,63 +208,63 @@ class GridFilter:
         or that the detector ignores, is not used: the posterior is the prediction.
         """
         # Predict
-        moved = predict_grid(prior, motion, dt, self.settings.window)
-        moved = replace(moved, mass=flatten(moved.mass, self.settings.forget**dt))
+        predicted = predict_grid(prior, motion, dt, self.settings.window)
+        predicted = replace(predicted, mass=flatten(predicted.mass, self.settings.forget**dt))
 
         # Evaluate
         rule = self.settings.reset
         boxed = rule is not None and rule.region == "belief"
-        cells = _heaviest(moved.positions, self.settings.cut)
-        asked = _Asked(moved, _bounding_box(moved.positions.shape, cells) if boxed else cells)
-        evidence = evaluate(asked.hypotheses, asked.prior.log)
+        cells = _heaviest(predicted.positions, self.settings.cut)
+        query = _Asked(predicted, _bounding_box(predicted.positions.shape, cells) if boxed else cells)
+        evidence = evaluate(query.hypotheses, query.prior.log)
 
         # Reweight
         try:
-            posterior, log_evidence = asked.update(evidence)
+            posterior, log_evidence = query.update(evidence)
         except DegenerateWeights as fault:
-            return asked.step(evidence, moved, -np.inf, asked.prior, degenerate=str(fault))
+            return query.step(evidence, predicted, -np.inf, query.prior, degenerate=str(fault))
 
         # Detect
         if rule is not None:
-            verdict = self._judge(rule, asked, evidence, log_evidence, motion, evaluate)
+            verdict = self._judge(rule, query, evidence, log_evidence, motion, evaluate)
             if verdict.report is not None:
                 if rule.then == "ignore":
-                    return asked.step(evidence, moved, log_evidence, asked.prior, report=verdict.report)
-                return self._reset(asked, evidence, verdict, motion, evaluate)
-        return asked.step(evidence, posterior, log_evidence, asked.weights_of(posterior))
+                    return query.step(evidence, predicted, log_evidence, query.prior, report=verdict.report)
+                return self._reset(query, evidence, verdict, motion, evaluate)
+        return query.step(evidence, posterior, log_evidence, query.weights_of(posterior))
 
     def _judge(
         self,
         rule: spec.Reset,
-        asked: _Asked,
+        query: _Asked,
         evidence: Evidence,
         log_evidence: float,
         motion: MotionModel,
         evaluate: Evaluate,
     ) -> Verdict:
         if rule.region == "belief":
-            masses, log_likelihood = asked.box_of(evidence)
-            return judge_in_box(rule, asked.belief, masses, log_likelihood)
-        limits = limits_of(asked.belief.lattice, motion, self.settings.window)
+            masses, log_likelihood = query.box_of(evidence)
+            return judge_in_box(rule, query.belief, masses, log_likelihood)
+        limits = limits_of(query.belief.lattice, motion, self.settings.window)
         return judge_on_image(
             rule,
-            asked.belief,
+            query.belief,
             limits,
             log_evidence,
-            partial(ask_again, evaluate, evidence, fields=asked.belief.fields),
+            partial(ask_again, evaluate, evidence, fields=query.belief.fields),
         )
 
     def _reset(
-        self, asked: _Asked, evidence: Evidence, verdict: Verdict, motion: MotionModel, evaluate: Evaluate
+        self, query: _Asked, evidence: Evidence, verdict: Verdict, motion: MotionModel, evaluate: Evaluate
     ) -> Step[GridBelief]:
         """Start again from the likelihood over the region; on the image, over the window around its peak."""
         if verdict.peak is None:
-            even = np.zeros(asked.belief.positions.shape)
-            even.ravel()[asked.cells] = 1.0
-            fresh = _Asked(unknown_velocity(asked.belief, even), asked.cells)
+            even = np.zeros(query.belief.positions.shape)
+            even.ravel()[query.cells] = 1.0
+            fresh = _Asked(unknown_velocity(query.belief, even), query.cells)
         else:
-            limits = limits_of(asked.belief.lattice, motion, self.settings.window)
-            belief = window_around(asked.belief, verdict.peak, limits)
+            limits = limits_of(query.belief.lattice, motion, self.settings.window)
+            belief = window_around(query.belief, verdict.peak, limits)
             fresh = _Asked(belief, _heaviest(belief.positions, 0.0))
             evidence = ask_again(evaluate, evidence, fresh.states, belief.fields, fresh.prior.log)
         try:
@@ -332,8 +332,8 @@ class _Asked:
 
     def box_of(self, evidence: Evidence) -> tuple[Floats, Floats]:
         """Masses and log-likelihoods of cells that fill a box, each (S, rows, columns)."""
-        where = np.unravel_index(self.cells, self.belief.positions.shape)
-        shape = tuple(int(np.ptp(places)) + 1 for places in where)
+        indices = np.unravel_index(self.cells, self.belief.positions.shape)
+        shape = tuple(int(np.ptp(places)) + 1 for places in indices)
         return np.exp(self.prior.log).reshape(shape), evidence.log_likelihood.reshape(shape)
 
     def weights_of(self, posterior: GridBelief) -> LogWeights:
@@ -350,14 +350,14 @@ class _Asked:
         degenerate: str | None = None,
         report: Report | None = None,
     ) -> Step[GridBelief]:
-        known = replace(posterior, asked=len(self.cells))
+        counted = replace(posterior, asked=len(self.cells))
         return Step(
-            posterior=known,
+            posterior=counted,
             log_evidence=log_evidence,
             support=WeightedStates(self.states, weights),
             prior=self.prior,
             evidence=evidence,
-            find_map=known.most_probable,
+            find_map=counted.most_probable,
             degenerate=degenerate,
             reports=() if report is None else (report,),
         )
@@ -366,13 +366,13 @@ class _Asked:
         """The belief, not normalised, with the cells' velocities weighed by what was measured of them."""
         shapes = {"x": 4, "y": 3, "w": 0, "h": 0, "vx": 2, "vy": 1}
         mass = self.belief.mass
-        for one in measured:
+        for measurement in measured:
             values: list[Floats] = []
-            for name in one.fields:
+            for name in measurement.fields:
                 shape = [1] * 5
                 shape[shapes[name]] = -1
                 values.append(self.belief.values[self.belief.fields.index(name)].reshape(shape))
-            mass = mass * np.exp(log_gaussian(one, list(np.broadcast_arrays(*values))))
+            mass = mass * np.exp(log_gaussian(measurement, list(np.broadcast_arrays(*values))))
         return replace(self.belief, mass=mass)
 
 
@@ -382,16 +382,16 @@ def _heaviest(positions: Floats, cut: float) -> Ints:
     order = np.argsort(-masses, kind="stable")
     cumulative = np.cumsum(masses[order])
     count = int(np.searchsorted(cumulative, (1.0 - cut) * cumulative[-1])) + 1 if cut > 0 else len(masses)
-    chosen = order[:count]
-    return np.sort(chosen[masses[chosen] > 0])
+    cells = order[:count]
+    return np.sort(cells[masses[cells] > 0])
 
 
 def _bounding_box(shape: tuple[int, ...], cells: Ints) -> Ints:
     """All cells between the first and the last row and column of some, at every scale."""
     _, row, column = np.unravel_index(cells, shape)
-    inside = np.zeros(shape, dtype=bool)
-    inside[:, row.min() : row.max() + 1, column.min() : column.max() + 1] = True
-    return np.flatnonzero(inside)
+    box = np.zeros(shape, dtype=bool)
+    box[:, row.min() : row.max() + 1, column.min() : column.max() + 1] = True
+    return np.flatnonzero(box)
 
 
 def _around_zero(count: int) -> Floats:
@@ -399,8 +399,8 @@ def _around_zero(count: int) -> Floats:
     return np.arange(float(count)) - (count - 1) / 2
 
 
-def _first(chosen: spec.Grid, sd: float) -> Floats:
+def _first(settings: spec.Grid, sd: float) -> Floats:
     """(V,) masses of a velocity of which only its sd in cells is known."""
-    size = chosen.velocity_cells
+    size = settings.velocity_cells
     line = np.clip(spreading_matrix(size, 1.0, sd)[:, size // 2], 0.0, None)
     return np.asarray(line / line.sum())

@@ -111,30 +111,30 @@ class GridBelief:
     def covariance(self) -> Floats:
         """(D, D) covariance of the cells' points."""
         size = len(self.fields)
-        away = [values - mean for values, mean in zip(self.values, self.mean, strict=True)]
+        deviations = [values - mean for values, mean in zip(self.values, self.mean, strict=True)]
         axes = [AXIS[name] for name in self.fields]
         result = np.zeros((size, size))
         for i in range(size):
             for j in range(i + 1):
                 if axes[i] == axes[j]:
-                    value = self._marginal(axes[i]) @ (away[i] * away[j])
+                    value = self._marginal(axes[i]) @ (deviations[i] * deviations[j])
                 else:
                     low, high = sorted((i, j), key=lambda k: axes[k])
-                    value = away[low] @ self._joint(axes[low], axes[high]) @ away[high]
+                    value = deviations[low] @ self._joint(axes[low], axes[high]) @ deviations[high]
                 result[i, j] = result[j, i] = value
         return result
 
-    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+    def uncertainty(self, reference: Floats, columns: Sequence[int]) -> float:
         """UD = E |s - about|^2 over the columns of the state."""
-        chosen = list(columns)
-        off = self.mean[chosen] - about[chosen]
-        return float(np.diag(self.covariance)[chosen].sum() + off @ off)
+        selection = list(columns)
+        offset = self.mean[selection] - reference[selection]
+        return float(np.diag(self.covariance)[selection].sum() + offset @ offset)
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
         """Mass of the cells whose points lie within `radius` px of `centre` (2,), exact."""
         x, y = self.values[:2]
-        inside = (y[:, None] - centre[1]) ** 2 + (x - centre[0]) ** 2 <= radius * radius
-        return min(float(self.positions.sum(axis=0)[inside].sum()), 1.0), math.inf
+        in_circle = (y[:, None] - centre[1]) ** 2 + (x - centre[0]) ** 2 <= radius * radius
+        return min(float(self.positions.sum(axis=0)[in_circle].sum()), 1.0), math.inf
 
     def regions(self, shares: Sequence[float]) -> Floats:
         """(S, 4) x_low, x_high, y_low, y_high in px: the central share on each axis, even inside a cell."""
@@ -149,22 +149,22 @@ class GridBelief:
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes: cells drawn systematically, the centre even inside its cell."""
         positions = self.positions
-        chosen = resample("systematic", positions.ravel() / positions.sum(), size, rng)
-        boxes = self.boxes(chosen)
+        cells = resample("systematic", positions.ravel() / positions.sum(), size, rng)
+        boxes = self.boxes(cells)
         boxes[:, :2] += self.lattice.cell_px * (rng.random((size, 2)) - 0.5)
         return boxes
 
-    def boxes(self, chosen: NDArray[np.integer]) -> Floats:
+    def boxes(self, cells: NDArray[np.integer]) -> Floats:
         """(N, 4) boxes of cells, given as indices into the flat `positions`."""
-        scale, row, column = np.unravel_index(chosen, self.positions.shape)
+        scale, row, column = np.unravel_index(cells, self.positions.shape)
         x, y, w, h = self.values[:4]
         return np.stack([x[column], y[row], w[scale], h[scale]], axis=1)
 
     def most_probable(self) -> Floats:
         """(D,) state of the cell of the largest mass: the maximum of the density, prior included."""
-        at = np.unravel_index(int(np.argmax(self.mass)), self.mass.shape)
+        cell = np.unravel_index(int(np.argmax(self.mass)), self.mass.shape)
         pairs = zip(self.fields, self.values, strict=True)
-        return np.array([values[at[AXIS[name]]] for name, values in pairs])
+        return np.array([values[cell[AXIS[name]]] for name, values in pairs])
 
     def _marginal(self, axis: int) -> Floats:
         if axis in (VX, VY):
@@ -181,8 +181,8 @@ class GridBelief:
         if first == VY and second == VX:
             return self._velocities
         if {first, second} <= set(_IN_POSITIONS):
-            rest = {0, 1, 2} - {_IN_POSITIONS[first], _IN_POSITIONS[second]}
-            return np.asarray(self.positions.sum(axis=tuple(rest)))
+            summed = {0, 1, 2} - {_IN_POSITIONS[first], _IN_POSITIONS[second]}
+            return np.asarray(self.positions.sum(axis=tuple(summed)))
         return np.asarray(self.mass.sum(axis=tuple({0, 1, 2, 3, 4} - {first, second})))
 
 
@@ -223,18 +223,18 @@ def limits_of(lattice: Lattice, motion: MotionModel, window: int) -> Limits:
     return Limits(bounds[0], bounds[1], window)
 
 
-def within(patch: Patch, limits: Limits, most: int) -> Patch:
-    """The masses inside the image, without empty borders, and at most `most` cells to a side."""
-    across = patch.mass.sum(axis=(0, 1, 2))
-    column, keep, ends = find_kept(across, patch.column, limits.columns, most)
+def crop_patch(patch: Patch, limits: Limits, size: int) -> Patch:
+    """The masses inside the image, without empty borders, and at most `size` cells to a side."""
+    column_masses = patch.mass.sum(axis=(0, 1, 2))
+    column, keep, ends = find_kept(column_masses, patch.column, limits.columns, size)
     mass = _fold(patch.mass, keep, ends)
-    down = mass.sum(axis=(0, 1, 3))
-    row, keep, ends = find_kept(down, patch.row, limits.rows, most)
+    row_masses = mass.sum(axis=(0, 1, 3))
+    row, keep, ends = find_kept(row_masses, patch.row, limits.rows, size)
     return Patch(_fold(mass.swapaxes(2, 3), keep, ends).swapaxes(2, 3), column, row)
 
 
 def find_kept(
-    line: Floats, start: int, bounds: tuple[int, int] | None, most: int
+    line: Floats, start: int, bounds: tuple[int, int] | None, size: int
 ) -> tuple[int, slice, tuple[bool, bool]]:
     """First cell kept, the slice of the line that is kept, and whether the ends take what lies beyond."""
     low, high = 0, len(line) - 1
@@ -242,35 +242,35 @@ def find_kept(
     if bounds is not None:
         low, high = min(max(bounds[0] - start, 0), high), max(min(bounds[1] - start, high), 0)
         folds = (start + low > start, high < len(line) - 1)
-    inside = np.abs(line)
+    masses = np.abs(line)
     if folds[0]:
-        inside[low] += inside[:low].sum()
+        masses[low] += masses[:low].sum()
     if folds[1]:
-        inside[high] += inside[high + 1 :].sum()
-    heavy = low + np.flatnonzero(inside[low : high + 1] > NEGLIGIBLE * inside[low : high + 1].max())
-    first, last = int(heavy[0]), int(heavy[-1])
-    if last - first >= most:
-        cells = np.arange(first, last + 1)
-        middle = float(inside[first : last + 1] @ cells / inside[first : last + 1].sum())
-        first = min(max(round(middle) - most // 2, first), last - most + 1)
-        last = first + most - 1
-    at = start + first
+        masses[high] += masses[high + 1 :].sum()
+    heavy = low + np.flatnonzero(masses[low : high + 1] > NEGLIGIBLE * masses[low : high + 1].max())
+    first, final = int(heavy[0]), int(heavy[-1])
+    if final - first >= size:
+        cells = np.arange(first, final + 1)
+        middle = float(masses[first : final + 1] @ cells / masses[first : final + 1].sum())
+        first = min(max(round(middle) - size // 2, first), final - size + 1)
+        final = first + size - 1
+    first_cell = start + first
     if bounds is not None:  # all of it may lie beyond a border
-        at = min(max(at, bounds[0]), bounds[1])
-    return at, slice(first, last + 1), (folds[0] and first == low, folds[1] and last == high)
+        first_cell = min(max(first_cell, bounds[0]), bounds[1])
+    return first_cell, slice(first, final + 1), (folds[0] and first == low, folds[1] and final == high)
 
 
 def _fold(mass: Floats, keep: slice, ends: tuple[bool, bool]) -> Floats:
     """The columns that are kept; an end that is the image's border takes the mass beyond it."""
-    kept = mass[..., keep]
+    folded = mass[..., keep]
     if not any(ends):
-        return kept
-    kept = kept.copy()
+        return folded
+    folded = folded.copy()
     if ends[0]:
-        kept[..., 0] += mass[..., : keep.start].sum(axis=-1)
+        folded[..., 0] += mass[..., : keep.start].sum(axis=-1)
     if ends[1]:
-        kept[..., -1] += mass[..., keep.stop :].sum(axis=-1)
-    return kept
+        folded[..., -1] += mass[..., keep.stop :].sum(axis=-1)
+    return folded
 
 
 def stack_patches(patches: Sequence[Patch]) -> tuple[Floats, int, int]:
@@ -301,8 +301,8 @@ def log_measured(measured: Measurement, states: Floats, fields: tuple[str, ...])
     return _log_away(measured, np.nan_to_num(measured.seen.less(values, measured.mean), nan=1e100))
 
 
-def _log_away(measured: Measurement, away: Floats) -> Floats:
-    distance2 = np.einsum("...k,kl,...l->...", away, np.linalg.inv(measured.covariance), away)
+def _log_away(measured: Measurement, deviations: Floats) -> Floats:
+    distance2 = np.einsum("...k,kl,...l->...", deviations, np.linalg.inv(measured.covariance), deviations)
     likelihood = measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2)
     return np.asarray(np.log(likelihood + 1e-300))  # finite far out, as products of masses need it
 
@@ -320,13 +320,13 @@ def ask_again(
     What they measured first stands, so that both are evidence of one frame.
     """
     prior_log = LogWeights.uniform(len(states)).log if prior_log is None else prior_log
-    again = evaluate(hypotheses_of(states, fields), prior_log)
-    if not first.gaussians and not again.gaussians:
-        return again
-    sampled = again.log_likelihood if again.sampled is None else again.sampled
+    fresh = evaluate(hypotheses_of(states, fields), prior_log)
+    if not first.gaussians and not fresh.gaussians:
+        return fresh
+    sampled = fresh.log_likelihood if fresh.sampled is None else fresh.sampled
     total = sampled
-    for one in first.gaussians.values():
-        total = total + log_measured(one, states, fields)
+    for measurement in first.gaussians.values():
+        total = total + log_measured(measurement, states, fields)
     return replace(
-        again, log_likelihood=total, gaussians=first.gaussians, sampled=sampled, measured=first.measured
+        fresh, log_likelihood=total, gaussians=first.gaussians, sampled=sampled, measured=first.measured
     )

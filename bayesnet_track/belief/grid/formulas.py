@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.grid.cells import NEGLIGIBLE, GridBelief, Patch, limits_of, within
+from bayesnet_track.belief.grid.cells import NEGLIGIBLE, GridBelief, Patch, crop_patch, limits_of
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
 
@@ -25,33 +25,35 @@ def predict_by_function(prior: GridBelief, motion: MotionModel, dt: float, windo
     holes between them stay.
     """
     lattice, v = prior.lattice, prior.lattice.velocities
-    at = np.argwhere(prior.mass > NEGLIGIBLE * prior.mass.max())  # scale, vy, vx, row, column
-    mass = prior.mass[tuple(at.T)]
+    cells = np.argwhere(prior.mass > NEGLIGIBLE * prior.mass.max())  # scale, vy, vx, row, column
+    mass = prior.mass[tuple(cells.T)]
     values = prior.values
-    sizes = np.tile(prior.mean[2:4], (len(at), 1))
-    states = np.column_stack([values[0][at[:, 4]], values[1][at[:, 3]], sizes])
+    sizes = np.tile(prior.mean[2:4], (len(cells), 1))
+    states = np.column_stack([values[0][cells[:, 4]], values[1][cells[:, 3]], sizes])
     if len(v) > 1:
-        states = np.column_stack([states, v[at[:, 2]], v[at[:, 1]]])
-    moved = motion.drift(states, dt)
+        states = np.column_stack([states, v[cells[:, 2]], v[cells[:, 1]]])
+    drifted = motion.drift(states, dt)
     sds = np.sqrt(np.diagonal(motion.linearise(prior.mean, dt)[1]))
 
-    column, row = ((moved[:, k] - lattice.anchor[k]) / lattice.cell_px for k in (0, 1))
+    column, row = ((drifted[:, k] - lattice.anchor[k]) / lattice.cell_px for k in (0, 1))
     if len(v) > 1:
-        last = len(v) - 1.0
-        speeds = [np.clip((moved[:, k] - v[0]) / (v[1] - v[0]), 0.0, last) for k in (5, 4)]
+        highest = len(v) - 1.0
+        speeds = [np.clip((drifted[:, k] - v[0]) / (v[1] - v[0]), 0.0, highest) for k in (5, 4)]
     else:
-        speeds = [np.zeros(len(at)), np.zeros(len(at))]
-    column, row = (_near_mean(one, mass, window) for one in (column, row))
+        speeds = [np.zeros(len(cells)), np.zeros(len(cells))]
+    column, row = (_near_mean(places, mass, window) for places in (column, row))
     patch = _deposit(mass, (*speeds, row, column), len(v))
 
     if len(v) > 1:
-        down, across = (spreading_matrix(len(v), 1.0, sds[k] / float(v[1] - v[0])) for k in (5, 4))
-        patch = replace(patch, mass=np.einsum("ac,bd,cdyx->abyx", down, across, patch.mass, optimize=True))
+        spread_y, spread_x = (spreading_matrix(len(v), 1.0, sds[k] / float(v[1] - v[0])) for k in (5, 4))
+        patch = replace(
+            patch, mass=np.einsum("ac,bd,cdyx->abyx", spread_y, spread_x, patch.mass, optimize=True)
+        )
     patch = _spread(_spread(patch, 3, sds[0] / lattice.cell_px), 2, sds[1] / lattice.cell_px)
     limits = limits_of(lattice, motion, window)
-    whole = within(replace(patch, mass=np.maximum(patch.mass, 0.0)), limits, window)
-    known = whole.mass[None] / whole.mass.sum()
-    return replace(prior, mass=known, lattice=replace(lattice, column=whole.column, row=whole.row))
+    fitted = crop_patch(replace(patch, mass=np.maximum(patch.mass, 0.0)), limits, window)
+    masses = fitted.mass[None] / fitted.mass.sum()
+    return replace(prior, mass=masses, lattice=replace(lattice, column=fitted.column, row=fitted.row))
 
 
 def _deposit(mass: Floats, places: Sequence[Floats], velocities: int) -> Patch:
@@ -59,14 +61,14 @@ def _deposit(mass: Floats, places: Sequence[Floats], velocities: int) -> Patch:
     taps = [_taps(place, velocities) if k < 2 else _taps(place) for k, place in enumerate(places)]
     low = [0, 0, *(int(cells.min()) for cells, _ in taps[2:])]
     high = [velocities - 1, velocities - 1, *(int(cells.max()) for cells, _ in taps[2:])]
-    shape = [last + 1 - first for first, last in zip(low, high, strict=True)]
+    shape = [end + 1 - first for first, end in zip(low, high, strict=True)]
     total = np.zeros(int(np.prod(shape)))
-    for chosen in product(*(range(len(cells)) for cells, _ in taps)):
+    for corner in product(*(range(len(cells)) for cells, _ in taps)):
         index = np.zeros(len(mass), dtype=np.int64)
         share = mass
-        for (cells, weights), one, first, size in zip(taps, chosen, low, shape, strict=True):
-            index = index * size + cells[one] - first
-            share = share * weights[one]
+        for (cells, weights), tap, first, size in zip(taps, corner, low, shape, strict=True):
+            index = index * size + cells[tap] - first
+            share = share * weights[tap]
         total += np.bincount(index, share, len(total))
     return Patch(total.reshape(shape), low[3], low[2])
 
@@ -107,9 +109,9 @@ def _spread(patch: Patch, axis: int, sd: float) -> Patch:
     size = patch.mass.shape[axis]
     grown = list(patch.mass.shape)
     grown[axis] += len(taps) - 1
-    out = np.zeros(grown)
-    lines, to = np.moveaxis(patch.mass, axis, 0), np.moveaxis(out, axis, 0)
+    spread = np.zeros(grown)
+    lines, to = np.moveaxis(patch.mass, axis, 0), np.moveaxis(spread, axis, 0)
     for t, weight in enumerate(taps):
         to[t : t + size] += weight * lines
-    at = {2: (patch.column, patch.row + first), 3: (patch.column + first, patch.row)}[axis]
-    return Patch(out, *at)
+    corner = {2: (patch.column, patch.row + first), 3: (patch.column + first, patch.row)}[axis]
+    return Patch(spread, *corner)

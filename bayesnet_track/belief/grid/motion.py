@@ -28,10 +28,10 @@ from bayesnet_track.belief.grid.cells import (
     Patch,
     X,
     Y,
+    crop_patch,
     find_kept,
     limits_of,
     stack_patches,
-    within,
 )
 from bayesnet_track.belief.grid.formulas import predict_by_function
 from bayesnet_track.belief.motion.borders import Confined
@@ -79,21 +79,21 @@ class Leap:
 
 
 def leapt(
-    patch: Patch, across: Sequence[Leap], down: Sequence[Leap], shares: Floats, limits: Limits
+    patch: Patch, x_leaps: Sequence[Leap], y_leaps: Sequence[Leap], shares: Floats, limits: Limits
 ) -> Patch:
-    """A patch after a gap; `across` and `down` say what each component of the noise does to x and y.
+    """A patch after a gap; `x_leaps` and `y_leaps` say what each component of the noise does to x and y.
 
     Args:
         shares: (C,) of the components.
         limits: of the new window.
     """
-    columns = _span(patch.mass.sum(axis=(0, 2)), patch.column, across, shares, limits.columns, limits.window)
-    rows = _span(patch.mass.sum(axis=(1, 3)), patch.row, down, shares, limits.rows, limits.window)
+    columns = _span(patch.mass.sum(axis=(0, 2)), patch.column, x_leaps, shares, limits.columns, limits.window)
+    rows = _span(patch.mass.sum(axis=(1, 3)), patch.row, y_leaps, shares, limits.rows, limits.window)
     mass = np.zeros((*patch.mass.shape[:2], rows.high - rows.low + 1, columns.high - columns.low + 1))
-    for share, right, below in zip(shares, across, down, strict=True):
-        moved = _leapt(share * patch.mass, patch.column, right, columns)
-        moved = np.ascontiguousarray(moved.transpose(1, 0, 3, 2))
-        mass += _leapt(moved, patch.row, below, rows).transpose(1, 0, 3, 2)
+    for share, x_leap, y_leap in zip(shares, x_leaps, y_leaps, strict=True):
+        shifted = _leapt(share * patch.mass, patch.column, x_leap, columns)
+        shifted = np.ascontiguousarray(shifted.transpose(1, 0, 3, 2))
+        mass += _leapt(shifted, patch.row, y_leap, rows).transpose(1, 0, 3, 2)
     return Patch(mass, columns.low, rows.low)
 
 
@@ -107,14 +107,14 @@ def _span(
 ) -> Span:
     """The new window of an axis with masses (V, cells)."""
     if bounds is None:
-        at = start + float(lines.sum(axis=0) @ np.arange(lines.shape[1]) / lines.sum())
+        mean_cell = start + float(lines.sum(axis=0) @ np.arange(lines.shape[1]) / lines.sum())
         shift = leaps[0].first[None, :] + leaps[0].second[:, None]
-        middle = round(at + float((leaps[0].change * lines.sum(axis=1) * shift).sum() / lines.sum()))
-        whole = Span(middle - window, middle + window, (False, False))
+        middle = round(mean_cell + float((leaps[0].change * lines.sum(axis=1) * shift).sum() / lines.sum()))
+        widest = Span(middle - window, middle + window, (False, False))
     else:
-        whole = Span(*bounds, (True, True))
-    moved = [_leapt(lines[None, :, None], start, leap, whole).sum(axis=(0, 1, 2)) for leap in leaps]
-    low, keep, _ = find_kept(shares @ np.array(moved), whole.low, bounds, window)
+        widest = Span(*bounds, (True, True))
+    reached = [_leapt(lines[None, :, None], start, leap, widest).sum(axis=(0, 1, 2)) for leap in leaps]
+    low, keep, _ = find_kept(shares @ np.array(reached), widest.low, bounds, window)
     high = low + keep.stop - keep.start - 1
     return Span(low, high, (False, False) if bounds is None else (low == bounds[0], high == bounds[1]))
 
@@ -126,26 +126,26 @@ def _leapt(mass: Floats, start: int, leap: Leap, span: Span) -> Floats:
         shift = leap.first[0] + leap.second[0]
         return np.asarray(mass @ moving(cells + shift, leap.sd, span))
     half = leap.sd / math.sqrt(2.0)
-    apart = max(APART * half, 1.0)
-    between = _between(cells, leap, span, apart)
-    to_points = moving((cells + leap.first[:, None]) / apart, half / apart, between)
-    points = apart * np.arange(between.low, between.high + 1)
+    spacing = max(APART * half, 1.0)
+    between = _between(cells, leap, span, spacing)
+    to_points = moving((cells + leap.first[:, None]) / spacing, half / spacing, between)
+    points = spacing * np.arange(between.low, between.high + 1)
     from_points = moving(points + leap.second[:, None], half, span)
-    moved = mass @ to_points
-    lines = moved.reshape(len(mass), len(leap.first), -1)
-    return np.asarray((leap.change @ lines).reshape(moved.shape) @ from_points)
+    at_points = mass @ to_points
+    lines = at_points.reshape(len(mass), len(leap.first), -1)
+    return np.asarray((leap.change @ lines).reshape(at_points.shape) @ from_points)
 
 
-def _between(cells: NDArray[np.int64], leap: Leap, span: Span, apart: float) -> Span:
-    """The points in between, at multiples of `apart` cells: those that may still reach the span."""
-    reach = REACH * leap.sd / math.sqrt(2.0) + 4.0 * apart
+def _between(cells: NDArray[np.int64], leap: Leap, span: Span, spacing: float) -> Span:
+    """The points in between, at multiples of `spacing` cells: those that may still reach the span."""
+    reach = REACH * leap.sd / math.sqrt(2.0) + 4.0 * spacing
     low, high = cells[0] + leap.first.min() - reach, cells[-1] + leap.first.max() + reach
     size = span.high - span.low + 1
-    far = max(2.0 * size, 60.0 * apart)  # mass that is further out does not come back
-    low, high = max(low, span.low - far), min(high, span.high + far)
+    margin = max(2.0 * size, 60.0 * spacing)  # mass that is further out does not come back
+    low, high = max(low, span.low - margin), min(high, span.high + margin)
     if low > high:  # all of it passes one end
-        low, high = min(low, span.high + far), max(high, span.low - far)
-    return Span(math.floor(low / apart), math.ceil(high / apart), (True, True))
+        low, high = min(low, span.high + margin), max(high, span.low - margin)
+    return Span(math.floor(low / spacing), math.ceil(high / spacing), (True, True))
 
 
 def moving(centres: Floats, sd: float, span: Span) -> Floats:
@@ -156,36 +156,36 @@ def moving(centres: Floats, sd: float, span: Span) -> Floats:
     cells = np.arange(span.low, span.high + 1)
     if sd < SUBCELL:
         return _narrow(centres, sd, span)
-    away = (cells - centres[..., None]) / sd
-    inside = np.exp(-0.5 * away**2) / (sd * math.sqrt(2.0 * math.pi))
+    deviations = (cells - centres[..., None]) / sd
+    masses = np.exp(-0.5 * deviations**2) / (sd * math.sqrt(2.0 * math.pi))
     if any(span.keeps):
-        below = _tail((centres - span.low + 0.5) / sd)
-        above = _tail((span.high + 0.5 - centres) / sd)
-        outside = np.clip(1.0 - inside.sum(axis=-1), 0.0, None)
-        is_cut = below + above > 1e-9  # or what is missing is the sampling's error
-        outside[~is_cut] = 0.0
-        share = np.divide(below, below + above, out=np.zeros_like(below), where=is_cut)
-        inside[..., 0] += outside * share * span.keeps[0]
-        inside[..., -1] += outside * (1.0 - share) * span.keeps[1]
-    return np.asarray(inside)
+        lower_tail = _tail((centres - span.low + 0.5) / sd)
+        upper_tail = _tail((span.high + 0.5 - centres) / sd)
+        tail_mass = np.clip(1.0 - masses.sum(axis=-1), 0.0, None)
+        is_cut = lower_tail + upper_tail > 1e-9  # or what is missing is the sampling's error
+        tail_mass[~is_cut] = 0.0
+        share = np.divide(lower_tail, lower_tail + upper_tail, out=np.zeros_like(lower_tail), where=is_cut)
+        masses[..., 0] += tail_mass * share * span.keeps[0]
+        masses[..., -1] += tail_mass * (1.0 - share) * span.keeps[1]
+    return np.asarray(masses)
 
 
 def _narrow(centres: Floats, sd: float, span: Span) -> Floats:
     size = span.high - span.low + 1
     flat = np.clip(centres.ravel(), span.low - 8.0, span.high + 8.0)
-    out = np.zeros((len(flat), size))
-    for line, centre in zip(out, flat, strict=True):
+    lines = np.zeros((len(flat), size))
+    for line, centre in zip(lines, flat, strict=True):
         first, taps = gaussian_taps(float(centre) - span.low, sd)
-        at = first + np.arange(len(taps))
-        counts = ((at >= 0) | span.keeps[0]) & ((at < size) | span.keeps[1])
-        np.add.at(line, np.clip(at[counts], 0, size - 1), taps[counts])
-    return out.reshape(*centres.shape, size)
+        cells = first + np.arange(len(taps))
+        counts = ((cells >= 0) | span.keeps[0]) & ((cells < size) | span.keeps[1])
+        np.add.at(line, np.clip(cells[counts], 0, size - 1), taps[counts])
+    return lines.reshape(*centres.shape, size)
 
 
-def _tail(away: Floats) -> Floats:
-    """The standard normal mass beyond `away`."""
-    flat = [0.5 * math.erfc(value / math.sqrt(2.0)) for value in away.ravel().tolist()]
-    return np.array(flat).reshape(away.shape)
+def _tail(deviations: Floats) -> Floats:
+    """The standard normal mass beyond `deviations`."""
+    flat = [0.5 * math.erfc(value / math.sqrt(2.0)) for value in deviations.ravel().tolist()]
+    return np.array(flat).reshape(deviations.shape)
 
 
 FEW = 96
@@ -226,25 +226,25 @@ def predict_grid(prior: GridBelief, motion: MotionModel, dt: float, window: int)
         return predict_by_function(prior, motion, dt, window)
     lattice, limits = prior.lattice, limits_of(prior.lattice, motion, window)
     sizes = np.exp(lattice.log_scales)[:, None] * np.array(lattice.size)
-    moved: list[Patch] = []
-    held = np.flatnonzero(prior.mass.sum(axis=(1, 2, 3, 4)) > 0)
-    for scale in held:
+    patches: list[Patch] = []
+    occupied = np.flatnonzero(prior.mass.sum(axis=(1, 2, 3, 4)) > 0)
+    for scale in occupied:
         state = prior.mean.copy()
         state[2:4] = sizes[scale]
         steps, shares = axis_steps(motion, state, dt)
         patch = Patch(prior.mass[scale], lattice.column, lattice.row)
-        moved.append(_move(patch, steps, shares, lattice, limits))
-    layers, column, row = stack_patches(moved)
-    if len(held) < len(sizes):
-        known, layers = layers, np.zeros((len(sizes), *layers.shape[1:]))
-        layers[held] = known
+        patches.append(_move(patch, steps, shares, lattice, limits))
+    layers, column, row = stack_patches(patches)
+    if len(occupied) < len(sizes):
+        occupied_layers, layers = layers, np.zeros((len(sizes), *layers.shape[1:]))
+        layers[occupied] = occupied_layers
     if len(layers) > 1:
         sd = scale_sd(motion, prior.mean, dt) / float(lattice.log_scales[1] - lattice.log_scales[0])
         layers = np.tensordot(spreading_matrix(len(layers), 1.0, sd), layers, 1)
-    whole = within(Patch(layers.reshape(-1, *layers.shape[2:]), column, row), limits, limits.window)
-    mass = np.maximum(whole.mass, 0.0).reshape(*layers.shape[:3], *whole.mass.shape[2:])
+    fitted = crop_patch(Patch(layers.reshape(-1, *layers.shape[2:]), column, row), limits, limits.window)
+    mass = np.maximum(fitted.mass, 0.0).reshape(*layers.shape[:3], *fitted.mass.shape[2:])
     mass /= mass.sum()
-    return replace(prior, mass=mass, lattice=replace(lattice, column=whole.column, row=whole.row))
+    return replace(prior, mass=mass, lattice=replace(lattice, column=fitted.column, row=fitted.row))
 
 
 def axis_steps(motion: MotionModel, state: Floats, dt: float) -> tuple[tuple[AxisStep, AxisStep], Floats]:
@@ -290,27 +290,27 @@ def _move(
     """One scale's masses after the motion. The wide part of the noise takes all axes together."""
     velocities, cell = lattice.velocities, lattice.cell_px
     changes = [_change(step, velocities) for step in steps]
-    across, down = (_bound(k, patch, steps[k], (shares, changes[k]), lattice, limits) for k in (0, 1))
+    x_step, y_step = (_bound(k, patch, steps[k], (shares, changes[k]), lattice, limits) for k in (0, 1))
     leaps = [
         [
             Leap((step.first * velocities + step.offset) / cell, step.second * velocities / cell, change, sd)
             for sd in np.sqrt(step.variances) / cell
         ]
-        for step, change in zip((across, down), changes, strict=True)
+        for step, change in zip((x_step, y_step), changes, strict=True)
     ]
     if max(np.ptp(leap.reach) for leap in (*leaps[0], *leaps[1])) > max(limits.window, FEW):
         return leapt(patch, leaps[0], leaps[1], shares, limits)
     half = [0.0, 0.0]
     if len(velocities) > 1:
-        half = [min(step.variances) / 2 for step in (across, down)]
-        patch = _spread(patch, X, across.first * velocities + across.offset, half[0], lattice)
-        patch = _spread(patch, Y, down.first * velocities + down.offset, half[1], lattice)
+        half = [min(step.variances) / 2 for step in (x_step, y_step)]
+        patch = _spread(patch, X, x_step.first * velocities + x_step.offset, half[0], lattice)
+        patch = _spread(patch, Y, y_step.first * velocities + y_step.offset, half[1], lattice)
         patch = replace(patch, mass=_turn(patch.mass, changes[1], changes[0]))
     parts: list[Patch] = []
     for k, share in enumerate(shares):
         part = replace(patch, mass=patch.mass * share) if len(shares) > 1 else patch
-        part = _spread(part, X, across.second * velocities, across.variances[k] - half[0], lattice)
-        parts.append(_spread(part, Y, down.second * velocities, down.variances[k] - half[1], lattice))
+        part = _spread(part, X, x_step.second * velocities, x_step.variances[k] - half[0], lattice)
+        parts.append(_spread(part, Y, y_step.second * velocities, y_step.variances[k] - half[1], lattice))
     if len(parts) == 1:
         return parts[0]
     layers, column, row = stack_patches(parts)
@@ -341,38 +341,40 @@ def _bound(
     """
     shares, change = noise
     mass = patch.mass.sum(axis=(0, 2) if axis == 0 else (1, 3))  # (V, cells)
-    known = mass.sum(axis=1) / mass.sum()
+    velocity_shares = mass.sum(axis=1) / mass.sum()
     shifts = step.first * lattice.velocities[None, :] + step.second * lattice.velocities[:, None]
-    joint = change * known
+    joint = change * velocity_shares
     drift = float((joint * shifts).sum())
     spread = float((joint * (shifts - drift) ** 2).sum() + shares @ np.array(step.variances))
-    at = float(mass.sum(axis=0) @ np.arange(mass.shape[1]) / mass.sum()) + (patch.column, patch.row)[axis]
-    ends, goal = (limits.columns, limits.rows)[axis], at * lattice.cell_px + drift
-    most = (limits.window * lattice.cell_px) ** 2
+    mean_cell = (
+        float(mass.sum(axis=0) @ np.arange(mass.shape[1]) / mass.sum()) + (patch.column, patch.row)[axis]
+    )
+    ends, goal = (limits.columns, limits.rows)[axis], mean_cell * lattice.cell_px + drift
+    largest = (limits.window * lattice.cell_px) ** 2
     if ends is not None:
         low, high = (end * lattice.cell_px for end in ends)
         goal = min(max(goal, low), high)
-        most = (high - low + lattice.cell_px) ** 2 / 12 + (goal - (low + high) / 2) ** 2
-    if spread <= most:
+        largest = (high - low + lattice.cell_px) ** 2 / 12 + (goal - (low + high) / 2) ** 2
+    if spread <= largest:
         return step
-    less = np.sqrt(most / spread)
+    less = np.sqrt(largest / spread)
     return replace(
         step,
         first=step.first * less,
         second=step.second * less,
-        offset=goal - at * lattice.cell_px - less * drift,
-        variances=tuple(variance * most / spread for variance in step.variances),
+        offset=goal - mean_cell * lattice.cell_px - less * drift,
+        variances=tuple(variance * largest / spread for variance in step.variances),
     )
 
 
-def _turn(mass: Floats, down: Floats, across: Floats) -> Floats:
-    """The masses after the velocities' step: new[a, b] = sum down[a, c] across[b, d] old[c, d]."""
+def _turn(mass: Floats, y_change: Floats, x_change: Floats) -> Floats:
+    """The masses after the velocities' step: new[a, b] = sum y_change[a, c] x_change[b, d] old[c, d]."""
     from bayesnet_track.numerics.kernels import box_kernels
 
     vy, vx = mass.shape[:2]
-    out = np.empty((vy, vx, mass[0, 0].size))
-    box_kernels.turn(np.ascontiguousarray(mass).reshape(out.shape), down, across, out)
-    return out.reshape(mass.shape)
+    turned = np.empty((vy, vx, mass[0, 0].size))
+    box_kernels.turn(np.ascontiguousarray(mass).reshape(turned.shape), y_change, x_change, turned)
+    return turned.reshape(mass.shape)
 
 
 def _spread(patch: Patch, axis: int, shifts: Floats, variance: float, lattice: Lattice) -> Patch:
@@ -388,10 +390,10 @@ def _spread(patch: Patch, axis: int, shifts: Floats, variance: float, lattice: L
     low = int(first.min())
     grown = list(patch.mass.shape)
     grown[axis - 1] += int(first.max()) - low + taps.shape[1] - 1
-    out = np.zeros(grown)
+    spread = np.zeros(grown)
     mass = np.ascontiguousarray(patch.mass)
     if axis == X:
-        box_kernels.spread_columns(mass, taps, first - low, out)
-        return Patch(out, patch.column + low, patch.row)
-    box_kernels.spread_rows(mass, taps, first - low, out)
-    return Patch(out, patch.column, patch.row + low)
+        box_kernels.spread_columns(mass, taps, first - low, spread)
+        return Patch(spread, patch.column + low, patch.row)
+    box_kernels.spread_rows(mass, taps, first - low, spread)
+    return Patch(spread, patch.column, patch.row + low)

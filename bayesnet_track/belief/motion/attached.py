@@ -57,45 +57,47 @@ class Attached:
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, D) states after `dt` frame intervals."""
-        old = states if parents is None else states[parents]
-        moved = self.motion.propagate(np.ascontiguousarray(old[:, :-1]), dt, rng)
-        carried = self._draw_carried(old[:, -1] > 0, dt, rng)
+        previous = states if parents is None else states[parents]
+        moved_states = self.motion.propagate(np.ascontiguousarray(previous[:, :-1]), dt, rng)
+        carried = self._draw_carried(previous[:, -1] > 0, dt, rng)
         count = int(carried.sum())
         noise = rng.standard_normal((count, 2)) * (self.sd_px * np.sqrt(dt))
-        moved[carried, :2] = old[carried, :2] + self.displacement + noise
+        moved_states[carried, :2] = previous[carried, :2] + self.displacement + noise
         if self._kinematic >= 6:
-            moved[carried, 4:6] = self.displacement / dt
-        moved[carried, 6 : self._kinematic] = 0.0
-        return with_column(moved, carried)
+            moved_states[carried, 4:6] = self.displacement / dt
+        moved_states[carried, 6 : self._kinematic] = 0.0
+        return with_column(moved_states, carried)
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise, carried or not as before."""
-        moved = self.motion.drift(np.ascontiguousarray(self._seed_velocity(states, dt)), dt)
-        return with_column(moved, states[:, -1])
+        moved_states = self.motion.drift(np.ascontiguousarray(self._seed_velocity(states, dt)), dt)
+        return with_column(moved_states, states[:, -1])
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """Fields of the model; the last field stays."""
         transition, covariance = self.motion.linearise(state[:-1], dt)
-        whole = np.pad(transition, (0, 1))
-        whole[-1, -1] = 1.0
-        return whole, np.pad(covariance, (0, 1))
+        padded = np.pad(transition, (0, 1))
+        padded[-1, -1] = 1.0
+        return padded, np.pad(covariance, (0, 1))
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """(M, N) that of the model, from where what is carried would be without its noise."""
-        return self.motion.log_density(new[:, :-1], self._seed_velocity(old, dt), dt)
+        return self.motion.log_density(states[:, :-1], self._seed_velocity(previous, dt), dt)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Log density of the transition; `states` keeps the last field of the state it is given."""
-        own = self.motion.transition(self._seed_velocity(old, dt), dt)
+        transition = self.motion.transition(self._seed_velocity(previous, dt), dt)
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
-            return own.coordinates(np.ascontiguousarray(states[:, :-1]))
+            return transition.coordinates(np.ascontiguousarray(states[:, :-1]))
 
         def states_at(points: Floats, still: Floats) -> Floats:
-            assert own.states is not None
-            return with_column(own.states(points, np.ascontiguousarray(still[:, :-1])), still[:, -1])
+            assert transition.states is not None
+            return with_column(transition.states(points, np.ascontiguousarray(still[:, :-1])), still[:, -1])
 
-        return replace(own, coordinates=coordinates, states=None if own.states is None else states_at)
+        return replace(
+            transition, coordinates=coordinates, states=None if transition.states is None else states_at
+        )
 
     def _seed_velocity(self, states: Floats, dt: float) -> Floats:
         """The states without the last field, those carried so that `motion` takes them with the carrier."""
@@ -114,13 +116,13 @@ class Attached:
         return sum(name != ANGLE and "." not in name for name in self.motion.fields)
 
     def _draw_carried(
-        self, before: NDArray[np.bool_], dt: float, rng: np.random.Generator
+        self, was_carried: NDArray[np.bool_], dt: float, rng: np.random.Generator
     ) -> NDArray[np.bool_]:
         """(N,) whether each is carried now: the chain over `dt`, its changes drawn systematically."""
-        rest = self.start_share / (self.start_share + 1.0 - self.stay_share)
+        stationary = self.start_share / (self.start_share + 1.0 - self.stay_share)
         memory = (self.stay_share - self.start_share) ** dt if self.stay_share > self.start_share else 0.0
-        probability = rest + np.where(before, 1.0 - rest, -rest) * memory
-        points = (rng.permutation(len(before)) + rng.random(len(before))) / len(before)
+        probability = stationary + np.where(was_carried, 1.0 - stationary, -stationary) * memory
+        points = (rng.permutation(len(was_carried)) + rng.random(len(was_carried))) / len(was_carried)
         return np.asarray(points < probability)
 
 

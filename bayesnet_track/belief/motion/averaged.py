@@ -54,40 +54,43 @@ class Averaged:
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, D) states after `dt` frame intervals, each in a mode that is drawn."""
-        old = states if parents is None else states[parents]
-        modes = rng.choice(len(self.shares), len(old), p=self.shares)
-        moved = replace(self.modal, settled=True).propagate(np.column_stack([old, modes]), dt, rng)
-        return np.ascontiguousarray(moved[:, :-1])
+        previous = states if parents is None else states[parents]
+        modes = rng.choice(len(self.shares), len(previous), p=self.shares)
+        propagated = replace(self.modal, settled=True).propagate(np.column_stack([previous, modes]), dt, rng)
+        return np.ascontiguousarray(propagated[:, :-1])
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) the mean of where each mode leads."""
-        return np.asarray(np.tensordot(self.shares, [one.drift(states, dt) for one in self.modal.motions], 1))
+        return np.asarray(
+            np.tensordot(self.shares, [motion.drift(states, dt) for motion in self.modal.motions], 1)
+        )
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q: the means of those of the modes, and how far apart they lead."""
-        several = [one.linearise(state, dt) for one in self.modal.motions]
-        led = np.array([one.drift(state[None], dt)[0] for one in self.modal.motions])
-        apart = led - self.shares @ led
-        noise = np.tensordot(self.shares, [noise for _, noise in several], 1)
-        transition = np.tensordot(self.shares, [transition for transition, _ in several], 1)
-        return np.asarray(transition), noise + (apart * self.shares[:, None]).T @ apart
+        linearised = [motion.linearise(state, dt) for motion in self.modal.motions]
+        led = np.array([motion.drift(state[None], dt)[0] for motion in self.modal.motions])
+        deviations = led - self.shares @ led
+        noise = np.tensordot(self.shares, [noise for _, noise in linearised], 1)
+        transition = np.tensordot(self.shares, [transition for transition, _ in linearised], 1)
+        return np.asarray(transition), noise + (deviations * self.shares[:, None]).T @ deviations
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """(M, N) log of the mixture of the modes' densities."""
         with np.errstate(divide="ignore"):
             log = np.log(self.shares)
-        found = [
-            share + one.log_density(new, old, dt) for share, one in zip(log, self.modal.motions, strict=True)
+        parts = [
+            share + motion.log_density(states, previous, dt)
+            for share, motion in zip(log, self.modal.motions, strict=True)
         ]
-        return np.asarray(np.logaddexp.reduce(found, axis=0))
+        return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Not known, as of the modes.
 
         Raises:
             TypeError: always.
         """
-        return self.modal.transition(old, dt)
+        return self.modal.transition(previous, dt)
 
 
 def without_modes(motion: MotionModel) -> MotionModel:

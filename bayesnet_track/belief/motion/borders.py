@@ -55,13 +55,13 @@ class Wrapped:
         """Like the model."""
         return self.motion.linearise(state, dt)
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """Like the model."""
-        return self.motion.log_density(new, old, dt)
+        return self.motion.log_density(states, previous, dt)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Like the model."""
-        return self.motion.transition(old, dt)
+        return self.motion.transition(previous, dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,29 +90,29 @@ class Confined(Wrapped):
         """Like the model, then confined."""
         return self.confine(self.motion.drift(states, dt))
 
-    def confine(self, moved: Floats) -> Floats:
-        """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
+    def confine(self, states: Floats) -> Floats:
+        """`states` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.box_kernels import confine
 
         if self.leaves_image:
-            np.maximum(moved[:, 2:4], self.least_side, out=moved[:, 2:4])
+            np.maximum(states[:, 2:4], self.least_side, out=states[:, 2:4])
         else:
-            confine(moved, float(self.width), float(self.height))
-        return moved
+            confine(states, float(self.width), float(self.height))
+        return states
 
     def confine_moments(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Copies of a mean (D,), confined, and of a covariance (D, D), no wider than of a box anywhere."""
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.box_kernels import confine_moments
 
-        across, down = (math.inf, math.inf) if self.leaves_image else (float(self.width), float(self.height))
-        held, spread = np.array(mean, np.float64), np.array(covariance, np.float64, order="C")
+        width, height = (math.inf, math.inf) if self.leaves_image else (float(self.width), float(self.height))
+        bounded, spread = np.array(mean, np.float64), np.array(covariance, np.float64, order="C")
         if self.least_side != LEAST_SIDE_PX:
-            held[2:4] = np.maximum(held[2:4], self.least_side)
-            return held, spread
-        confine_moments(held, spread, across, down)
-        return held, spread
+            bounded[2:4] = np.maximum(bounded[2:4], self.least_side)
+            return bounded, spread
+        confine_moments(bounded, spread, width, height)
+        return bounded, spread
 
     @cached_property
     def leaves_image(self) -> bool:
@@ -151,14 +151,14 @@ def framed(
     if isinstance(motion, Averaged):
         return Averaged(cast(Modal, framed(motion.modal, frame, inputs)))
     if isinstance(motion, Modal):
-        return motion.each(lambda one: framed(one, frame, inputs))
+        return motion.each(lambda part: framed(part, frame, inputs))
     changes: dict[str, Any] = {"frame": frame} if frame is not None and hasattr(motion, "frame") else {}
     if inputs and hasattr(motion, "inputs"):
         changes["inputs"] = inputs
     if (inner := getattr(motion, "motion", None)) is not None and (
-        known := framed(inner, frame, inputs)
+        framed_inner := framed(inner, frame, inputs)
     ) is not inner:
-        changes["motion"] = known
+        changes["motion"] = framed_inner
     return cast(MotionModel, replace(cast(Any, motion), **changes)) if changes else motion
 
 
@@ -193,35 +193,35 @@ class Reflecting(Wrapped):
         turn = self._jacobian(self.motion.drift(state[None], dt)[0])
         return turn @ transition, turn @ noise @ turn.T
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """(M, N) log of the sum over the mirror images of each new state, one reflection an axis."""
-        free = self.motion.transition(old, dt)
+        free = self.motion.transition(previous, dt)
         if self.frame is None:
-            return free.log_density(new)
-        total = free.log_density(new)
+            return free.log_density(states)
+        total = free.log_density(states)
         for image in list(product((None, 0, 1), repeat=2))[1:]:
-            mirrored = new
+            mirrored = states
             for axis, side in enumerate(image):
                 mirrored = mirrored if side is None else self._mirrored(mirrored, axis, side)
             total = np.logaddexp(total, free.log_density(mirrored))
         return np.asarray(total)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """The model's around the reflected drift: what noise alone carries over a border is left out."""
-        own = self.motion.transition(old, dt)
-        return replace(own, means=own.coordinates(self.drift(old, dt))[0])
+        transition = self.motion.transition(previous, dt)
+        return replace(transition, means=transition.coordinates(self.drift(previous, dt))[0])
 
-    def reflect(self, moved: Floats) -> Floats:
-        """`moved` (N, D), changed in place: folded back into the frame as often as it takes."""
+    def reflect(self, states: Floats) -> Floats:
+        """`states` (N, D), changed in place: folded back into the frame as often as it takes."""
         for axis in (0, 1) if self.frame is not None else ():
-            low, room = self._room(moved, axis)
+            low, room = self._room(states, axis)
             with np.errstate(divide="ignore", invalid="ignore"):
-                away = np.where(room > 0, (moved[:, axis] - low) % (2.0 * room), 0.0)
-            moved[:, axis] = low + np.minimum(away, 2.0 * room - away)
-            turned = (away > room)[:, None]
+                offset = np.where(room > 0, (states[:, axis] - low) % (2.0 * room), 0.0)
+            states[:, axis] = low + np.minimum(offset, 2.0 * room - offset)
+            turned = (offset > room)[:, None]
             columns = self._derivatives(axis)
-            moved[:, columns] = np.where(turned, -moved[:, columns], moved[:, columns])
-        return moved
+            states[:, columns] = np.where(turned, -states[:, columns], states[:, columns])
+        return states
 
     def _room(self, states: Floats, axis: int) -> tuple[Floats, Floats]:
         """(N,) least position of the centre along an axis, and how far it may go from there, at least 0."""
@@ -241,18 +241,18 @@ class Reflecting(Wrapped):
         mirrored[:, columns] *= -1.0
         return mirrored
 
-    def _jacobian(self, moved: Floats) -> Floats:
+    def _jacobian(self, state: Floats) -> Floats:
         """(D, D) derivative of the reflection at a state (D,) that was moved."""
-        found = np.eye(len(moved))
+        jacobian = np.eye(len(state))
         for axis in (0, 1) if self.frame is not None else ():
-            low, room = (float(one[0]) for one in self._room(moved[None], axis))
+            low, room = (float(bound[0]) for bound in self._room(state[None], axis))
             if room == 0.0:
-                found[axis, axis] = 0.0
+                jacobian[axis, axis] = 0.0
                 continue
-            times = int(np.floor((moved[axis] - low) / room))
+            times = int(np.floor((state[axis] - low) / room))
             sign = -1.0 if times % 2 else 1.0
-            found[axis, axis] = sign
-            found[axis, 2 + axis] = sign * times  # borders stand half a side inside the frame
+            jacobian[axis, axis] = sign
+            jacobian[axis, 2 + axis] = sign * times  # borders stand half a side inside the frame
             for column in self._derivatives(axis):
-                found[column, column] = sign
-        return found
+                jacobian[column, column] = sign
+        return jacobian

@@ -50,16 +50,16 @@ class BoxVelocityMotion:
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, 8) states after `dt` frame intervals; widths and heights stay at least 1 px."""
-        new = self.drift(states if parents is None else states[parents], dt)
-        new += rng.standard_normal(new.shape) * np.sqrt(np.diagonal(self._noise(dt)))
-        np.maximum(new[:, 2:4], 1.0, out=new[:, 2:4])
-        return new
+        propagated = self.drift(states if parents is None else states[parents], dt)
+        propagated += rng.standard_normal(propagated.shape) * np.sqrt(np.diagonal(self._noise(dt)))
+        np.maximum(propagated[:, 2:4], 1.0, out=propagated[:, 2:4])
+        return propagated
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, 8) states after `dt` frame intervals without noise: F x."""
-        new = states.copy()
-        new[:, :4] += dt * states[:, 4:]
-        return new
+        drifted = states.copy()
+        drifted[:, :4] += dt * states[:, 4:]
+        return drifted
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (8, 8): new = F old + noise of covariance Q; the same at every state.
@@ -71,11 +71,11 @@ class BoxVelocityMotion:
             raise ValueError(f"time between frames must be positive and finite, not {dt}")
         return np.eye(8) + dt * np.eye(8, k=4), self._noise(dt)
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """Not known of this motion."""
         raise NotImplementedError("box_velocity is a motion of Gaussian beliefs")
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Not known of this motion."""
         raise NotImplementedError("box_velocity is a motion of Gaussian beliefs")
 
@@ -84,5 +84,5 @@ class BoxVelocityMotion:
         return np.diag(dt * sds**2)
 
 
-def _sds(of: PixelSd) -> Floats:
-    return np.array([of.x, of.y, of.w, of.h])
+def _sds(sd: PixelSd) -> Floats:
+    return np.array([sd.x, sd.y, sd.w, sd.h])

@@ -36,21 +36,21 @@ class SizeShift:
 
     def apply(self, states: Floats) -> Floats:
         """(N, D) states with sizes drawn back."""
-        moved = states.copy()
+        shifted = states.copy()
         log_w, log_h = np.log(states[:, 2]), np.log(states[:, 3])
         scale = self.first[0] + self.keep[0] * ((log_w + log_h) / 2 - self.first[0])
         aspect = self.first[1] + self.keep[1] * (log_w - log_h - self.first[1])
-        moved[:, 2], moved[:, 3] = np.exp(scale + aspect / 2), np.exp(scale - aspect / 2)
-        return moved
+        shifted[:, 2], shifted[:, 3] = np.exp(scale + aspect / 2), np.exp(scale - aspect / 2)
+        return shifted
 
     def jacobian(self, state: Floats) -> Floats:
         """(D, D): of log w and log h a constant matrix, of w and h that times w' / w."""
-        found = np.eye(len(state))
+        jacobian = np.eye(len(state))
         to_log = np.array([[0.5, 0.5], [1.0, -1.0]])
         from_log = np.array([[1.0, 0.5], [1.0, -0.5]])
-        after = self.apply(state[None])[0, 2:4]
-        found[2:4, 2:4] = after[:, None] * (from_log @ np.diag(self.keep) @ to_log) / state[2:4]
-        return found
+        sizes = self.apply(state[None])[0, 2:4]
+        jacobian[2:4, 2:4] = sizes[:, None] * (from_log @ np.diag(self.keep) @ to_log) / state[2:4]
+        return jacobian
 
 
 def revert_size(motion: KinematicMotion, settings: SizeReversion, first: Floats, dt: float) -> ShiftedMotion:
@@ -59,17 +59,17 @@ def revert_size(motion: KinematicMotion, settings: SizeReversion, first: Floats,
     With the noise's sd s per frame interval and the sd S in the long run, the rate is k = s^2 / (2 S^2), and
     over `dt` exactly: keep = exp(-k dt), variance S^2 (1 - keep^2), which is s^2 dt for a large S.
     """
-    own = motion.noise.sd_log
-    sds, limits = (own.scale, own.aspect), (settings.sd_scale, settings.sd_aspect)
+    log_sd = motion.noise.sd_log
+    sds, limits = (log_sd.scale, log_sd.aspect), (settings.sd_scale, settings.sd_aspect)
     keep, noise = np.ones(2), list(sds)
     for n, (sd, limit) in enumerate(zip(sds, limits, strict=True)):
         if limit is not None and sd > 0:
             keep[n] = np.exp(-(sd**2) / (2 * limit**2) * dt)
             noise[n] = float(limit * np.sqrt((1.0 - keep[n] ** 2) / dt))
-    sd_log = own.model_copy(update={"scale": noise[0], "aspect": noise[1]})
-    kept = replace(motion, noise=motion.noise.model_copy(update={"sd_log": sd_log}))
+    sd_log = log_sd.model_copy(update={"scale": noise[0], "aspect": noise[1]})
+    reverted = replace(motion, noise=motion.noise.model_copy(update={"sd_log": sd_log}))
     log_w, log_h = np.log(first)
-    return ShiftedMotion(kept, SizeShift(np.array([(log_w + log_h) / 2, log_w - log_h]), keep))
+    return ShiftedMotion(reverted, SizeShift(np.array([(log_w + log_h) / 2, log_w - log_h]), keep))
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ class Deviation:
         >>> [round(value, 6) for value in Deviation("head.x", 5.0, 3.0).over(1.0)]
         [0.8, 3.0]
         """
-        kept = (1.0 - (self.step_sd / self.sd) ** 2) ** (dt / 2.0)
-        return kept, self.sd * float(np.sqrt(1.0 - kept**2))
+        share = (1.0 - (self.step_sd / self.sd) ** 2) ** (dt / 2.0)
+        return share, self.sd * float(np.sqrt(1.0 - share**2))
 
 
 @dataclass(frozen=True)
@@ -140,18 +140,22 @@ class Lasting:
         >>> [round(value, 6) for value in Lasting("view.x", 5.0, 2.0, True).over(2.0)]
         [0.367879, 4.649367]
         """
-        kept = math.exp(-dt / self.time)
-        return kept, self.sd * math.sqrt(-math.expm1(-2.0 * dt / self.time))
+        share = math.exp(-dt / self.time)
+        return share, self.sd * math.sqrt(-math.expm1(-2.0 * dt / self.time))
 
 
 def lasting_of(errors: Sequence[LastingError]) -> tuple[Lasting, ...]:
     """Fields of the state for errors of what sees the targets."""
-    rates = {one.node: one.field for one in errors if one.axis == RATE}
+    rates = {error.node: error.field for error in errors if error.axis == RATE}
     return tuple(
         Lasting(
-            one.field, one.sd, one.over_s, one.is_shared, rates.get(one.node, "") if one.axis == CLOCK else ""
+            error.field,
+            error.sd,
+            error.over_s,
+            error.is_shared,
+            rates.get(error.node, "") if error.axis == CLOCK else "",
         )
-        for one in errors
+        for error in errors
     )
 
 
@@ -162,7 +166,9 @@ def shared_columns(motion: MotionModel) -> tuple[int, ...]:
     if not isinstance(motion, Nested):
         return ()
     first = len(motion.fields) - len(motion.deviations)
-    return tuple(first + k for k, one in enumerate(motion.deviations) if getattr(one, "is_shared", False))
+    return tuple(
+        first + k for k, deviation in enumerate(motion.deviations) if getattr(deviation, "is_shared", False)
+    )
 
 
 def turning(motion: MotionModel, sd_deg: float) -> Nested:
@@ -211,7 +217,7 @@ class Nested:
     @property
     def fields(self) -> tuple[str, ...]:
         """Fields of the model, and the deviations."""
-        return (*self.motion.fields, *(one.name for one in self.deviations))
+        return (*self.motion.fields, *(deviation.name for deviation in self.deviations))
 
     @property
     def leaves_image(self) -> bool:
@@ -226,108 +232,113 @@ class Nested:
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """Like the model, everything in its place."""
         states, sds = self.motion.start(box, size, rng), self._first_sds
-        own = sds * rng.standard_normal((size, len(sds))) if sds.any() else np.zeros((size, len(sds)))
-        return _with(states, own)
+        deviations = sds * rng.standard_normal((size, len(sds))) if sds.any() else np.zeros((size, len(sds)))
+        return _with(states, deviations)
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """Like the model, everything in its place."""
         mean, covariance = self.motion.start_moments(box)
-        further = len(self.deviations)
-        spread = np.pad(covariance, (0, further))
-        at = np.arange(len(mean), len(spread))
-        spread[at, at] = self._first_sds**2
-        return np.append(mean, np.zeros(further)), spread
+        count = len(self.deviations)
+        spread = np.pad(covariance, (0, count))
+        diagonal = np.arange(len(mean), len(spread))
+        spread[diagonal, diagonal] = self._first_sds**2
+        return np.append(mean, np.zeros(count)), spread
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, D) states after `dt` frame intervals."""
-        own = self._own(states) if parents is None else self._own(states)[parents]
+        deviations = self._deviations_of(states) if parents is None else self._deviations_of(states)[parents]
         _, sds = self._over(dt)
-        moved = self.motion.propagate(self._rest(states), dt, rng, parents)
-        return _with(moved, self._ahead(own, dt) + sds * rng.standard_normal(own.shape))
+        propagated = self.motion.propagate(self._without_deviations(states), dt, rng, parents)
+        return _with(propagated, self._carry(deviations, dt) + sds * rng.standard_normal(deviations.shape))
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise."""
-        return _with(self.motion.drift(self._rest(states), dt), self._ahead(self._own(states), dt))
+        return _with(
+            self.motion.drift(self._without_deviations(states), dt),
+            self._carry(self._deviations_of(states), dt),
+        )
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q of the model; each deviation's are what is kept of it and the variance that is added."""
-        further = len(self.deviations)
+        count = len(self.deviations)
         transition, covariance = (
-            np.pad(one, (0, further)) for one in self.motion.linearise(state[:-further], dt)
+            np.pad(matrix, (0, count)) for matrix in self.motion.linearise(state[:-count], dt)
         )
-        kept, sds = self._over(dt)
-        at = np.arange(len(state) - further, len(state))
-        transition[at, at], covariance[at, at] = kept, sds**2
+        shares, sds = self._over(dt)
+        diagonal = np.arange(len(state) - count, len(state))
+        transition[diagonal, diagonal], covariance[diagonal, diagonal] = shares, sds**2
         for grown, rate in self._grown:
-            transition[at[grown], at[rate]] = dt
+            transition[diagonal[grown], diagonal[rate]] = dt
         return transition, covariance
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """(M, N) that of the model, times those of the deviations, per unit of each."""
-        return self.transition(old, dt).log_density(new)
+        return self.transition(previous, dt).log_density(states)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Transition of the model; the deviations are the last coordinates."""
-        own = self.motion.transition(self._rest(old), dt)
-        further = len(self.deviations)
+        transition = self.motion.transition(self._without_deviations(previous), dt)
+        count = len(self.deviations)
         _, step_sds = self._over(dt)
-        sds = np.broadcast_to(step_sds, (*own.sds.shape[:2], further))
+        sds = np.broadcast_to(step_sds, (*transition.sds.shape[:2], count))
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
-            points, log_jacobian = own.coordinates(self._rest(states))
-            return _with(points, self._own(states)), log_jacobian
+            points, log_jacobian = transition.coordinates(self._without_deviations(states))
+            return _with(points, self._deviations_of(states)), log_jacobian
 
         def states_at(points: Floats, still: Floats) -> Floats:
-            assert own.states is not None
-            rest = np.ascontiguousarray(points[:, :-further])
-            return _with(own.states(rest, self._rest(still)), points[:, -further:])
+            assert transition.states is not None
+            inner_points = np.ascontiguousarray(points[:, :-count])
+            return _with(transition.states(inner_points, self._without_deviations(still)), points[:, -count:])
 
         return replace(
-            own,
+            transition,
             coordinates=coordinates,
-            means=_with(own.means, self._ahead(self._own(old), dt)),
-            sds=np.concatenate([own.sds, sds], axis=2),
-            states=None if own.states is None else states_at,
+            means=_with(transition.means, self._carry(self._deviations_of(previous), dt)),
+            sds=np.concatenate([transition.sds, sds], axis=2),
+            states=None if transition.states is None else states_at,
         )
 
     @property
     def _first_sds(self) -> Floats:
-        return np.array([one.sd if isinstance(one, Lasting) else 0.0 for one in self.deviations])
+        return np.array(
+            [deviation.sd if isinstance(deviation, Lasting) else 0.0 for deviation in self.deviations]
+        )
 
     def _over(self, dt: float) -> tuple[Floats, Floats]:
-        kept, sds = zip(*(one.over(dt) for one in self.deviations), strict=True)
-        return np.array(kept), np.array(sds)
+        shares, sds = zip(*(deviation.over(dt) for deviation in self.deviations), strict=True)
+        return np.array(shares), np.array(sds)
 
     @property
     def _grown(self) -> list[tuple[int, int]]:
         """Places of deviations that grow, each with that of the one by which."""
-        places = {one.name: place for place, one in enumerate(self.deviations)}
-        growing = ((one.name, getattr(one, "grows_by", "")) for one in self.deviations)
-        return [(places[name], places[by]) for name, by in growing if by]
+        places = {deviation.name: place for place, deviation in enumerate(self.deviations)}
+        growing = ((deviation.name, getattr(deviation, "grows_by", "")) for deviation in self.deviations)
+        return [(places[name], places[rate]) for name, rate in growing if rate]
 
-    def _ahead(self, own: Floats, dt: float) -> Floats:
+    def _carry(self, deviations: Floats, dt: float) -> Floats:
         """(N, L) deviations after `dt` frame intervals, without noise."""
-        moved = own * self._over(dt)[0]
+        decayed = deviations * self._over(dt)[0]
         for grown, rate in self._grown:
-            moved[:, grown] += dt * own[:, rate]
-        return moved
+            decayed[:, grown] += dt * deviations[:, rate]
+        return decayed
 
-    def _rest(self, states: Floats) -> Floats:
+    def _without_deviations(self, states: Floats) -> Floats:
         return np.ascontiguousarray(states[:, : -len(self.deviations)])
 
-    def _own(self, states: Floats) -> Floats:
+    def _deviations_of(self, states: Floats) -> Floats:
         return states[:, -len(self.deviations) :]
 
 
-def _with(states: Floats, own: Floats) -> Floats:
-    return np.concatenate([states, own], axis=1)
+def _with(states: Floats, columns: Floats) -> Floats:
+    return np.concatenate([states, columns], axis=1)
 
 
-def inflation_factor(doubt: float, most: float) -> float:
-    """The factor sqrt(doubt), at least 1 and at most `most`; `doubt` is UD as a multiple of its level."""
-    return float(min(max(doubt, 1.0) ** 0.5, most))
+def inflation_factor(doubt: float, largest: float) -> float:
+    """The factor sqrt(doubt), at least 1 and at most `largest`; `doubt` is UD as a multiple of its level."""
+    return float(min(max(doubt, 1.0) ** 0.5, largest))
 
 
 def inflate_noise(motion: KinematicMotion, factor: float) -> KinematicMotion:
@@ -372,14 +383,14 @@ def compose_motion(plain: MotionModel, settings: Moving, influences: Influences)
     unsure, and what left the frame is reflected. Where it moves in modes, so does each of them.
     """
     if isinstance(plain, Modal):
-        return plain.each(lambda one: compose_motion(one, settings, influences))
-    own = kinematics_of(plain)
-    if own is None:
+        return plain.each(lambda part: compose_motion(part, settings, influences))
+    kinematics = kinematics_of(plain)
+    if kinematics is None:
         return plain
-    own = inflate_noise(own, influences.inflation)
-    motion: MotionModel = own
+    kinematics = inflate_noise(kinematics, influences.inflation)
+    motion: MotionModel = kinematics
     if settings.size_reversion is not None:
-        motion = revert_size(own, settings.size_reversion, influences.first_size, influences.dt)
+        motion = revert_size(kinematics, settings.size_reversion, influences.first_size, influences.dt)
     if influences.camera is not None:
         motion = ShiftedMotion(motion, influences.camera)
     return _put_inside(plain, motion)

@@ -56,57 +56,59 @@ class Delayed:
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """Like the motion, with the past that leads to it."""
         states = self.motion.start(box, size, rng)
-        return np.hstack([states, *(states @ self._before(lag).T for lag in range(1, self.lags + 1))])
+        return np.hstack([states, *(states @ self._past_at_start(lag).T for lag in range(1, self.lags + 1))])
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """Mean and covariance of what `start` draws."""
         mean, covariance = self.motion.start_moments(box)
-        whole = np.vstack([np.eye(len(mean)), *(self._before(lag) for lag in range(1, self.lags + 1))])
-        return whole @ mean, whole @ covariance @ whole.T
+        history = np.vstack(
+            [np.eye(len(mean)), *(self._past_at_start(lag) for lag in range(1, self.lags + 1))]
+        )
+        return history @ mean, history @ covariance @ history.T
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, D) states after `dt` frame intervals."""
-        moved = self.motion.propagate(self._own(states), dt, rng, parents)
-        return self._join(moved, states if parents is None else states[parents], dt)
+        propagated = self.motion.propagate(self._current(states), dt, rng, parents)
+        return self._join(propagated, states if parents is None else states[parents], dt)
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise."""
-        return self._join(self.motion.drift(self._own(states), dt), states, dt)
+        return self._join(self.motion.drift(self._current(states), dt), states, dt)
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q: the past is a linear function of the trajectory, with the noise that this has."""
         size, width = self._size, len(self.kept)
-        own, noise = self.motion.linearise(state[:size], dt)
+        transition, noise = self.motion.linearise(state[:size], dt)
         select = np.eye(size)[self._columns]
-        whole, into = np.zeros((len(state), len(state))), np.zeros((len(state), size))
-        whole[:size, :size], into[:size] = own, np.eye(size)
+        full, into = np.zeros((len(state), len(state))), np.zeros((len(state), size))
+        full[:size, :size], into[:size] = transition, np.eye(size)
         for row, weights in enumerate(self._weights(dt)):
-            at = slice(size + row * width, size + (row + 1) * width)
-            whole[at, :size] = weights[0] * select @ own + weights[1] * select
-            into[at] = weights[0] * select
+            block = slice(size + row * width, size + (row + 1) * width)
+            full[block, :size] = weights[0] * select @ transition + weights[1] * select
+            into[block] = weights[0] * select
             for lag, weight in enumerate(weights[2:]):
-                whole[at, size + lag * width : size + (lag + 1) * width] = weight * np.eye(width)
-        return whole, into @ noise @ into.T
+                full[block, size + lag * width : size + (lag + 1) * width] = weight * np.eye(width)
+        return full, into @ noise @ into.T
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """(M, N) that of the motion."""
-        return self.motion.log_density(self._own(new), self._own(old), dt)
+        return self.motion.log_density(self._current(states), self._current(previous), dt)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """That of the motion, whose coordinates the past is none of."""
-        own = self.motion.transition(self._own(old), dt)
+    def transition(self, previous: Floats, dt: float) -> Transition:
+        """Transition of the motion; the past is none of its coordinates."""
+        transition = self.motion.transition(self._current(previous), dt)
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
-            return own.coordinates(self._own(states))
+            return transition.coordinates(self._current(states))
 
-        return replace(own, coordinates=coordinates, states=None)
+        return replace(transition, coordinates=coordinates, states=None)
 
-    def _own(self, states: Floats) -> Floats:
+    def _current(self, states: Floats) -> Floats:
         return np.ascontiguousarray(states[:, : self._size])
 
-    def _before(self, lag: int) -> Floats:
+    def _past_at_start(self, lag: int) -> Floats:
         """(W, D) what the fields that are kept were `lag` frame intervals before the start, of the state."""
         back = np.eye(self._size)[self._columns]
         for row, name in enumerate(self.kept):
@@ -114,13 +116,13 @@ class Delayed:
                 back[row, self.motion.fields.index(velocity)] = -float(lag)
         return back
 
-    def _join(self, moved: Floats, old: Floats, dt: float) -> Floats:
-        """The moved states with their past, of which each row of `old` is the state before."""
+    def _join(self, states: Floats, previous: Floats, dt: float) -> Floats:
+        """The moved states with their past, of which each row of `previous` is the state before."""
         size, width = self._size, len(self.kept)
-        past = old[:, size:].reshape(len(old), self.lags, width).swapaxes(0, 1)
-        known = np.concatenate([moved[None, :, self._columns], old[None, :, self._columns], past])
-        later = np.tensordot(self._weights(dt), known, 1)  # (lags, N, W)
-        return np.hstack([moved, later.swapaxes(0, 1).reshape(len(moved), -1)])
+        past = previous[:, size:].reshape(len(previous), self.lags, width).swapaxes(0, 1)
+        history = np.concatenate([states[None, :, self._columns], previous[None, :, self._columns], past])
+        later = np.tensordot(self._weights(dt), history, 1)  # (lags, N, W)
+        return np.hstack([states, later.swapaxes(0, 1).reshape(len(states), -1)])
 
     def _weights(self, dt: float) -> Floats:
         """(L, 2 + L) shares in each past field of it now, before the move, and 1, 2, .. before that."""
@@ -131,21 +133,21 @@ class Delayed:
                 share = -ago / dt
                 weights[row, :2] = share, 1.0 - share
                 continue
-            whole = min(floor(ago), self.lags)
-            share = ago - whole
-            weights[row, 1 + whole] = 1.0 - share
+            intervals = min(floor(ago), self.lags)
+            share = ago - intervals
+            weights[row, 1 + intervals] = 1.0 - share
             if share > 0.0:
-                weights[row, 2 + whole] = share
+                weights[row, 2 + intervals] = share
         return weights
 
 
 def with_past(motion: MotionModel, measured: Iterable[MeasuredAs]) -> MotionModel:
     """The motion with the past of the fields that delayed agents measure; itself without any."""
-    late = [one for one in measured if one.late]
+    late = [measurement for measurement in measured if measurement.late]
     if not late:
         return motion
-    kept = tuple(dict.fromkeys(name for one in late for name in one.late))
-    lags = max(ceil(one.delay) for one in late)
+    fields = tuple(dict.fromkeys(name for measurement in late for name in measurement.late))
+    lags = max(ceil(measurement.delay) for measurement in late)
     if isinstance(motion, Modal):
-        return motion.each(lambda own: Delayed(own, kept, lags))
-    return Delayed(motion, kept, lags)
+        return motion.each(lambda part: Delayed(part, fields, lags))
+    return Delayed(motion, fields, lags)

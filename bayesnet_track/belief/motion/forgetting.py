@@ -20,19 +20,21 @@ def complete(motions: tuple[MotionModel, ...]) -> tuple[MotionModel, ...]:
     after a stop the target sets off in any direction.
     """
     starts: dict[str, tuple[float, float]] = {}
-    for one in sorted(motions, key=lambda one: -len(one.fields)):
-        mean, covariance = one.start_moments(np.ones(4))
-        own = zip(one.fields, mean.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True)
-        for name, start, sd in own:
+    for motion in sorted(motions, key=lambda motion: -len(motion.fields)):
+        mean, covariance = motion.start_moments(np.ones(4))
+        moments = zip(motion.fields, mean.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True)
+        for name, start, sd in moments:
             starts.setdefault(name, (start, sd))
     fields = tuple(starts)
-    made: dict[int, MotionModel] = {}
-    for one in motions:
-        if id(one) not in made:
-            missing = [starts[name] for name in fields if name not in one.fields]
+    completed: dict[int, MotionModel] = {}
+    for motion in motions:
+        if id(motion) not in completed:
+            missing = [starts[name] for name in fields if name not in motion.fields]
             means, sds = tuple(mean for mean, _ in missing), tuple(sd for _, sd in missing)
-            made[id(one)] = one if one.fields == fields else Forgetting(one, fields, sds, means)
-    return tuple(made[id(one)] for one in motions)
+            completed[id(motion)] = (
+                motion if motion.fields == fields else Forgetting(motion, fields, sds, means)
+            )
+    return tuple(completed[id(motion)] for motion in motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +54,17 @@ class Forgetting:
     means: tuple[float, ...] = ()
 
     @cached_property
-    def _own(self) -> list[int]:
+    def _columns(self) -> list[int]:
         return [self.fields.index(name) for name in self.motion.fields]
 
     @cached_property
-    def _further(self) -> list[int]:
+    def _extra_columns(self) -> list[int]:
         return [k for k, name in enumerate(self.fields) if name not in self.motion.fields]
 
     @cached_property
-    def _drawn(self) -> list[int]:
+    def _noisy_columns(self) -> list[int]:
         """Further fields that have noise: the others are their means."""
-        return [k for k, sd in zip(self._further, self.sds, strict=True) if sd > 0]
+        return [k for k, sd in zip(self._extra_columns, self.sds, strict=True) if sd > 0]
 
     @cached_property
     def _centre(self) -> Floats:
@@ -75,66 +77,72 @@ class Forgetting:
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """Mean and covariance of what `start` draws."""
         mean, covariance = np.zeros(len(self.fields)), self._spread()
-        mean[self._own], covariance[np.ix_(self._own, self._own)] = self.motion.start_moments(box)
-        mean[self._further] = self._centre
+        mean[self._columns], covariance[np.ix_(self._columns, self._columns)] = self.motion.start_moments(box)
+        mean[self._extra_columns] = self._centre
         return mean, covariance
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, D) states after `dt` frame intervals."""
-        return self._join(self.motion.propagate(self._of(states), dt, rng, parents), rng)
+        return self._join(self.motion.propagate(self._select(states), dt, rng, parents), rng)
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise: further fields are their means."""
-        found = np.empty((len(states), len(self.fields)))
-        found[:, self._own] = self.motion.drift(self._of(states), dt)
-        found[:, self._further] = self._centre
-        return found
+        drifted = np.empty((len(states), len(self.fields)))
+        drifted[:, self._columns] = self.motion.drift(self._select(states), dt)
+        drifted[:, self._extra_columns] = self._centre
+        return drifted
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q: nothing of the further fields is kept."""
-        whole, covariance = np.zeros((len(self.fields),) * 2), self._spread()
-        at = np.ix_(self._own, self._own)
-        whole[at], covariance[at] = self.motion.linearise(state[self._own], dt)
-        return whole, covariance
+        transition, covariance = np.zeros((len(self.fields),) * 2), self._spread()
+        block = np.ix_(self._columns, self._columns)
+        transition[block], covariance[block] = self.motion.linearise(state[self._columns], dt)
+        return transition, covariance
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """(M, N) that of the model, times that of the further fields."""
         sds, means = np.array([sd for sd in self.sds if sd > 0]), self._centre[np.array(self.sds) > 0]
-        normal = -0.5 * ((new[:, self._drawn] - means) / sds) ** 2 - np.log(sds * np.sqrt(2.0 * np.pi))
-        own = self.motion.log_density(self._of(new), self._of(old), dt)
-        return np.asarray(own + normal.sum(axis=1)[:, None])
+        normal = -0.5 * ((states[:, self._noisy_columns] - means) / sds) ** 2 - np.log(
+            sds * np.sqrt(2.0 * np.pi)
+        )
+        log = self.motion.log_density(self._select(states), self._select(previous), dt)
+        return np.asarray(log + normal.sum(axis=1)[:, None])
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Transition of the model; the further fields are the last coordinates."""
-        own = self.motion.transition(self._of(old), dt)
-        sds = np.broadcast_to([sd for sd in self.sds if sd > 0], (*own.sds.shape[:2], len(self._drawn)))
+        transition = self.motion.transition(self._select(previous), dt)
+        sds = np.broadcast_to(
+            [sd for sd in self.sds if sd > 0], (*transition.sds.shape[:2], len(self._noisy_columns))
+        )
         means = self._centre[np.array(self.sds) > 0]
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
-            points, log_jacobian = own.coordinates(self._of(states))
-            return np.concatenate([points, states[:, self._drawn]], axis=1), log_jacobian
+            points, log_jacobian = transition.coordinates(self._select(states))
+            return np.concatenate([points, states[:, self._noisy_columns]], axis=1), log_jacobian
 
         return replace(
-            own,
+            transition,
             coordinates=coordinates,
-            means=np.concatenate([own.means, np.broadcast_to(means, (len(old), len(means)))], axis=1),
-            sds=np.concatenate([own.sds, sds], axis=2),
+            means=np.concatenate(
+                [transition.means, np.broadcast_to(means, (len(previous), len(means)))], axis=1
+            ),
+            sds=np.concatenate([transition.sds, sds], axis=2),
             states=None,
         )
 
-    def _of(self, states: Floats) -> Floats:
-        return np.ascontiguousarray(states[:, self._own])
+    def _select(self, states: Floats) -> Floats:
+        return np.ascontiguousarray(states[:, self._columns])
 
     def _spread(self) -> Floats:
         covariance = np.zeros((len(self.fields),) * 2)
-        covariance[self._further, self._further] = np.square(self.sds)
+        covariance[self._extra_columns, self._extra_columns] = np.square(self.sds)
         return covariance
 
-    def _join(self, moved: Floats, rng: np.random.Generator) -> Floats:
-        found = np.empty((len(moved), len(self.fields)))
-        found[:, self._own] = moved
-        drawn = rng.standard_normal((len(moved), len(self.sds)))
-        found[:, self._further] = self._centre + drawn * np.array(self.sds)
-        return found
+    def _join(self, moved_states: Floats, rng: np.random.Generator) -> Floats:
+        states = np.empty((len(moved_states), len(self.fields)))
+        states[:, self._columns] = moved_states
+        normals = rng.standard_normal((len(moved_states), len(self.sds)))
+        states[:, self._extra_columns] = self._centre + normals * np.array(self.sds)
+        return states

@@ -64,13 +64,13 @@ class FunctionMotion:
     start_sd: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        further = len(self.fields) - 4
+        count = len(self.fields) - 4
         if self.fields[:4] != BOX_FIELDS or len(set(self.fields)) != len(self.fields):
             raise ValueError(f"fields are x, y, w, h and names of their own, not {', '.join(self.fields)}")
         for name in ("start_mean", "start_sd"):
-            given = getattr(self, name)
-            if len(given) not in (0, further):
-                raise ValueError(f"{name} has {len(given)} values for {further} further fields")
+            values = getattr(self, name)
+            if len(values) not in (0, count):
+                raise ValueError(f"{name} has {len(values)} values for {count} further fields")
         self.covariance(1.0)
 
     def covariance(self, dt: float) -> Floats:
@@ -82,8 +82,8 @@ class FunctionMotion:
         if not (dt > 0 and np.isfinite(dt)):
             raise ValueError(f"time between frames must be positive and finite, not {dt}")
         size = len(self.fields)
-        given = self.noise(dt) if callable(self.noise) else dt * np.asarray(self.noise, dtype=np.float64)
-        covariance = np.asarray(given, dtype=np.float64)
+        noise = self.noise(dt) if callable(self.noise) else dt * np.asarray(self.noise, dtype=np.float64)
+        covariance = np.asarray(noise, dtype=np.float64)
         if covariance.shape != (size, size) or not np.isfinite(covariance).all():
             raise ValueError(f"noise: a finite ({size}, {size}) covariance, not of shape {covariance.shape}")
         scale = max(float(np.abs(covariance).max()), 1e-300)
@@ -96,9 +96,9 @@ class FunctionMotion:
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D,) mean and (D, D) covariance of a target first seen in the centre box (4,)."""
-        further = len(self.fields) - 4
-        mean = np.concatenate([box, self.start_mean or np.zeros(further)]).astype(np.float64)
-        sds = np.concatenate([np.zeros(4), self.start_sd or np.zeros(further)])
+        count = len(self.fields) - 4
+        mean = np.concatenate([box, self.start_mean or np.zeros(count)]).astype(np.float64)
+        sds = np.concatenate([np.zeros(4), self.start_sd or np.zeros(count)])
         return mean, np.diag(sds**2)
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
@@ -112,12 +112,12 @@ class FunctionMotion:
         Raises:
             ValueError: the function gives another shape, or numbers that are not finite.
         """
-        moved = np.array(self.function(states.copy(), dt), dtype=np.float64)
-        if moved.shape != states.shape:
-            raise ValueError(f"the motion's function gave shape {moved.shape} for states {states.shape}")
-        if not np.isfinite(moved).all():
+        drifted = np.array(self.function(states.copy(), dt), dtype=np.float64)
+        if drifted.shape != states.shape:
+            raise ValueError(f"the motion's function gave shape {drifted.shape} for states {states.shape}")
+        if not np.isfinite(drifted).all():
             raise ValueError("the motion's function gave a state that is not finite")
-        return moved
+        return drifted
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -126,9 +126,9 @@ class FunctionMotion:
         if parents is not None:
             states = states.take(parents, axis=0)
         lower = root(self.covariance(dt))
-        new = self.drift(states, dt) + rng.standard_normal((len(states), lower.shape[1])) @ lower.T
-        np.maximum(new[:, 2:4], 1.0, out=new[:, 2:4])
-        return np.asarray(new)
+        propagated = self.drift(states, dt) + rng.standard_normal((len(states), lower.shape[1])) @ lower.T
+        np.maximum(propagated[:, 2:4], 1.0, out=propagated[:, 2:4])
+        return np.asarray(propagated)
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D): the derivative of f at a state (D,), and the covariance of the noise."""
@@ -136,17 +136,17 @@ class FunctionMotion:
             return np.asarray(self.jacobian(state, dt), dtype=np.float64), self.covariance(dt)
         return derivative(lambda states: self.drift(states, dt), state), self.covariance(dt)
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) log p(new_m | old_n) over the directions that have noise."""
-        return self.transition(old, dt).log_density(new)
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
+        """(M, N) log p(states_m | previous_n) over the directions that have noise."""
+        return self.transition(previous, dt).log_density(states)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """p(new | old) along the eigenvectors of the noise: a rotation, whose Jacobian is 1."""
+    def transition(self, previous: Floats, dt: float) -> Transition:
+        """p(states | previous) along the eigenvectors of the noise: a rotation, whose Jacobian is 1."""
         lower = root(self.covariance(dt))
         values, vectors = np.linalg.eigh(lower @ lower.T)
         keep = values > 1e-14 * max(float(values[-1]), 1e-300)
         axes, sds = vectors[:, keep], np.sqrt(values[keep])
-        means = self.drift(old, dt) @ axes
+        means = self.drift(previous, dt) @ axes
         return Transition(
             lambda states: (states @ axes, np.zeros(len(states))),
             means,
@@ -162,12 +162,12 @@ def derivative(function: Callable[[Floats], Floats], state: Floats) -> Floats:
     Steps of eps^(1/3) max(1, |x|), which balance rounding and curvature: about 1e-10 of the scale.
     """
     step = np.cbrt(np.finfo(np.float64).eps) * np.maximum(1.0, np.abs(state))
-    ahead, behind = state + np.diag(step), state - np.diag(step)
+    upper, lower = state + np.diag(step), state - np.diag(step)
     # What was really added, after rounding.
-    taken = np.diagonal(ahead) - np.diagonal(behind)
-    values = function(np.concatenate([ahead, behind]))
+    spacing = np.diagonal(upper) - np.diagonal(lower)
+    values = function(np.concatenate([upper, lower]))
     size = len(state)
-    return np.asarray(((values[:size] - values[size:]) / taken[:, None]).T)
+    return np.asarray(((values[:size] - values[size:]) / spacing[:, None]).T)
 
 
 def linearise_seen(means: Floats, fields: tuple[str, ...], quantities: Seen) -> list[tuple[Floats, Floats]]:
@@ -226,16 +226,18 @@ def unscented_update(
     unit = sigma_points(width, width + kappa)
     weights = np.full(len(unit), 0.5 / (width + kappa))
     weights[0] = kappa / (width + kappa)
-    seen = function(mean + unit @ lower.T)
-    expected = weights @ seen
-    away = seen - expected
-    # h = expected + B u + rest, u the state in units of its sds: B by regression on the points.
-    slope = (away * weights[:, None]).T @ unit
-    rest = away - unit @ slope.T
-    # The rest is noise to the linear update, so that it keeps Joseph's form.
-    more = symmetric(noise + (rest * weights[:, None]).T @ rest)
-    unit_update = linear_update(np.zeros(width), np.eye(width), measured - expected, slope, more)
-    d2, log_likelihood = innovation_likelihood(measured - expected, symmetric(slope @ slope.T + more), noise)
+    values = function(mean + unit @ lower.T)
+    expected = weights @ values
+    deviations = values - expected
+    # h = expected + B u + residual, u the state in units of its sds: B by regression on the points.
+    slope = (deviations * weights[:, None]).T @ unit
+    residuals = deviations - unit @ slope.T
+    # The residuals are noise to the linear update, so that it keeps Joseph's form.
+    total_noise = symmetric(noise + (residuals * weights[:, None]).T @ residuals)
+    unit_update = linear_update(np.zeros(width), np.eye(width), measured - expected, slope, total_noise)
+    d2, log_likelihood = innovation_likelihood(
+        measured - expected, symmetric(slope @ slope.T + total_noise), noise
+    )
     return Updated(
         mean + lower @ unit_update.mean,
         symmetric(lower @ unit_update.covariance @ lower.T),
@@ -315,14 +317,14 @@ class FormulaMotion:
         """
         if not (dt > 0 and np.isfinite(dt)):
             raise ValueError(f"time between frames must be positive and finite, not {dt}")
-        moved, names = states.copy(), self._names(states, dt)
+        drifted, names = states.copy(), self._names(states, dt)
         for name, term in self.drifts.items():
             column = self.fields.index(name)
             values = np.broadcast_to(values_of(term, names), (len(states),))
-            known = np.isfinite(values)
-            self._note(f"drift {name}", known)
-            moved[:, column] = np.where(known, values, states[:, column])
-        return moved
+            is_defined = np.isfinite(values)
+            self._note(f"drift {name}", is_defined)
+            drifted[:, column] = np.where(is_defined, values, states[:, column])
+        return drifted
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -330,33 +332,33 @@ class FormulaMotion:
         """(N, D) f of the states with noise added; widths and heights stay at least 1 px."""
         if parents is not None:
             states = states.take(parents, axis=0)
-        new, sds = self.drift(states, dt), self.noise(states, dt)
+        propagated, sds = self.drift(states, dt), self.noise(states, dt)
         columns = self._noisy
-        new[:, columns] += sds[:, columns] * rng.standard_normal((len(states), len(columns)))
-        np.maximum(new[:, 2:4], self.least_side, out=new[:, 2:4])
-        return new
+        propagated[:, columns] += sds[:, columns] * rng.standard_normal((len(states), len(columns)))
+        np.maximum(propagated[:, 2:4], self.least_side, out=propagated[:, 2:4])
+        return propagated
 
     def noise(self, states: Floats, dt: float) -> Floats:
         """(N, D) sds over `dt` of the noise that is added to states (N, D)."""
-        found, names = np.zeros(states.shape), self._names(states, dt)
+        sds, names = np.zeros(states.shape), self._names(states, dt)
         for name, term in self.sds.items():
             values = np.broadcast_to(values_of(term, names), (len(states),))
-            known = np.isfinite(values) & (values >= 0)
-            self._note(f"sd {name}", known)
-            found[:, self.fields.index(name)] = np.where(known, values, 0.0) * np.sqrt(dt)
-        return found
+            is_defined = np.isfinite(values) & (values >= 0)
+            self._note(f"sd {name}", is_defined)
+            sds[:, self.fields.index(name)] = np.where(is_defined, values, 0.0) * np.sqrt(dt)
+        return sds
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D): the derivative of f at a state (D,), and the covariance of its noise."""
         transition = derivative(lambda states: self.drift(states, dt), state)
         return transition, np.diag(self.noise(state[None], dt)[0] ** 2)
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) log p(new_m | old_n) over the fields that have noise."""
-        return self.transition(old, dt).log_density(new)
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
+        """(M, N) log p(states_m | previous_n) over the fields that have noise."""
+        return self.transition(previous, dt).log_density(states)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """p(new | old): a diagonal Gaussian in the fields that have noise."""
+    def transition(self, previous: Floats, dt: float) -> Transition:
+        """p(states | previous): a diagonal Gaussian in the fields that have noise."""
         keep = self._noisy
 
         def states_at(points: Floats, still: Floats) -> Floats:
@@ -367,8 +369,8 @@ class FormulaMotion:
 
         return Transition(
             lambda states: (states[:, keep], np.zeros(len(states))),
-            self.drift(old, dt)[:, keep],
-            np.maximum(self.noise(old, dt)[:, keep], LEAST_SD)[None],
+            self.drift(previous, dt)[:, keep],
+            np.maximum(self.noise(previous, dt)[:, keep], LEAST_SD)[None],
             np.zeros(1),
             states_at,
         )
@@ -380,16 +382,16 @@ class FormulaMotion:
         """
         prior = self.prior if prior is None else prior
         still = {name for name in self.fields[4:] if self.drifts.get(name, Variable(name)) == Variable(name)}
-        drawn = () if prior is None else tuple(filter(prior.is_uncertain, self.fields[4:]))
+        by_prior = () if prior is None else tuple(filter(prior.is_uncertain, self.fields[4:]))
         sds = zip(self.fields[4:], self.start_sd, strict=True)
-        uncertain = (name for name, sd in sds if sd > 0 or name in drawn)
+        uncertain = (name for name, sd in sds if sd > 0 or name in by_prior)
         return tuple(name for name in uncertain if name in still and self.sds.get(name, ZERO) == ZERO)
 
     @cached_property
     def asked(self) -> tuple[str, ...]:
         """Names in the expressions that are neither fields nor constants."""
-        used = (name for term in (*self.drifts.values(), *self.sds.values()) for name in names_in(term))
-        return tuple(name for name in dict.fromkeys(used) if name not in self.fields)
+        mentioned = (name for term in (*self.drifts.values(), *self.sds.values()) for name in names_in(term))
+        return tuple(name for name in dict.fromkeys(mentioned) if name not in self.fields)
 
     @property
     def _noisy(self) -> list[int]:
@@ -407,9 +409,9 @@ class FormulaMotion:
             **self.constants,
         }
 
-    def _note(self, what: str, known: NDArray[np.bool_]) -> None:
-        if not known.all():
-            self.undefined.setdefault(what, Undefined(int((~known).sum()), len(known)))
+    def _note(self, expression: str, is_defined: NDArray[np.bool_]) -> None:
+        if not is_defined.all():
+            self.undefined.setdefault(expression, Undefined(int((~is_defined).sum()), len(is_defined)))
 
 
 ZERO = Number(0.0)
@@ -421,15 +423,15 @@ def make_formula_motion(settings: ByExpressions, constants: Mapping[str, float])
     """The motion that a graph writes as expressions, which were checked."""
     drifts = {name: parse(str(text)) for name, text in settings.drift.items()}
     sds = {name: parse(str(text)) for name, text in settings.sd.items()}
-    used = {name for term in (*drifts.values(), *sds.values()) for name in names_in(term)}
-    further = settings.own
+    mentioned = {name for term in (*drifts.values(), *sds.values()) for name in names_in(term)}
+    own_fields = settings.own
     return FormulaMotion(
-        (*BOX_FIELDS, *further),
+        (*BOX_FIELDS, *own_fields),
         drifts,
         sds,
-        {name: value for name, value in constants.items() if name in used},
-        tuple(one.start for one in further.values()),
-        tuple(one.sd for one in further.values()),
+        {name: value for name, value in constants.items() if name in mentioned},
+        tuple(field.start for field in own_fields.values()),
+        tuple(field.sd for field in own_fields.values()),
         static_discount=settings.static_discount,
     )
 
@@ -438,5 +440,7 @@ def undefined_in(motion: object) -> Mapping[str, Undefined]:
     """Flaws found in the expressions of a motion, or of those inside it; empty for another."""
     if motion is None or isinstance(motion, FormulaMotion):
         return {} if motion is None else motion.undefined
-    inside = getattr(motion, "parts", None) or (getattr(motion, "motion", None),)
-    return {what: states for one in inside for what, states in undefined_in(one).items()}
+    inner_motions = getattr(motion, "parts", None) or (getattr(motion, "motion", None),)
+    return {
+        expression: states for inner in inner_motions for expression, states in undefined_in(inner).items()
+    }

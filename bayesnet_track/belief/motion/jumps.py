@@ -34,15 +34,17 @@ class Places:
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 2) points in px, in random order: which hypothesis is sent where depends on nothing."""
-        chosen = rng.permutation(systematic(self.shares, size, rng))
-        return np.asarray(self.low[chosen] + rng.random((size, 2)) * (self.high - self.low)[chosen])
+        cells = rng.permutation(systematic(self.shares, size, rng))
+        return np.asarray(self.low[cells] + rng.random((size, 2)) * (self.high - self.low)[cells])
 
     def density(self, points: Floats) -> Floats:
         """(N,) per px^2 at points (N, 2)."""
         x, y = points.T[:, :, None]
-        inside = (x >= self.low[:, 0]) & (x < self.high[:, 0]) & (y >= self.low[:, 1]) & (y < self.high[:, 1])
+        is_inside = (
+            (x >= self.low[:, 0]) & (x < self.high[:, 0]) & (y >= self.low[:, 1]) & (y < self.high[:, 1])
+        )
         extent = (self.high - self.low).T
-        return np.asarray(inside @ (self.shares / (extent[0] * extent[1])))
+        return np.asarray(is_inside @ (self.shares / (extent[0] * extent[1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +95,11 @@ class Within:
     @classmethod
     def around(cls, box: Floats, half_px: float, width: int, height: int, cell_box: float = 0.5) -> Within:
         """The square around the centre box (4,) with half its side in px, as far as the frame goes."""
-        half, most = max(half_px, 2.0), np.array([width - 1.0, height - 1.0])
-        centre = np.clip(box[:2], 0.0, most)
-        return cls(np.maximum(centre - half, 0.0), np.minimum(centre + half, most), box[2:4], half, cell_box)
+        half, far_corner = max(half_px, 2.0), np.array([width - 1.0, height - 1.0])
+        centre = np.clip(box[:2], 0.0, far_corner)
+        return cls(
+            np.maximum(centre - half, 0.0), np.minimum(centre + half, far_corner), box[2:4], half, cell_box
+        )
 
 
 FLAT = 100.0
@@ -144,34 +148,34 @@ class Jumping(Wrapped):
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """Like the model, then each with probability `share` anywhere."""
-        moved = self.motion.propagate(states, dt, rng, parents)
-        jumps = np.flatnonzero(rng.random(len(moved)) < self.share)
-        moved[jumps, :2] = self.evenly().draw(len(jumps), rng)
-        return moved
+        propagated = self.motion.propagate(states, dt, rng, parents)
+        jumps = np.flatnonzero(rng.random(len(propagated)) < self.share)
+        propagated[jumps, :2] = self.evenly().draw(len(jumps), rng)
+        return propagated
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """Of the mixture, for states inside the frame."""
         if isinstance(self.motion, Modal):
-            return self.motion.each(lambda one: replace(self, motion=one)).log_density(new, old, dt)
-        return self.transition(old, dt).log_density(new)
+            return self.motion.each(lambda part: replace(self, motion=part)).log_density(states, previous, dt)
+        return self.transition(previous, dt).log_density(states)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """The model's components, and one so wide in x and y that it is flat over the frame.
 
         Its share is that of its whole, of which the frame holds `share`: inside the frame densities are
         right to 1e-4. It needs x and y, which have noise, as the first two coordinates.
         """
-        own = self.motion.transition(old, dt)
-        flat = own.sds[:1].copy()
+        transition = self.motion.transition(previous, dt)
+        flat = transition.sds[:1].copy()
         flat[:, :, :2] = FLAT * np.array([self.width, self.height])
-        whole = 2.0 * np.pi * FLAT**2 * self.width * self.height / self.area
-        shares = [own.log_shares + np.log1p(-self.share), [np.log(self.share * whole)]]
+        flat_area = 2.0 * np.pi * FLAT**2 * self.width * self.height / self.area
+        shares = [transition.log_shares + np.log1p(-self.share), [np.log(self.share * flat_area)]]
         return Transition(
-            own.coordinates,
-            own.means,
-            np.concatenate([own.sds, flat]),
+            transition.coordinates,
+            transition.means,
+            np.concatenate([transition.sds, flat]),
             np.concatenate(shares),
-            own.states,
+            transition.states,
         )
 
     def evenly(self) -> Places:
@@ -193,7 +197,7 @@ def modal_of(motion: MotionModel) -> Modal | None:
     free = motion.motion if isinstance(motion, Confined) else motion
     if isinstance(free, Jumping) and isinstance(free.motion, Modal):
         jumping = free
-        return free.motion.each(lambda one: replace(jumping, motion=one))
+        return free.motion.each(lambda part: replace(jumping, motion=part))
     return free if isinstance(free, Modal) else None
 
 
@@ -222,43 +226,43 @@ def draw_jumps(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log:
     size = len(ancestors)
     count = min(max(round(jumping.search.hypotheses * size), 1), size - 1)
     rng = inputs.stream("jump")
-    which = np.sort(rng.permutation(size)[:count]).astype(np.intp, copy=False)
+    jumped = np.sort(rng.permutation(size)[:count]).astype(np.intp, copy=False)
     motion = Confined(jumping.motion, jumping.width, jumping.height)
     states = motion.propagate(inputs.prior.states, inputs.dt, inputs.stream("propagate"), ancestors)
     places = _places(inputs, jumping, states, rng)
-    states[which, :2] = places.draw(count, rng)
+    states[jumped, :2] = places.draw(count, rng)
     if jumping.within is not None:
-        states[which, 2:4] *= jumping.within.size / inputs.prior.states[ancestors[which], 2:4]
+        states[jumped, 2:4] *= jumping.within.size / inputs.prior.states[ancestors[jumped], 2:4]
     prior_log = beta_log + np.log((1.0 - jumping.share) * size / (size - count))
-    prior_log[which] = beta_log[which] + np.log(
-        jumping.share * size / count / (jumping.area * places.density(states[which, :2]))
+    prior_log[jumped] = beta_log[jumped] + np.log(
+        jumping.share * size / count / (jumping.area * places.density(states[jumped, :2]))
     )
-    return Jumps(states, prior_log, which)
+    return Jumps(states, prior_log, jumped)
 
 
 def report_reappeared(
-    jumping: Jumping, jumps: Jumps, weights: LogWeights, before: Floats
+    jumping: Jumping, jumps: Jumps, weights: LogWeights, previous: Floats
 ) -> Reappeared | None:
     """Event where hypotheses that jumped hold more than half of the belief; frame and target left open."""
-    own = weights.weights[jumps.which]
-    held = float(own.sum())
-    if not held > TELL_ABOVE:
+    jumped_weights = weights.weights[jumps.which]
+    mass = float(jumped_weights.sum())
+    if not mass > TELL_ABOVE:
         return None
-    x, y = (own / held @ jumps.states[jumps.which, :2]).tolist()
-    odds = jumping.share / (1.0 - jumping.share) * max(1.0 - held, 1e-300) / held
+    x, y = (jumped_weights / mass @ jumps.states[jumps.which, :2]).tolist()
+    odds = jumping.share / (1.0 - jumping.share) * max(1.0 - mass, 1e-300) / mass
     search = jumping.search
     return Reappeared(
         frame=0,
         target="",
         by=search.by,
         hypotheses=len(jumps.which),
-        held=held,
+        held=mass,
         level=TELL_ABOVE,
         share=jumping.share,
         turning=odds / (1.0 + odds),
         x=x,
         y=y,
-        moved_px=float(np.hypot(x - before[0], y - before[1])),
+        moved_px=float(np.hypot(x - previous[0], y - previous[1])),
         ud_px2=search.ud_px2,
         above_px2=search.above_px2,
         within_px=None if jumping.within is None else jumping.within.half_px,
@@ -271,24 +275,24 @@ def _places(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gen
     """Places to look: mostly where the search finds something, else evenly."""
     search = jumping.search
     if search.probes:
-        found = _probe(inputs, jumping, states, rng)
+        places = _probe(inputs, jumping, states, rng)
     else:
-        found = _of_boxes(jumping, search.boxes, search.scores)
+        places = _of_boxes(jumping, search.boxes, search.scores)
     evenly = jumping.evenly()
-    if found is None:
+    if places is None:
         return evenly
     return Places(
-        np.concatenate([found.low, evenly.low]),
-        np.concatenate([found.high, evenly.high]),
-        np.append((1.0 - EVENLY) * found.shares, EVENLY),
+        np.concatenate([places.low, evenly.low]),
+        np.concatenate([places.high, evenly.high]),
+        np.append((1.0 - EVENLY) * places.shares, EVENLY),
     )
 
 
 def _of_boxes(jumping: Jumping, boxes: Floats, scores: Floats) -> Places | None:
     """Inside the boxes (M, 4), as far as they lie in the frame, in proportion to their scores (M,)."""
-    whole = jumping.evenly()
-    low = np.clip(boxes[:, :2] - boxes[:, 2:] / 2, whole.low, whole.high)
-    high = np.clip(boxes[:, :2] + boxes[:, 2:] / 2, whole.low, whole.high)
+    frame = jumping.evenly()
+    low = np.clip(boxes[:, :2] - boxes[:, 2:] / 2, frame.low, frame.high)
+    high = np.clip(boxes[:, :2] + boxes[:, 2:] / 2, frame.low, frame.high)
     keep = (high - low >= 1.0).all(axis=1) & (scores > 0)
     if not keep.any():
         return None
@@ -302,28 +306,28 @@ def _probe(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gene
     stay small, and if there are too many, a strip of them is asked about, another one in each frame.
     """
     start, bounds = jumping.evenly().low[0], jumping.evenly().high[0] - jumping.evenly().low[0]
-    most, within = jumping.search.probes, jumping.within
-    if within is None:
+    limit, window = jumping.search.probes, jumping.within
+    if window is None:
         side = 0.5 * float(np.sqrt(np.mean(states[:, 2] * states[:, 3])))
-        side = max(side, float(np.sqrt(jumping.area / most)))
+        side = max(side, float(np.sqrt(jumping.area / limit)))
     else:
-        side = max(within.cell_box * float(np.sqrt(np.prod(within.size))), 1.0)
-    across, down = (max(int(extent / side), 1) for extent in bounds)
-    step = bounds / np.array([across, down])
-    at = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=2).reshape(-1, 2)
-    if within is not None and len(at) > most:
-        at = np.roll(at, -int(rng.integers(len(at))), axis=0)[:most]
-    low = start + at * step
-    probes = states[rng.integers(len(states), size=len(at))].copy()
+        side = max(window.cell_box * float(np.sqrt(np.prod(window.size))), 1.0)
+    columns, rows = (max(int(extent / side), 1) for extent in bounds)
+    step = bounds / np.array([columns, rows])
+    cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=2).reshape(-1, 2)
+    if window is not None and len(cells) > limit:
+        cells = np.roll(cells, -int(rng.integers(len(cells))), axis=0)[:limit]
+    low = start + cells * step
+    probes = states[rng.integers(len(states), size=len(cells))].copy()
     probes[:, :2] = low + step / 2
-    if within is not None:
-        probes[:, 2:4] = within.size
+    if window is not None:
+        probes[:, 2:4] = window.size
     if isinstance(jumping.motion, Modal):
         probes[:, -1] = jumping.motion.modes.hidden.index(False)
-    equal = LogWeights.uniform(len(at))
-    seen = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), equal.log)
+    equal = LogWeights.uniform(len(cells))
+    evidence = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), equal.log)
     try:
-        weights = flatten(equal, seen.log_likelihood, min(LEAST_PLACES, len(at) / 2))[1]
+        weights = flatten(equal, evidence.log_likelihood, min(LEAST_PLACES, len(cells) / 2))[1]
     except DegenerateWeights:
         return None
     return Places(low, low + step, weights.weights)

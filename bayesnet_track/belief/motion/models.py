@@ -204,12 +204,14 @@ class KinematicMotion:
     ) -> Floats:
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
         if self.diffusion == 0:
-            new = self.drift(states if parents is None else states.take(parents, axis=0), dt)
+            propagated = self.drift(states if parents is None else states.take(parents, axis=0), dt)
         else:
             parents = np.arange(len(states)) if parents is None else parents
-            new = driven(plain_states(states), parents, *step_rows(self.dynamics, self.diffusion, dt), rng)
-        add_noise(self.noise, new[:, :4], rng, dt, self.least_side)
-        return new
+            propagated = driven(
+                plain_states(states), parents, *step_rows(self.dynamics, self.diffusion, dt), rng
+            )
+        add_noise(self.noise, propagated[:, :4], rng, dt, self.least_side)
+        return propagated
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise: F x."""
@@ -240,25 +242,25 @@ class KinematicMotion:
             covariance[3, 2] += wh
         return transition, covariance
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) log p(new_m | old_n) over the coordinates that have noise, in px (the cuts left out)."""
-        return self.transition(old, dt).log_density(new)
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
+        """(M, N) log p(states_m | previous_n) over the coordinates with noise, in px (the cuts left out)."""
+        return self.transition(previous, dt).log_density(states)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """p(new | old) of states `old` (N, D), as coordinates and diagonal Gaussians.
+    def transition(self, previous: Floats, dt: float) -> Transition:
+        """p(states | previous) of `previous` (N, D), as coordinates and diagonal Gaussians.
 
         The position's coordinate is what its derivatives, which share its noise, do not predict: the
         triangular factor L of the kinematic covariance L D L' (last derivative first) is inverted, and the
         box's noise adds up with the last entry of D alone.
         """
-        mean = self.drift(old, dt)
+        mean = self.drift(previous, dt)
         chain = None if self.diffusion == 0 else unmixing(self.dynamics, self.diffusion, dt)
         keep = self.noisy_columns
         same = _same_sds(self, dt) if is_same_everywhere(self.noise) else None
         if same is None:
-            sds = _sds(self, old[:, :4], dt)
+            sds = _sds(self, previous[:, :4], dt)
         else:
-            sds = np.empty((len(same), len(old), same.shape[2]))
+            sds = np.empty((len(same), len(previous), same.shape[2]))
             sds[:] = same
 
         def all_coordinates(states: Floats) -> tuple[Floats, Floats]:
@@ -294,7 +296,7 @@ class KinematicMotion:
         )
 
 
-def make_motion(chosen: spec.Motion) -> KinematicMotion:
+def make_motion(model: spec.Motion) -> KinematicMotion:
     """The motion model that a graph asks for.
 
     - `random_walk`: no derivatives.
@@ -306,7 +308,7 @@ def make_motion(chosen: spec.Motion) -> KinematicMotion:
       1/4 keeps its e^(-1/4) per frame, and the gain of position becomes (1 - e^(-1/4)) / (1/4) = .885.
     - `constant_acceleration`: white noise in the derivative of acceleration.
     """
-    settings = chosen.settings
+    settings = model.settings
     match settings:
         case spec.DampedVelocity():  # a kind of ConstantVelocity, so it comes first
             rows: Rows = ((0.0, 1.0), (0.0, -settings.damping))
@@ -350,14 +352,14 @@ def linear_moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | 
         return None
 
 
-def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
-    """(C, N, K) sds of the coordinates with noise around boxes `old` (N, 4)."""
-    variances = component_variances(motion.noise, old, dt)
+def _sds(motion: KinematicMotion, boxes: Floats, dt: float) -> Floats:
+    """(C, N, K) sds of the coordinates with noise around `boxes` (N, 4)."""
+    variances = component_variances(motion.noise, boxes, dt)
     if motion.diffusion != 0:
         pivots = unmixing(motion.dynamics, motion.diffusion, dt).pivots
         variances[:, :, :2] += pivots[0]
-        further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * motion.order - 2))
-        variances = np.concatenate([variances, further], axis=2)
+        derivatives = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * motion.order - 2))
+        variances = np.concatenate([variances, derivatives], axis=2)
     return np.asarray(np.sqrt(variances.take(motion.noisy_columns, axis=2)))
 
 
@@ -394,24 +396,24 @@ def propagate_rows(
     """
     from bayesnet_track.numerics.kernels.box_kernels import driven
 
-    count, known, width = states.shape
+    count, size, width = states.shape
     if draws_twice(motion):
         streams = list(streams)
-    below = (parents + known * np.arange(count)[:, None]).ravel()
+    flat_parents = (parents + size * np.arange(count)[:, None]).ravel()
     flat = states.reshape(-1, width)
     if motion.diffusion == 0:
-        moved = motion.drift(flat.take(below, axis=0), dt)
+        propagated = motion.drift(flat.take(flat_parents, axis=0), dt)
     else:
         normals = np.empty((count, parents.shape[1], 2 * motion.order))
-        for own, stream in zip(normals, streams, strict=True):
-            stream.standard_normal(out=own)
+        for target, stream in zip(normals, streams, strict=True):
+            stream.standard_normal(out=target)
         rows = step_rows(motion.dynamics, motion.diffusion, dt)
-        moved = driven(flat, below, *rows, normals.reshape(-1, 2 * motion.order))
-    moved = moved.reshape(count, -1, width)
+        propagated = driven(flat, flat_parents, *rows, normals.reshape(-1, 2 * motion.order))
+    propagated = propagated.reshape(count, -1, width)
     if any(noisy(motion.noise)):
-        for own, stream in zip(moved, streams, strict=True):
-            add_noise(motion.noise, own[:, :4], stream, dt, motion.least_side)
-    return moved
+        for target, stream in zip(propagated, streams, strict=True):
+            add_noise(motion.noise, target[:, :4], stream, dt, motion.least_side)
+    return propagated
 
 
 def draws_twice(motion: KinematicMotion) -> bool:

@@ -76,7 +76,7 @@ class Modes:
     @cached_property
     def hidden(self) -> tuple[bool, ...]:
         """(K,) in which the target cannot be seen."""
-        return tuple(one is not None for one in self.unseen)
+        return tuple(hiding is not None for hiding in self.unseen)
 
     @property
     def can_hide(self) -> bool:
@@ -86,28 +86,30 @@ class Modes:
     @property
     def missed(self) -> float:
         """Probability that an agent that measures misses a target that can be seen; 0 where it always can."""
-        return max((one.missed for one in self.unseen if one is not None), default=0.0)
+        return max((hiding.missed for hiding in self.unseen if hiding is not None), default=0.0)
 
     @property
     def lost_above(self) -> float:
         """Probability of being hidden above which the target counts as lost."""
-        return min((one.lost_above for one in self.unseen if one is not None), default=1.0)
+        return min((hiding.lost_above for hiding in self.unseen if hiding is not None), default=1.0)
 
     @cached_property
     def index(self) -> dict[str, Ints]:
         """(K,) number of the way (`mode`), and of the value of each constant, of each mode."""
-        shape = (len(self.ways), *(len(one.values) for one in self.constants))
+        shape = (len(self.ways), *(len(constant.values) for constant in self.constants))
         numbers = np.unravel_index(np.arange(len(self)), shape)
-        names = (FIELD, *(one.name for one in self.constants))
-        return {name: np.asarray(own, dtype=np.int64) for name, own in zip(names, numbers, strict=True)}
+        names = (FIELD, *(constant.name for constant in self.constants))
+        return {name: np.asarray(column, dtype=np.int64) for name, column in zip(names, numbers, strict=True)}
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the modes, such as `walk`, with values `walk team=red`."""
         parts = [[self.ways[number] for number in self.index[FIELD]]]
-        for one in self.constants:
-            parts.append([key_of(one.name, one.values[number]) for number in self.index[one.name]])
-        return tuple(" ".join(filter(None, own)) for own in zip(*parts, strict=True))
+        for constant in self.constants:
+            parts.append(
+                [key_of(constant.name, constant.values[number]) for number in self.index[constant.name]]
+            )
+        return tuple(" ".join(filter(None, words)) for words in zip(*parts, strict=True))
 
     @cached_property
     def kinds(self) -> Ints:
@@ -117,13 +119,13 @@ class Modes:
     def fields(self, numbers: Floats | Ints) -> dict[str, Floats]:
         """Names in expressions of hypotheses in modes of these numbers: `mode`, and each constant."""
         modes = numbers.astype(np.intp)
-        return {name: own[modes].astype(np.float64) for name, own in self.index.items()}
+        return {name: values[modes].astype(np.float64) for name, values in self.index.items()}
 
     def long_run(self) -> Floats:
         """(K,) probabilities in the long run, constants as when the target starts."""
         shares = np.array(self.usual) if self.usual else self.chain.stationary()
-        for one in self.constants:
-            shares = np.outer(shares, one.prior).ravel()
+        for constant in self.constants:
+            shares = np.outer(shares, constant.prior).ravel()
         return np.asarray(shares)
 
     def start(self) -> Floats:
@@ -143,12 +145,14 @@ class Modes:
 
     def values(self, probabilities: Floats) -> dict[str, float]:
         """`team=red` -> its probability, of each value of each constant."""
-        found: dict[str, float] = {}
-        for one in self.constants:
-            counted = np.bincount(self.index[one.name], probabilities, minlength=len(one.values))
+        marginals: dict[str, float] = {}
+        for constant in self.constants:
+            counted = np.bincount(self.index[constant.name], probabilities, minlength=len(constant.values))
             shares = (counted / max(float(counted.sum()), 1e-300)).tolist()
-            found.update(zip((key_of(one.name, value) for value in one.values), shares, strict=True))
-        return found
+            marginals.update(
+                zip((key_of(constant.name, value) for value in constant.values), shares, strict=True)
+            )
+        return marginals
 
     def probability_hidden(self, probabilities: Floats) -> float:
         """Probability that it cannot be seen."""
@@ -196,8 +200,8 @@ def modes_of(root: InferenceNode) -> Modes | None:
         return None if root.modes is None else make_modes(root.modes)
     still = Modes(("",), Chain(((0.0,),), by_rates=True), (None,))
     ways = still if root.modes is None else make_modes(root.modes)
-    constants = tuple(make_constant(name, one) for name, one in root.category.items())
-    size = math.prod(len(one.values) for one in constants)
+    constants = tuple(make_constant(name, category) for name, category in root.category.items())
+    size = math.prod(len(constant.values) for constant in constants)
     matrix = np.kron(np.array(ways.chain.rows), np.eye(size))
     return Modes(
         ways.ways,
@@ -222,12 +226,12 @@ def make_modes(settings: Mapping[str, Mode]) -> Modes:
     rows = []
     for number, (name, mode) in enumerate(settings.items()):
         if mode.next is not None:
-            rows.append(tuple(mode.next.get(other, 0.0) for other in names))
+            rows.append(tuple(mode.next.get(following, 0.0) for following in names))
             continue
         assert mode.mean_frames is not None
-        follow = mode.then or {other: 1.0 for other in names if other != name}
+        follow = mode.then or {following: 1.0 for following in names if following != name}
         total = sum(follow.values())
-        rates = [follow.get(other, 0.0) / total / mode.mean_frames for other in names]
+        rates = [follow.get(following, 0.0) / total / mode.mean_frames for following in names]
         rates[number] = -1.0 / mode.mean_frames
         rows.append(tuple(rates))
     return Modes(names, Chain(tuple(rows), by_rates), tuple(mode.hidden for mode in settings.values()))
@@ -269,16 +273,16 @@ class Modal:
     @property
     def leaves_image(self) -> bool:
         """True if the centres of every mode go on beyond the image."""
-        return all(getattr(one, "leaves_image", False) for one in self.parts)
+        return all(getattr(part, "leaves_image", False) for part in self.parts)
 
     def each(self, change: Callable[[MotionModel], MotionModel]) -> Modal:
         """With every mode's motion changed; modes that shared one still do. Itself where nothing changes."""
-        made: dict[int, MotionModel] = {}
-        for one in self.parts:
-            if id(one) not in made:
-                made[id(one)] = change(one)
-        parts = tuple(made[id(one)] for one in self.parts)
-        same = all(new is old for new, old in zip(parts, self.parts, strict=True))
+        changed_parts: dict[int, MotionModel] = {}
+        for part in self.parts:
+            if id(part) not in changed_parts:
+                changed_parts[id(part)] = change(part)
+        parts = tuple(changed_parts[id(part)] for part in self.parts)
+        same = all(part is original for part, original in zip(parts, self.parts, strict=True))
         return self if same else replace(self, parts=parts)
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
@@ -300,46 +304,46 @@ class Modal:
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """(N, D) states after `dt` frame intervals."""
-        old = states if parents is None else states[parents]
-        modes = old[:, -1].astype(np.intp)
+        previous = states if parents is None else states[parents]
+        modes = previous[:, -1].astype(np.intp)
         if not self.settled:
-            points = (rng.permutation(len(old)) + rng.random(len(old))) / len(old)
+            points = (rng.permutation(len(previous)) + rng.random(len(previous))) / len(previous)
             modes = draw(self.chain.over(dt)[modes], points)
-        before = np.ascontiguousarray(old[:, :-1])
-        moved = np.empty_like(before)
-        for motion, chosen in self._groups(modes):
-            moved[chosen] = motion.propagate(before, dt, rng, chosen)
-        return _with(moved, modes)
+        inner_states = np.ascontiguousarray(previous[:, :-1])
+        moved_states = np.empty_like(inner_states)
+        for motion, rows in self._groups(modes):
+            moved_states[rows] = motion.propagate(inner_states, dt, rng, rows)
+        return _with(moved_states, modes)
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise, each in the mode that it is in."""
-        before = np.ascontiguousarray(states[:, :-1])
-        moved = np.empty_like(before)
-        for motion, chosen in self._groups(states[:, -1].astype(np.intp)):
-            moved[chosen] = motion.drift(before[chosen], dt)
-        return _with(moved, states[:, -1])
+        inner_states = np.ascontiguousarray(states[:, :-1])
+        moved_states = np.empty_like(inner_states)
+        for motion, rows in self._groups(states[:, -1].astype(np.intp)):
+            moved_states[rows] = motion.drift(inner_states[rows], dt)
+        return _with(moved_states, states[:, -1])
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q of the mode that the state is in; the mode stays."""
         transition, covariance = self.motions[int(state[-1])].linearise(state[:-1], dt)
-        whole = np.pad(transition, (0, 1))
-        whole[-1, -1] = 1.0
-        return whole, np.pad(covariance, (0, 1))
+        padded = np.pad(transition, (0, 1))
+        padded[-1, -1] = 1.0
+        return padded, np.pad(covariance, (0, 1))
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) log P(mode | mode before) + log p(new | old) as the new mode moves."""
-        modes, before = new[:, -1].astype(np.intp), np.ascontiguousarray(old[:, :-1])
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
+        """(M, N) log P(mode | mode before) + log p(states | previous) as the new mode moves."""
+        modes, inner_states = states[:, -1].astype(np.intp), np.ascontiguousarray(previous[:, :-1])
         with np.errstate(divide="ignore"):
-            log_chain = np.log(self.chain.over(dt))[old[:, -1].astype(np.intp)]
-        found = np.empty((len(new), len(old)))
+            log_chain = np.log(self.chain.over(dt))[previous[:, -1].astype(np.intp)]
+        log_densities = np.empty((len(states), len(previous)))
         for number, motion in enumerate(self.motions):
-            chosen = np.flatnonzero(modes == number)
-            if len(chosen):
-                own = motion.log_density(np.ascontiguousarray(new[chosen, :-1]), before, dt)
-                found[chosen] = own + log_chain[:, number]
-        return found
+            rows = np.flatnonzero(modes == number)
+            if len(rows):
+                log_density = motion.log_density(np.ascontiguousarray(states[rows, :-1]), inner_states, dt)
+                log_densities[rows] = log_density + log_chain[:, number]
+        return log_densities
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Not known: modes that move differently have no coordinates in common.
 
         Raises:
@@ -356,20 +360,20 @@ class Modal:
     def _groups(self, modes: NDArray[np.intp]) -> list[tuple[MotionModel, NDArray[np.intp]]]:
         """Motions and the hypotheses that they move: modes that share one are moved together."""
         groups: dict[int, list[int]] = {}
-        for number, one in enumerate(self.motions):
-            groups.setdefault(id(one), []).append(number)
-        found = []
+        for number, motion in enumerate(self.motions):
+            groups.setdefault(id(motion), []).append(number)
+        moved_rows = []
         for numbers in groups.values():
-            chosen = np.flatnonzero(np.isin(modes, numbers))
-            if len(chosen):
-                found.append((self.motions[numbers[0]], chosen.astype(np.intp, copy=False)))
-        return found
+            rows = np.flatnonzero(np.isin(modes, numbers))
+            if len(rows):
+                moved_rows.append((self.motions[numbers[0]], rows.astype(np.intp, copy=False)))
+        return moved_rows
 
 
 def draw(probabilities: Floats, points: Floats) -> NDArray[np.intp]:
     """(N,) a mode for each row of probabilities (N, K), by points (N,) in 0..1."""
-    above = probabilities.cumsum(axis=1)[:, :-1]
-    return np.asarray((points[:, None] >= above).sum(axis=1), dtype=np.intp)
+    cumulative = probabilities.cumsum(axis=1)[:, :-1]
+    return np.asarray((points[:, None] >= cumulative).sum(axis=1), dtype=np.intp)
 
 
 def _with(states: Floats, modes: NDArray[np.generic]) -> Floats:

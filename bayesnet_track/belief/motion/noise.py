@@ -26,7 +26,7 @@ LOG_SIZE_LIMIT = float(np.log(1.1))
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """p(new | old) for N old states: diagonal Gaussians, in coordinates in which they are diagonal.
+    """p(states | previous) for N old states: diagonal Gaussians, in coordinates in which they are diagonal.
 
     Attributes:
         coordinates: (M, D) states -> their (M, K) coordinates with noise, and the (M,) log-Jacobian from
@@ -44,9 +44,9 @@ class Transition:
     log_shares: Floats
     states: States | None = None
 
-    def log_density(self, new: Floats) -> Floats:
-        """(M, N) log p(new_m | old_n) of new states (M, D)."""
-        points, log_jacobian = self.coordinates(new)
+    def log_density(self, states: Floats) -> Floats:
+        """(M, N) log p(states_m | previous_n) of `states` (M, D)."""
+        points, log_jacobian = self.coordinates(states)
         parts = [
             share + log_gaussians(points, self.means, sds)
             for share, sds in zip(self.log_shares, self.sds, strict=True)
@@ -63,13 +63,13 @@ def sample_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: floa
     boxes drawn at random, takes its position noise times the factor. Changes of size by `sd_log` are cut at
     10 % per frame interval.
     """
-    new = boxes.copy()
-    add_noise(noise, new, rng, dt)
-    return new
+    noised = boxes.copy()
+    add_noise(noise, noised, rng, dt)
+    return noised
 
 
 def add_noise(
-    noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0, least: float = 1.0
+    noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0, least_side: float = 1.0
 ) -> None:
     """Add noise as `sample_noise` draws it, in place."""
     keep = noisy(noise)
@@ -95,20 +95,20 @@ def add_noise(
             )  # `clip` takes twice as long
         else:
             boxes[:, 2:] += steps
-        np.maximum(boxes[:, 2:], least, out=boxes[:, 2:])
+        np.maximum(boxes[:, 2:], least_side, out=boxes[:, 2:])
 
 
-def log_noise_density(noise: Noise, new: Floats, old: Floats, dt: float = 1.0) -> Floats:
-    """(M, N) log-density of the boxes `new` (M, 4) around each of `old` (N, 4), per px^k.
+def log_noise_density(noise: Noise, boxes: Floats, previous: Floats, dt: float = 1.0) -> Floats:
+    """(M, N) log-density of the `boxes` (M, 4) around each of `previous` (N, 4), per px^k.
 
     k is the number of coordinates with noise; the others are left out. The cuts at 10 % and at 1 px are not
     part of it: they lie far out in the tail of any noise that they are meant for.
     """
-    return noise_transition(noise, old, dt).log_density(new)
+    return noise_transition(noise, previous, dt).log_density(boxes)
 
 
-def noise_transition(noise: Noise, old: Floats, dt: float = 1.0) -> Transition:
-    """p(new box | old box) for `old` (N, 4), as coordinates and diagonal Gaussians."""
+def noise_transition(noise: Noise, previous: Floats, dt: float = 1.0) -> Transition:
+    """p(box | previous box) for `previous` (N, 4), as coordinates and diagonal Gaussians."""
     keep = noisy(noise)
 
     def coordinates(boxes: Floats) -> tuple[Floats, Floats]:
@@ -120,8 +120,8 @@ def noise_transition(noise: Noise, old: Floats, dt: float = 1.0) -> Transition:
         full[:, keep] = points
         return boxes_at(noise, full)
 
-    variances = component_variances(noise, old, dt)
-    means, sds = coordinates(old)[0], np.sqrt(variances[:, :, keep])
+    variances = component_variances(noise, previous, dt)
+    means, sds = coordinates(previous)[0], np.sqrt(variances[:, :, keep])
     return Transition(coordinates, means, sds, component_log_shares(noise), states)
 
 
@@ -160,12 +160,12 @@ def boxes_at(noise: Noise, points: Floats) -> Floats:
     return boxes
 
 
-def component_variances(noise: Noise, old: Floats, dt: float) -> Floats:
+def component_variances(noise: Noise, boxes: Floats, dt: float) -> Floats:
     """(C, N, 4) variances of the coordinates around boxes (N, 4): C = 2 with `heavy_tail`, else 1."""
     tail = noise.heavy_tail
-    variances = np.empty((1 if tail is None else 2, len(old), 4))
-    variances[:, :, :2] = position_variance(noise, old, dt)
-    for column, sd in zip((2, 3), size_sd(noise, old, dt).T, strict=True):
+    variances = np.empty((1 if tail is None else 2, len(boxes), 4))
+    variances[:, :, :2] = position_variance(noise, boxes, dt)
+    for column, sd in zip((2, 3), size_sd(noise, boxes, dt).T, strict=True):
         variances[:, :, column] = sd**2
     if tail is not None:
         variances[1, :, :2] *= tail.factor**2
@@ -185,7 +185,10 @@ def box_covariance(noise: Noise, w: float, h: float, dt: float) -> tuple[float, 
     """
     px, box, log, tail = noise.sd_px, noise.sd_box, noise.sd_log, noise.heavy_tail
     wider = 1.0 if tail is None else 1.0 + tail.weight * (tail.factor**2 - 1.0)
-    x, y = (wider * (dt * (own * own + by * by * (w * h))) for own, by in ((px.x, box.x), (px.y, box.y)))
+    x, y = (
+        wider * (dt * (px_sd * px_sd + box_sd * box_sd * (w * h)))
+        for px_sd, box_sd in ((px.x, box.x), (px.y, box.y))
+    )
     if not is_log(noise):
         return x, y, dt * px.w**2, 0.0, dt * px.h**2
     relative = (px.w / w) ** 2 + (px.h / h) ** 2

@@ -47,13 +47,13 @@ class ShiftedMotion(Wrapped):
         drift, noise = self.motion.linearise(self.shift.apply(state[None])[0], dt)
         return drift @ self.shift.jacobian(state), noise
 
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+    def log_density(self, states: Floats, previous: Floats, dt: float) -> Floats:
         """Of the model from the shifted states."""
-        return self.transition(old, dt).log_density(new)
+        return self.transition(previous, dt).log_density(states)
 
-    def transition(self, old: Floats, dt: float) -> Transition:
+    def transition(self, previous: Floats, dt: float) -> Transition:
         """Of the model from the shifted states."""
-        return self.motion.transition(self.shift.apply(old), dt)
+        return self.motion.transition(self.shift.apply(previous), dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +72,21 @@ class CameraShift:
 
     def apply(self, states: Floats) -> Floats:
         """(N, D) states where the camera's motion takes them."""
-        moved = states.copy()
+        shifted = states.copy()
         # Sums written out: those of BLAS depend on threads.
         for column in (0, *range(4, states.shape[1], 2)):
             x, y = states[:, column], states[:, column + 1]
             for axis, row in enumerate(self.linear):
-                moved[:, column + axis] = row[0] * x + row[1] * y
-        moved[:, :2] += self.offset
-        return moved
+                shifted[:, column + axis] = row[0] * x + row[1] * y
+        shifted[:, :2] += self.offset
+        return shifted
 
     def jacobian(self, state: Floats) -> Floats:
         """(D, D): L for the centre and each of its derivatives."""
-        found = np.eye(len(state))
+        jacobian = np.eye(len(state))
         for column in (0, *range(4, len(state), 2)):
-            found[column : column + 2, column : column + 2] = self.linear
-        return found
+            jacobian[column : column + 2, column : column + 2] = self.linear
+        return jacobian
 
 
 def camera_shift(flow: Floats, dt: float) -> CameraShift | None:

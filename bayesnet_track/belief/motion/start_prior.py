@@ -64,10 +64,10 @@ class StartPrior:
         for name, term in self.terms.items():
             parameters = parameters_of(term, self._names(box), len(means))
             centre, variance = moments(distribution_of(term), parameters)
-            known, column = np.flatnonzero(np.isfinite(centre) & np.isfinite(variance)), fields.index(name)
-            spreads[known, column, :] = 0.0
-            spreads[known, :, column] = 0.0
-            means[known, column], spreads[known, column, column] = centre[known], variance[known]
+            rows, column = np.flatnonzero(np.isfinite(centre) & np.isfinite(variance)), fields.index(name)
+            spreads[rows, column, :] = 0.0
+            spreads[rows, :, column] = 0.0
+            means[rows, column], spreads[rows, column, column] = centre[rows], variance[rows]
         np.maximum(means[:, 2:4], LEAST_SIDE, out=means[:, 2:4])
         return mean, covariance
 
@@ -77,12 +77,12 @@ class StartPrior:
 
     def undefined(self, box: ArrayLike) -> tuple[str, ...]:
         """Fields without a distribution at a centre box (4,)."""
-        found = []
+        names = []
         for name, term in self.terms.items():
             function, parameters = distribution_of(term), parameters_of(term, self._names(box), 1)
             if not is_proper(function, parameters)[0]:
-                found.append(name)
-        return tuple(found)
+                names.append(name)
+        return tuple(names)
 
     def _names(self, box: ArrayLike) -> Names:
         sides = np.asarray(box, dtype=np.float64)
@@ -109,5 +109,5 @@ def make_start_prior(root: InferenceNode, constants: Mapping[str, float]) -> Sta
     if not root.start_texts:
         return None
     terms = {name: parse(text, draws=True) for name, text in root.start_texts.items()}
-    used = {name for term in terms.values() for name in names_in(term)}
-    return StartPrior(terms, {name: value for name, value in constants.items() if name in used})
+    mentioned = {name for term in terms.values() for name in names_in(term)}
+    return StartPrior(terms, {name: value for name, value in constants.items() if name in mentioned})

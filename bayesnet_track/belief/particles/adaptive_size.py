@@ -71,12 +71,12 @@ def draw_modes(inputs: Inputs, ancestors: NDArray[np.intp], beta_log: Floats) ->
     chain = modal.chain.over(inputs.dt)
     can_follow = chain > 0
     drawn_by = (1.0 - EVENLY) * chain + EVENLY * can_follow / can_follow.sum(axis=1, keepdims=True)
-    before, size = states[:, -1].astype(np.intp), len(states)
-    modes = draw(drawn_by[before], (rng.permutation(size) + rng.random(size)) / size)
+    previous_modes, size = states[:, -1].astype(np.intp), len(states)
+    modes = draw(drawn_by[previous_modes], (rng.permutation(size) + rng.random(size)) / size)
     states[:, -1] = modes
-    prior_log = beta_log + np.log(chain[before, modes] / drawn_by[before, modes])
-    moved = replace(inputs, prior=replace(prior, states=states), motion=_settle(inputs.motion))
-    return DrawnModes(moved, prior_log)
+    prior_log = beta_log + np.log(chain[previous_modes, modes] / drawn_by[previous_modes, modes])
+    mode_inputs = replace(inputs, prior=replace(prior, states=states), motion=_settle(inputs.motion))
+    return DrawnModes(mode_inputs, prior_log)
 
 
 def _settle(motion: MotionModel) -> MotionModel:
@@ -101,33 +101,33 @@ WillRepeat = Callable[[Floats, Floats], bool]
 def fixed_size(settings: spec.Particles, size: int, inputs: Inputs) -> FrameSample:
     """So many hypotheses drawn from the motion model, with their evidence."""
     jumping, ancestors, beta = jumping_of(inputs.motion), *_of_last(settings, inputs, size)
-    drawn = draw_modes(inputs, ancestors, beta.log)
-    if drawn is not None:
-        one = _with_modes(drawn, jumping_of(drawn.inputs.motion))
-        return replace(one, whole=replace(one.whole, ancestors=ancestors))
+    modes = draw_modes(inputs, ancestors, beta.log)
+    if modes is not None:
+        sample = _with_modes(modes, jumping_of(modes.inputs.motion))
+        return replace(sample, whole=replace(sample.whole, ancestors=ancestors))
     if jumping is not None:
         return _with_jumps(inputs, jumping, ancestors, beta.log)
     return FrameSample(evaluate_sample(inputs, move(inputs, ancestors, "propagate"), beta.log, ancestors))
 
 
 def resize_by(
-    settings: spec.Particles, inputs: Inputs, whole: WeightedSample, size_memory: SizeMemory | None
+    settings: spec.Particles, inputs: Inputs, sample: WeightedSample, size_memory: SizeMemory | None
 ) -> SizeMemory | None:
-    """Memory of an adaptive size of a frame whose passes are `whole`."""
+    """Memory of an adaptive size of a frame whose passes are `sample`."""
     if size_memory is None or isinstance(settings.size, int):
         return size_memory
-    return replace(size_memory, wanted=_find_size(settings.size, inputs, whole, slice(None)))
+    return replace(size_memory, wanted=_find_size(settings.size, inputs, sample, slice(None)))
 
 
-def _with_modes(drawn: DrawnModes, jumping: Jumping | None) -> FrameSample:
+def _with_modes(modes: DrawnModes, jumping: Jumping | None) -> FrameSample:
     """The same where hypotheses have drawn their modes before they move."""
-    parents = np.arange(len(drawn.prior_log))
+    parents = np.arange(len(modes.prior_log))
     if jumping is not None:
-        return _with_jumps(drawn.inputs, jumping, parents, drawn.prior_log)
-    states = move(drawn.inputs, parents, "propagate")
-    scaled = LogWeights.normalise(drawn.prior_log)[0].log
+        return _with_jumps(modes.inputs, jumping, parents, modes.prior_log)
+    states = move(modes.inputs, parents, "propagate")
+    scaled = LogWeights.normalise(modes.prior_log)[0].log
     return FrameSample(
-        replace(evaluate_sample(drawn.inputs, states, scaled, parents), prior_log=drawn.prior_log)
+        replace(evaluate_sample(modes.inputs, states, scaled, parents), prior_log=modes.prior_log)
     )
 
 
@@ -135,15 +135,15 @@ def _with_jumps(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log
     """The same where some jump, and what is told when they hold the belief."""
     jumps = draw_jumps(inputs, jumping, ancestors, beta_log)
     scaled = LogWeights.normalise(jumps.prior_log)[0].log
-    one = replace(evaluate_sample(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
+    sample = replace(evaluate_sample(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
     try:
-        weights, _ = LogWeights.normalise(jumps.prior_log + one.evidence.log_likelihood)
+        weights, _ = LogWeights.normalise(jumps.prior_log + sample.evidence.log_likelihood)
     except DegenerateWeights:
-        return FrameSample(one)
+        return FrameSample(sample)
     event = report_reappeared(jumping, jumps, weights, inputs.prior.mean)
     if event is None:
-        return FrameSample(one)
-    return FrameSample(one, reports=(lambda frame, target: replace(event, frame=frame, target=target),))
+        return FrameSample(sample)
+    return FrameSample(sample, reports=(lambda frame, target: replace(event, frame=frame, target=target),))
 
 
 def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ancestors, LogWeights]:
@@ -164,61 +164,64 @@ def adaptive_size(
     placed (`resize_by` looks at both).
     """
     low, high = settings.least, settings.most
-    before = inputs.prior.size_memory or SizeMemory(low, low, SampleSize(low, 0.0))
-    halves = halve(begin_with(before, low, high))
-    one = _draw_halves(settings, inputs, halves, "")
+    memory = inputs.prior.size_memory or SizeMemory(low, low, SampleSize(low, 0.0))
+    halves = halve(begin_with(memory, low, high))
+    sample = _draw_halves(settings, inputs, halves, "")
     first, second = (
-        _size_unless(will_repeat, size, inputs, one, part)
+        _size_unless(will_repeat, size, inputs, sample, part)
         for part in (slice(halves[0]), slice(halves[0], None))
     )
-    sizing = SizeDecision(size, before, (first, second), low, high)
+    sizing = SizeDecision(size, memory, (first, second), low, high)
     if any(sizing.more):
-        one = _enlarge(one, _draw_halves(settings, inputs, sizing.more, " more"), halves, sizing.more)
-    wanted = _find_size(size, inputs, one, slice(None))
-    if not sizing.is_notable or len(one) != sizing.particles:  # the second look may not have joined the first
-        return FrameSample(one, SizeMemory(len(one), before.reported, wanted))
-    return FrameSample(one, SizeMemory(len(one), sizing.particles, wanted), (make_report(sizing),))
+        sample = _enlarge(sample, _draw_halves(settings, inputs, sizing.more, " more"), halves, sizing.more)
+    wish = _find_size(size, inputs, sample, slice(None))
+    # The second look may not have joined the first.
+    if not sizing.is_notable or len(sample) != sizing.particles:
+        return FrameSample(sample, SizeMemory(len(sample), memory.reported, wish))
+    return FrameSample(sample, SizeMemory(len(sample), sizing.particles, wish), (make_report(sizing),))
 
 
-def _find_size(size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, part: slice) -> SampleSize:
-    likelihood = one.evidence.log_likelihood[part]
-    return find_sample_size(size, one.states[part], inputs.prior.fields, one.prior_log[part], likelihood)
+def _find_size(size: spec.AdaptiveSize, inputs: Inputs, sample: WeightedSample, part: slice) -> SampleSize:
+    likelihood = sample.evidence.log_likelihood[part]
+    return find_sample_size(
+        size, sample.states[part], inputs.prior.fields, sample.prior_log[part], likelihood
+    )
 
 
 def _size_unless(
-    will_repeat: WillRepeat, size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, part: slice
+    will_repeat: WillRepeat, size: spec.AdaptiveSize, inputs: Inputs, sample: WeightedSample, part: slice
 ) -> SampleSize:
     """Sample size that a part asks for; no more than there are where it calls for a second pass."""
-    wanted = _find_size(size, inputs, one, part)
-    if will_repeat(one.prior_log[part], one.evidence.log_likelihood[part]):
-        return replace(wanted, particles=min(wanted.particles, float(len(one))))
-    return wanted
+    wish = _find_size(size, inputs, sample, part)
+    if will_repeat(sample.prior_log[part], sample.evidence.log_likelihood[part]):
+        return replace(wish, particles=min(wish.particles, float(len(sample))))
+    return wish
 
 
 def _draw_halves(
-    settings: spec.Particles, inputs: Inputs, counts: tuple[int, int], again: str
+    settings: spec.Particles, inputs: Inputs, counts: tuple[int, int], suffix: str
 ) -> WeightedSample:
     """One pass of two halves that share no random number."""
-    streams = [(f"{half}{again}", count) for half, count in zip(("", " half"), counts, strict=True) if count]
-    drawn = [draw_parents(settings, inputs, count, f"resample{name}") for name, count in streams]
-    parents = [ancestors for ancestors, _ in drawn]
+    streams = [(f"{half}{suffix}", count) for half, count in zip(("", " half"), counts, strict=True) if count]
+    draws = [draw_parents(settings, inputs, count, f"resample{name}") for name, count in streams]
+    parents = [ancestors for ancestors, _ in draws]
     states = [move(inputs, parents[n], f"propagate{name}") for n, (name, _) in enumerate(streams)]
     beta = LogWeights.uniform(sum(counts))
-    own = [log + np.log(len(log) / sum(counts)) for _, log in drawn if log is not None]
-    if own:
-        beta = LogWeights.normalise(np.concatenate(own))[0]
+    log_weights = [log + np.log(len(log) / sum(counts)) for _, log in draws if log is not None]
+    if log_weights:
+        beta = LogWeights.normalise(np.concatenate(log_weights))[0]
     return evaluate_sample(inputs, np.concatenate(states), beta.log, np.concatenate(parents))
 
 
 def _enlarge(
-    one: WeightedSample, more: WeightedSample, halves: tuple[int, int], counts: tuple[int, int]
+    sample: WeightedSample, extra: WeightedSample, halves: tuple[int, int], counts: tuple[int, int]
 ) -> WeightedSample:
     """Both passes as one, each half with half of the prior weight; the first alone where they do not join."""
-    whole = concatenate(one, more, 0.5)
-    if len(whole) == len(one):
-        return whole
+    joined = concatenate(sample, extra, 0.5)
+    if len(joined) == len(sample):
+        return joined
     log_beta = [-np.log(2.0 * (start + added)) for start, added in zip(halves, counts, strict=True)]
-    return replace(whole, prior_log=np.repeat(log_beta * 2, (*halves, *counts)))
+    return replace(joined, prior_log=np.repeat(log_beta * 2, (*halves, *counts)))
 
 
 def must_resample(settings: spec.Particles, prior: ParticleSet, size: int) -> bool:
@@ -248,8 +251,8 @@ def draw_parents(
     kinds = modal.modes.kinds[inputs.prior.states[:, -1].astype(np.intp)]
     shares = np.bincount(kinds, weights)
     alive = shares > 0.0
-    drawn = (1.0 - EVENLY) * shares + EVENLY * alive / alive.sum()
-    factors = np.divide(drawn, shares, out=np.zeros_like(shares), where=alive)
+    drawn_shares = (1.0 - EVENLY) * shares + EVENLY * alive / alive.sum()
+    factors = np.divide(drawn_shares, shares, out=np.zeros_like(shares), where=alive)
     ancestors = resample(settings.resample, weights * factors[kinds], size, rng).astype(np.intp, copy=False)
     counts = np.bincount(kinds[ancestors], minlength=len(shares))
     return ancestors, np.log(shares[kinds[ancestors]] / counts[kinds[ancestors]])

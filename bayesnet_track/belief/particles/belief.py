@@ -37,26 +37,26 @@ def shrink_constants(prior: ParticleSet, motion: MotionModel, stream: Stream) ->
     parents are drawn, so that the frame's evidence compares as many values as there are hypotheses.
     """
     motions = list(formulas_in(motion))
-    discounts = [one.static_discount for one in motions if one.static_discount is not None]
+    discounts = [part.static_discount for part in motions if part.static_discount is not None]
     names = static_fields(motion)
     if not discounts or not names:
         return prior
-    kept = (3.0 * min(discounts) - 1.0) / (2.0 * min(discounts))
+    shrinkage = (3.0 * min(discounts) - 1.0) / (2.0 * min(discounts))
     columns = np.array([prior.fields.index(name) for name in names])
     weights, size = prior.weights.weights, len(prior)
     parents = systematic(weights, size, stream("constants of parents"))
     states, rng = prior.states[parents], stream("constants")
     has_modes = prior.fields[-1] == FIELD
-    modes, before = (one[:, -1] if has_modes else np.zeros(size) for one in (states, prior.states))
+    modes, prior_modes = (sample[:, -1] if has_modes else np.zeros(size) for sample in (states, prior.states))
     for mode in np.unique(modes):
-        chosen, own = np.flatnonzero(modes == mode), weights * (before == mode)
-        own = own / own.sum()
-        mean, covariance = weighted_moments(prior.states[:, columns], own)
-        unbiased = 1.0 / max(1.0 - float(own @ own), LEAST)
-        lower = root(covariance * (unbiased - kept**2))
-        spread = rng.standard_normal((len(chosen), lower.shape[1])) @ lower.T
-        at = np.ix_(chosen, columns)
-        states[at] = kept * states[at] + (1.0 - kept) * mean + spread
+        rows, mode_weights = np.flatnonzero(modes == mode), weights * (prior_modes == mode)
+        mode_weights = mode_weights / mode_weights.sum()
+        mean, covariance = weighted_moments(prior.states[:, columns], mode_weights)
+        unbiased = 1.0 / max(1.0 - float(mode_weights @ mode_weights), LEAST)
+        lower = root(covariance * (unbiased - shrinkage**2))
+        spread = rng.standard_normal((len(rows), lower.shape[1])) @ lower.T
+        block = np.ix_(rows, columns)
+        states[block] = shrinkage * states[block] + (1.0 - shrinkage) * mean + spread
     return replace(prior, states=states, weights=LogWeights.uniform(size))
 
 
@@ -91,27 +91,27 @@ def map_index(
     return _index(log_likelihood, states, (parents, weights), motion, dt)
 
 
-def _index_of_modes(log_likelihood: Floats, states: Floats, before: Prior, modal: Modal, dt: float) -> int:
+def _index_of_modes(log_likelihood: Floats, states: Floats, prior: Prior, modal: Modal, dt: float) -> int:
     """The best of the hypotheses of each mode, then the best of these."""
-    parents, weights = before
-    modes, own = states[:, -1].astype(np.intp), np.ascontiguousarray(parents[:, :-1])
+    parents, weights = prior
+    modes, parent_states = states[:, -1].astype(np.intp), np.ascontiguousarray(parents[:, :-1])
     with np.errstate(divide="ignore"):
         log_chain = np.log(modal.chain.over(dt))[parents[:, -1].astype(np.intp)]
-    found, values = [], []
+    indices, values = [], []
     for mode, motion in enumerate(modal.motions):
-        chosen = np.flatnonzero(modes == mode)
-        if not len(chosen):
+        rows = np.flatnonzero(modes == mode)
+        if not len(rows):
             continue
-        here, log_before = np.ascontiguousarray(states[chosen, :-1]), weights.log + log_chain[:, mode]
-        best = _index(log_likelihood[chosen], here, (own, LogWeights(log_before)), motion, dt)
-        density = motion.log_density(here[best : best + 1], own, dt)[0] + log_before
-        found.append(int(chosen[best]))
-        values.append(float(log_likelihood[chosen[best]] + np.logaddexp.reduce(density)))
-    return found[int(np.argmax(values))]
+        mode_states, log_before = np.ascontiguousarray(states[rows, :-1]), weights.log + log_chain[:, mode]
+        index = _index(log_likelihood[rows], mode_states, (parent_states, LogWeights(log_before)), motion, dt)
+        density = motion.log_density(mode_states[index : index + 1], parent_states, dt)[0] + log_before
+        indices.append(int(rows[index]))
+        values.append(float(log_likelihood[rows[index]] + np.logaddexp.reduce(density)))
+    return indices[int(np.argmax(values))]
 
 
-def _index(log_likelihood: Floats, states: Floats, before: Prior, motion: MotionModel, dt: float) -> int:
-    parents, weights = before
+def _index(log_likelihood: Floats, states: Floats, prior: Prior, motion: MotionModel, dt: float) -> int:
+    parents, weights = prior
     transition = motion.transition(parents, dt)
     points, log_jacobian = transition.coordinates(states)
     components, width = transition.sds.shape[0], points.shape[1]
@@ -162,30 +162,30 @@ class ParticleFilter:
 
 def finish_step(
     inputs: Inputs,
-    whole: WeightedSample,
+    sample: WeightedSample,
     size_memory: SizeMemory | None = None,
     reports: tuple[Report, ...] = (),
 ) -> Step[ParticleSet]:
     """The step that a frame's hypotheses, all passes joined, and their evidence come to."""
-    beta, log_likelihood, degenerate = prior_of(whole), whole.evidence.log_likelihood, None
+    beta, log_likelihood, degenerate = prior_of(sample), sample.evidence.log_likelihood, None
     try:
         with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `normalise` refuses
-            weights, log_evidence = LogWeights.normalise(whole.prior_log + log_likelihood)
+            weights, log_evidence = LogWeights.normalise(sample.prior_log + log_likelihood)
     except DegenerateWeights as fault:
         weights, log_evidence, degenerate = beta, -np.inf, str(fault)
-        log_likelihood = np.zeros(len(whole))
+        log_likelihood = np.zeros(len(sample))
 
-    posterior = ParticleSet(whole.states, inputs.prior.fields, weights, size_memory)
+    posterior = ParticleSet(sample.states, inputs.prior.fields, weights, size_memory)
     return Step(
         posterior=posterior,
         log_evidence=log_evidence,
         support=posterior,
         prior=beta,
-        evidence=whole.evidence,
-        find_map=FindMap(log_likelihood, whole.states, inputs),
+        evidence=sample.evidence,
+        find_map=FindMap(log_likelihood, sample.states, inputs),
         degenerate=degenerate,
         reports=reports,
-        ancestors=whole.ancestors,
+        ancestors=sample.ancestors,
     )
 
 
@@ -199,16 +199,16 @@ class FindMap:
 
     def __call__(self) -> Floats:
         """The state."""
-        before = self.inputs.prior
-        best = map_index(
+        prior = self.inputs.prior
+        index = map_index(
             self.log_likelihood,
             self.states,
-            before.states,
-            before.weights,
+            prior.states,
+            prior.weights,
             self.inputs.motion,
             self.inputs.dt,
         )
-        return np.asarray(self.states[best])
+        return np.asarray(self.states[index])
 
 
 def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[ParticleSet]:
@@ -218,14 +218,14 @@ def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[Parti
         DegenerateWeights: no hypothesis is left with a positive, finite weight.
     """
     weights, total = step.prior.times(log_likelihood)
-    _, own = step.prior.times(step.evidence.log_likelihood)
+    _, step_total = step.prior.times(step.evidence.log_likelihood)
     posterior = evolve(step.posterior, weights=weights)
     find = step.find_map
     return evolve(
         step,
         posterior=posterior,
         support=posterior,
-        log_evidence=step.log_evidence + total - own,
+        log_evidence=step.log_evidence + total - step_total,
         find_map=evolve(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
     )
 
@@ -236,7 +236,7 @@ def find_maps(steps: Iterable[Step[Any]]) -> None:
     Other steps find theirs when they are asked. Every row of states moves by itself, so that the states of
     several targets can stand below each other.
     """
-    alike: dict[Hashable, list[tuple[Step[Any], FindMap]]] = {}
+    groups: dict[Hashable, list[tuple[Step[Any], FindMap]]] = {}
     for step in steps:
         find = step.find_map
         if not isinstance(find, FindMap) or "map_state" in step.__dict__:
@@ -245,21 +245,22 @@ def find_maps(steps: Iterable[Step[Any]]) -> None:
         inner = motion.motion if isinstance(motion, Confined) else motion
         if isinstance(inner, KinematicMotion):
             key = (inner, find.inputs.dt, find.states.shape, find.inputs.prior.states.shape)
-            alike.setdefault(key, []).append((step, find))
-    for group in alike.values():
+            groups.setdefault(key, []).append((step, find))
+    for group in groups.values():
         _find(group)
 
 
 def _find(group: list[tuple[Step[Any], FindMap]]) -> None:
     finds = [find for _, find in group]
     inputs = finds[0].inputs
-    before = Before(
-        np.array([one.inputs.prior.states for one in finds]),
-        np.array([one.inputs.prior.weights.log for one in finds]),
+    priors = Before(
+        np.array([find.inputs.prior.states for find in finds]),
+        np.array([find.inputs.prior.weights.log for find in finds]),
     )
-    said, states = np.array([one.log_likelihood for one in finds]), np.array([one.states for one in finds])
-    best = find_places(inputs.motion, inputs.dt, before, said, states)
-    for (step, find), place in zip(group, best.tolist(), strict=True):
+    log_likelihoods = np.array([find.log_likelihood for find in finds])
+    states = np.array([find.states for find in finds])
+    indices = find_places(inputs.motion, inputs.dt, priors, log_likelihoods, states)
+    for (step, find), place in zip(group, indices.tolist(), strict=True):
         if place >= 0:  # else all densities are 0 in floating point, and the step looks further
             step.__dict__["map_state"] = find.states[place]
 
@@ -272,26 +273,28 @@ class Before:
     log: Floats
 
 
-def find_places(motion: MotionModel, dt: float, before: Before, said: Floats, states: Floats) -> Ints:
-    """(T,) which of the hypotheses (T, N, D), of log-likelihoods `said` (T, N), is each target's MAP.
+def find_places(
+    motion: MotionModel, dt: float, prior: Before, log_likelihoods: Floats, states: Floats
+) -> Ints:
+    """(T,) index of the MAP of each target among hypotheses (T, N, D) of `log_likelihoods` (T, N).
 
     -1 where all densities are 0 in floating point. The motion is that of a `KinematicMotion`.
     """
     from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.density import likeliest_of_each
 
-    (count, own), known = states.shape[:2], before.states.shape[1]
-    transition = motion.transition(before.states.reshape(count * known, -1), dt)
-    points, log_jacobian = transition.coordinates(states.reshape(count * own, -1))
+    (count, size), prior_size = states.shape[:2], prior.states.shape[1]
+    transition = motion.transition(prior.states.reshape(count * prior_size, -1), dt)
+    points, log_jacobian = transition.coordinates(states.reshape(count * size, -1))
     components, width = transition.sds.shape[0], points.shape[1]
-    log_weights = transition.log_shares[:, None] + before.log[:, None]
+    log_weights = transition.log_shares[:, None] + prior.log[:, None]
     means = np.broadcast_to(
-        transition.means.reshape(count, 1, known, width), (count, components, known, width)
+        transition.means.reshape(count, 1, prior_size, width), (count, components, prior_size, width)
     )
-    sds = transition.sds.reshape(components, count, known, width).swapaxes(0, 1)
+    sds = transition.sds.reshape(components, count, prior_size, width).swapaxes(0, 1)
     return likeliest_of_each(
-        said + log_jacobian.reshape(count, own),
-        np.ascontiguousarray(points).reshape(count, own, width),
+        log_likelihoods + log_jacobian.reshape(count, size),
+        np.ascontiguousarray(points).reshape(count, size, width),
         log_weights.reshape(count, -1),
         plain(means).reshape(count, -1, width),
         1.0 / np.ascontiguousarray(sds).reshape(count, -1, width),

@@ -33,9 +33,9 @@ class Kernels:
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[Ancestors, Floats]:
         """(size,) components and (size, K) points."""
-        chosen = systematic(self.weights.weights, size, rng).astype(np.intp, copy=False)
+        components = systematic(self.weights.weights, size, rng).astype(np.intp, copy=False)
         steps = rng.standard_normal((size, len(self.root))) @ self.root.T
-        return chosen, self.centres[chosen] + steps
+        return components, self.centres[components] + steps
 
     def log_density(self, points: Floats, without_own: int = 0) -> Floats:
         """(N,) log-density of points (N, K); the first `without_own` leave out the component of their index.
@@ -43,15 +43,15 @@ class Kernels:
         A point that helped to place the kernels would otherwise pay for its own kernel.
         """
         back = np.linalg.inv(self.root).T
-        at, centres = points @ back, self.centres @ back
+        whitened, centres = points @ back, self.centres @ back
         log_peak = -np.log(np.diagonal(self.root)).sum() - 0.5 * points.shape[1] * np.log(2 * np.pi)
-        found = log_mixture(at, self.weights.log, centres)
-        own, count = found[:without_own], without_own
-        at_own = self.weights.log[:count] - 0.5 * np.sum((at[:count] - centres[:count]) ** 2, axis=1)
+        log_densities = log_mixture(whitened, self.weights.log, centres)
+        with_own, count = log_densities[:without_own], without_own
+        at_own = self.weights.log[:count] - 0.5 * np.sum((whitened[:count] - centres[:count]) ** 2, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            rest = np.log(-np.expm1(np.minimum(at_own - own, 0.0)))
-            found[:count] = np.where(np.isfinite(own), own + rest, own)
-        return np.asarray(found + log_peak)
+            log_others = np.log(-np.expm1(np.minimum(at_own - with_own, 0.0)))
+            log_densities[:count] = np.where(np.isfinite(with_own), with_own + log_others, with_own)
+        return np.asarray(log_densities + log_peak)
 
 
 def log_mixture(points: Floats, log_weights: Floats, centres: Floats) -> Floats:
@@ -64,10 +64,10 @@ def log_mixture(points: Floats, log_weights: Floats, centres: Floats) -> Floats:
     for start in range(0, len(points), rows):
         some = points[start : start + rows]
         terms = some @ centres.T + fixed
-        best = terms.max(axis=1)
-        terms -= best[:, None]
+        peaks = terms.max(axis=1)
+        terms -= peaks[:, None]
         np.exp(terms, out=terms)
-        result[start : start + rows] = best + np.log(terms.sum(axis=1)) - 0.5 * np.sum(some**2, axis=1)
+        result[start : start + rows] = peaks + np.log(terms.sum(axis=1)) - 0.5 * np.sum(some**2, axis=1)
     return result
 
 
@@ -97,14 +97,14 @@ Many make a fit that is right for one mode. Few stay within the mode that the fr
 has several: the flatter a likelihood, the more it is of all of them."""
 
 
-def flatten(beta: LogWeights, log_likelihood: Floats, least: float) -> tuple[float, LogWeights]:
-    """t in (0, 1] and beta L^t, normalised, with an effective size of at least `least` where it can be had.
+def flatten(beta: LogWeights, log_likelihood: Floats, least_ess: float) -> tuple[float, LogWeights]:
+    """t in (0, 1] and beta L^t, normalised, with an effective size from `least_ess` on where it can be had.
 
     Raises:
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
     power, weights = 1.0, beta.times(log_likelihood)[0]
-    while weights.ess < least and power > 1e-6:
+    while weights.ess < least_ess and power > 1e-6:
         power *= 0.8
         weights = beta.times(power * log_likelihood)[0]
     return power, weights

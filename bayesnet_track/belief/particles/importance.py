@@ -60,9 +60,9 @@ def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> WeightedSa
     The evidence is unbiased: parents are drawn before, and independently of, where their hypotheses move.
     """
     beta, states = inputs.prior.weights, inputs.prior.states
-    ahead = hypotheses_of(inputs.motion.drift(states, inputs.dt), inputs.prior.fields)
+    predicted = hypotheses_of(inputs.motion.drift(states, inputs.dt), inputs.prior.fields)
     try:
-        looked, _ = beta.times(inputs.evaluate(ahead, beta.log).log_likelihood)
+        looked, _ = beta.times(inputs.evaluate(predicted, beta.log).log_likelihood)
     except DegenerateWeights:  # nothing fits ahead: the look favours none
         looked = beta
     with np.errstate(invalid="ignore"):
@@ -90,44 +90,46 @@ def edit(inputs: Inputs, first: WeightedSample, settings: PriorEditing) -> Weigh
     likelihood of the *other* hypotheses: so those kept are a sample of the prior exactly, and the evidence is
     unbiased (rejection control; a fixed number of kept hypotheses, or a c that knows of i, would bias it).
     """
-    whole = first
+    sample = first
     if settings.rounds > 1:
-        more = (settings.rounds - 1) * len(first)
-        drawn = systematic(inputs.prior.weights.weights, more, inputs.stream("resample rounds"))
-        ancestors = drawn.astype(np.intp, copy=False)
+        extra_size = (settings.rounds - 1) * len(first)
+        indices = systematic(inputs.prior.weights.weights, extra_size, inputs.stream("resample rounds"))
+        ancestors = indices.astype(np.intp, copy=False)
         states = move(inputs, ancestors, "propagate rounds")
-        again = evaluate_sample(inputs, states, LogWeights.uniform(more).log, ancestors)
-        whole = concatenate(first, again, 1.0 / settings.rounds)
-    likelihood = whole.evidence.log_likelihood
+        extra = evaluate_sample(inputs, states, LogWeights.uniform(extra_size).log, ancestors)
+        sample = concatenate(first, extra, 1.0 / settings.rounds)
+    likelihood = sample.evidence.log_likelihood
     if not np.isfinite(np.max(likelihood)):  # all -inf, or one a NaN or inf
-        return whole
-    best = int(np.argmax(likelihood))
-    second = float(np.max(np.delete(likelihood, best)))
-    level = np.full(len(whole), likelihood[best] + np.log(settings.accept_above))
-    level[best] = second + np.log(settings.accept_above)
+        return sample
+    best_index = int(np.argmax(likelihood))
+    second = float(np.max(np.delete(likelihood, best_index)))
+    level = np.full(len(sample), likelihood[best_index] + np.log(settings.accept_above))
+    level[best_index] = second + np.log(settings.accept_above)
     log_kept = np.minimum(0.0, likelihood - level)
-    log_kept[best] = 0.0  # at least its level, which may be -inf
+    log_kept[best_index] = 0.0  # at least its level, which may be -inf
     with np.errstate(divide="ignore"):
-        kept = np.flatnonzero(np.log(inputs.stream("reject").random(len(whole))) < log_kept)
-    chosen = select(whole, kept)
-    return reweight_sample(chosen, chosen.prior_log - log_kept[kept])
+        accepted = np.flatnonzero(np.log(inputs.stream("reject").random(len(sample))) < log_kept)
+    survivors = select(sample, accepted)
+    return reweight_sample(survivors, survivors.prior_log - log_kept[accepted])
 
 
-def select(one: WeightedSample, index: Ancestors) -> WeightedSample:
+def select(sample: WeightedSample, index: Ancestors) -> WeightedSample:
     """Some of a pass' hypotheses, by index, with their evidence."""
-    evidence = one.evidence
+    evidence = sample.evidence
     part: Evidence = replace(
         evidence,
         log_likelihood=evidence.log_likelihood[index],
         messages={name: values[index] for name, values in evidence.messages.items()},
         latent={
-            name: Hypotheses(own.boxes[index], {key: values[index] for key, values in own.fields.items()})
-            for name, own in evidence.latent.items()
+            name: Hypotheses(
+                hypotheses.boxes[index], {key: values[index] for key, values in hypotheses.fields.items()}
+            )
+            for name, hypotheses in evidence.latent.items()
         },
         sampled=None if evidence.sampled is None else evidence.sampled[index],
         factors={name: values[index] for name, values in evidence.factors.items()},
     )
-    return WeightedSample(one.states[index], one.prior_log[index], one.ancestors[index], part)
+    return WeightedSample(sample.states[index], sample.prior_log[index], sample.ancestors[index], part)
 
 
 # ------------------------------------------------------------------------------------ by kernels
@@ -150,40 +152,40 @@ def refine(inputs: Inputs, first: WeightedSample, settings: IteratedProposal) ->
     n = len(first)
     as_first = round(settings.defensive * n)
     rng = inputs.stream("second pass")
-    whole, mixtures, evidences = first, list[Kernels](), []
+    sample, mixtures, evidences = first, list[Kernels](), []
     for _ in range(settings.refinements):
-        points = transition.coordinates(whole.states)[0]
-        kernels = _around(points, whole, settings.bandwidth)
+        points = transition.coordinates(sample.states)[0]
+        kernels = _fit_kernels(points, sample, settings.bandwidth)
         mixtures.append(kernels)
-        component, drawn = kernels.draw(n - as_first, rng)
-        parents = whole.ancestors[component]
+        component, draws = kernels.draw(n - as_first, rng)
+        parents = sample.ancestors[component]
         still = inputs.motion.drift(inputs.prior.states[parents], inputs.dt)
         from_prior = systematic(beta.weights, as_first, rng).astype(np.intp, copy=False)
         fresh = inputs.motion.propagate(inputs.prior.states[from_prior], inputs.dt, rng)
-        states = np.concatenate([transition.states(drawn, still), fresh])
+        states = np.concatenate([transition.states(draws, still), fresh])
         ancestors = np.concatenate([parents, from_prior])
 
-        points = transition.coordinates(np.concatenate([whole.states, states]))[0]
+        points = transition.coordinates(np.concatenate([sample.states, states]))[0]
         log_p = log_prior(transition, beta, points)
         ratios = [
             mix_defensive(each.log_density(points, len(each.centres)) - log_p, as_first / n)
             for each in mixtures
         ]
-        alone = -np.log(n) - ratios[-1][len(whole) :]
+        log_alone = -np.log(n) - ratios[-1][len(sample) :]
         states = confine(inputs.motion, states)
-        more = evaluate_sample(inputs, states, LogWeights.normalise(alone)[0].log, ancestors)
-        if more.evidence.faults.keys() != first.evidence.faults.keys():
+        refinement = evaluate_sample(inputs, states, LogWeights.normalise(log_alone)[0].log, ancestors)
+        if refinement.evidence.faults.keys() != first.evidence.faults.keys():
             return None
-        evidences.append(log_sum(alone + more.evidence.log_likelihood))
+        evidences.append(log_sum(log_alone + refinement.evidence.log_likelihood))
         counts = np.log(n) + np.logaddexp.reduce([np.zeros(len(points)), *ratios], axis=0)
-        whole = reweight_sample(concatenate(whole, more, 0.5), -counts)
-    return CombinedSample(whole, log_sum(np.array(evidences)) - np.log(len(evidences)))
+        sample = reweight_sample(concatenate(sample, refinement, 0.5), -counts)
+    return CombinedSample(sample, log_sum(np.array(evidences)) - np.log(len(evidences)))
 
 
-def _around(points: Floats, whole: WeightedSample, bandwidth: float) -> Kernels:
+def _fit_kernels(points: Floats, sample: WeightedSample, bandwidth: float) -> Kernels:
     """Kernels around weighted hypotheses, by the normal reference rule for their effective size."""
     size = points.shape[1]
-    _, weights = flatten(prior_of(whole), whole.evidence.log_likelihood, LEAST_EFFECTIVE)
+    _, weights = flatten(prior_of(sample), sample.evidence.log_likelihood, LEAST_EFFECTIVE)
     spread = weighted_moments(points, weights.weights)[1]
     width = bandwidth * (4.0 / ((size + 2) * weights.ess)) ** (1.0 / (size + 4))
     scale = np.diag(np.maximum(np.diagonal(spread), 1e-12))
@@ -201,52 +203,53 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Weig
     """
     beta, rng = inputs.prior.weights, inputs.stream("candidates")
     ancestors = systematic(beta.weights, size, inputs.stream("resample")).astype(np.intp, copy=False)
-    usual = move(inputs, ancestors, "propagate")
+    from_motion = move(inputs, ancestors, "propagate")
     transition = inputs.motion.transition(inputs.prior.states, inputs.dt)
     part = round(settings.share * size)
-    kernels = _probe(inputs, usual, transition, settings.reach_sd, rng) if part else None
+    kernels = _probe(inputs, from_motion, transition, settings.reach_sd, rng) if part else None
     if kernels is None or transition.states is None:
-        return evaluate_sample(inputs, usual, LogWeights.uniform(size).log, ancestors)
+        return evaluate_sample(inputs, from_motion, LogWeights.uniform(size).log, ancestors)
     # Which of the draws give way must not depend on where they went.
     stay = np.sort(rng.permutation(size)[: size - part])
-    _, drawn = kernels.draw(part, rng)
+    _, draws = kernels.draw(part, rng)
     parents = systematic(beta.weights, part, rng).astype(np.intp, copy=False)
     still = inputs.motion.drift(inputs.prior.states[parents], inputs.dt)
-    states = np.concatenate([usual[stay], transition.states(drawn, still)])
+    states = np.concatenate([from_motion[stay], transition.states(draws, still)])
     points = transition.coordinates(states)[0]
     log_ratio = kernels.log_density(points) - log_prior(transition, beta, points)
     prior_log = -np.logaddexp(np.log(size - part), np.log(part) + log_ratio)
-    of, states = np.concatenate([ancestors[stay], parents]), confine(inputs.motion, states)
+    sources, states = np.concatenate([ancestors[stay], parents]), confine(inputs.motion, states)
     return reweight_sample(
-        evaluate_sample(inputs, states, LogWeights.normalise(prior_log)[0].log, of), prior_log
+        evaluate_sample(inputs, states, LogWeights.normalise(prior_log)[0].log, sources), prior_log
     )
 
 
 def _probe(
-    inputs: Inputs, usual: Floats, transition: Transition, reach_sd: float, rng: np.random.Generator
+    inputs: Inputs, from_motion: Floats, transition: Transition, reach_sd: float, rng: np.random.Generator
 ) -> Kernels | None:
     """Kernels in the motion's coordinates where probes are likely; None when none is, or nothing can move."""
-    size = len(usual)
-    points = transition.coordinates(usual)[0]
-    place = usual[:, :2]
+    size = len(from_motion)
+    points = transition.coordinates(from_motion)[0]
+    place = from_motion[:, :2]
     middle, sd = place.mean(axis=0), place.std(axis=0)
     if points.shape[1] == 0 or not (sd > 0).all():
         return None
     lattice = (np.arange(size)[:, None] * LATTICE + rng.random(2)) % 1
-    probes = usual.copy()
+    probes = from_motion.copy()
     probes[:, :2] = middle + reach_sd * sd * (2.0 * lattice - 1.0)
-    seen = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), LogWeights.uniform(size).log)
+    evidence = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), LogWeights.uniform(size).log)
     try:
-        weights, _ = LogWeights.normalise(seen.log_likelihood)
+        weights, _ = LogWeights.normalise(evidence.log_likelihood)
     except DegenerateWeights:
         return None
     spacing = 2.0 * reach_sd * sd / np.sqrt(size)
     centre = points.mean(axis=0)
-    across = (points - centre).T @ (place - middle) / size
-    within = np.cov(place.T, bias=True)
-    gain = across @ np.linalg.inv(within)
+    cross_covariance = (points - centre).T @ (place - middle) / size
+    place_covariance = np.cov(place.T, bias=True)
+    gain = cross_covariance @ np.linalg.inv(place_covariance)
     spread = (
-        np.cov(points.T, bias=True).reshape(len(centre), -1) - gain @ (within - np.diag(spacing**2)) @ gain.T
+        np.cov(points.T, bias=True).reshape(len(centre), -1)
+        - gain @ (place_covariance - np.diag(spacing**2)) @ gain.T
     )
     root = np.linalg.cholesky(spread + 1e-9 * np.diag(np.diagonal(np.atleast_2d(np.cov(points.T)))))
     return Kernels(weights, centre + (probes[:, :2] - middle) @ gain.T, root)
@@ -261,22 +264,22 @@ Refine = Callable[[Inputs, FrameSample], FrameSample]
 
 def proposal_of(settings: spec.Particles) -> tuple[Draw, Refine | None]:
     """Proposal of the settings, which draws the hypotheses of a frame; None for draws from the motion."""
-    chosen, size = settings.proposal.settings, start_size(settings)
-    match chosen:
+    proposal, size = settings.proposal.settings, start_size(settings)
+    match proposal:
         case Auxiliary():
-            return partial(_draw_alone, partial(auxiliary_pass, size=size, settings=chosen)), None
+            return partial(_draw_alone, partial(auxiliary_pass, size=size, settings=proposal)), None
         case LikelihoodMixture():
-            return partial(_draw_alone, partial(mixture_pass, size=size, settings=chosen)), None
+            return partial(_draw_alone, partial(mixture_pass, size=size, settings=proposal)), None
         case PriorEditing():
-            return _first_pass(settings, _never), partial(_edit, chosen)
+            return _first_pass(settings, _never), partial(_edit, proposal)
         case IteratedProposal():
-            again: Again = partial(refine, settings=chosen)
+            draw_again: Again = partial(refine, settings=proposal)
         case SecondPassProposal():
-            again = partial(_second_pass, settings=chosen)
+            draw_again = partial(_second_pass, settings=proposal)
         case _:
             return _first_pass(settings, _never), None
-    first = _first_pass(settings, partial(_is_surprise, chosen.above_kl))
-    return first, partial(_draw_twice, settings, chosen, again)
+    first = _first_pass(settings, partial(_is_surprise, proposal.above_kl))
+    return first, partial(_draw_twice, settings, proposal, draw_again)
 
 
 def _first_pass(settings: spec.Particles, will_repeat: WillRepeat) -> Draw:
@@ -322,8 +325,8 @@ Again = Callable[[Inputs, WeightedSample], CombinedSample | None]
 
 def _draw_twice(
     settings: spec.Particles,
-    chosen: SecondPassProposal | IteratedProposal,
-    again: Again,
+    proposal: SecondPassProposal | IteratedProposal,
+    draw_again: Again,
     inputs: Inputs,
     first: FrameSample,
 ) -> FrameSample:
@@ -334,29 +337,29 @@ def _draw_twice(
     drawing of their parents.
     """
     halves = tuple(_half(first.whole, start) for start in (0, 1))
-    found = tuple(surprise(half.prior_log, half.evidence.log_likelihood) for half in halves)
-    if max(found) <= chosen.above_kl and chosen.above_kl > 0:
+    surprises = tuple(surprise(half.prior_log, half.evidence.log_likelihood) for half in halves)
+    if max(surprises) <= proposal.above_kl and proposal.above_kl > 0:
         return first
     try:
-        both = again(inputs, first.whole)
+        combined = draw_again(inputs, first.whole)
     except DegenerateWeights:  # the first pass says nothing of where to look
         return first
-    if both is None:
+    if combined is None:
         return first
-    share = len(first.whole) / len(both.whole) if len(both.whole) > len(first.whole) else 0.0
+    share = len(first.whole) / len(combined.whole) if len(combined.whole) > len(first.whole) else 0.0
     parts = []
-    for half, other in zip(halves, reversed(found), strict=True):
-        own = log_sum(half.prior_log + half.evidence.log_likelihood)
-        both_count = other > chosen.above_kl or chosen.above_kl == 0
-        parts.append(_mix_evidence(own, both.log_second, share) if both_count else own)
+    for half, other_kl in zip(halves, reversed(surprises), strict=True):
+        log_half = log_sum(half.prior_log + half.evidence.log_likelihood)
+        both_count = other_kl > proposal.above_kl or proposal.above_kl == 0
+        parts.append(_mix_evidence(log_half, combined.log_second, share) if both_count else log_half)
     log_evidence = float(np.logaddexp(parts[0], parts[1]) - np.log(2.0))
     reports = first.reports
-    if chosen.above_kl > 0:
-        reports = (*reports, _report(first.whole, both, chosen, max(found)))
+    if proposal.above_kl > 0:
+        reports = (*reports, _report(first.whole, combined, proposal, max(surprises)))
     size_memory = first.size_memory
-    if len(both.whole) != len(first.whole):
-        size_memory = resize_by(settings, inputs, both.whole, size_memory)
-    return FrameSample(both.whole, size_memory, reports, log_evidence)
+    if len(combined.whole) != len(first.whole):
+        size_memory = resize_by(settings, inputs, combined.whole, size_memory)
+    return FrameSample(combined.whole, size_memory, reports, log_evidence)
 
 
 def _second_pass(
@@ -370,11 +373,11 @@ def _second_pass(
     return combine(first, second, draws, settings.weights)
 
 
-def _half(one: WeightedSample, start: int) -> WeightedSample:
+def _half(sample: WeightedSample, start: int) -> WeightedSample:
     """Every other hypothesis, as a sample of the prior of its own; its messages are left out."""
-    evidence = Evidence(one.evidence.log_likelihood[start::2])
-    prior_log = LogWeights.normalise(one.prior_log[start::2])[0].log
-    return WeightedSample(one.states[start::2], prior_log, one.ancestors[start::2], evidence)
+    evidence = Evidence(sample.evidence.log_likelihood[start::2])
+    prior_log = LogWeights.normalise(sample.prior_log[start::2])[0].log
+    return WeightedSample(sample.states[start::2], prior_log, sample.ancestors[start::2], evidence)
 
 
 def _mix_evidence(log_first: float, log_second: float, share: float) -> float:
@@ -383,26 +386,29 @@ def _mix_evidence(log_first: float, log_second: float, share: float) -> float:
 
 
 def _report(
-    first: WeightedSample, both: CombinedSample, settings: SecondPassProposal | IteratedProposal, found: float
+    first: WeightedSample,
+    combined: CombinedSample,
+    settings: SecondPassProposal | IteratedProposal,
+    kl: float,
 ) -> Report:
-    before, after = _ess(first), _ess(both.whole)
-    particles = len(both.whole) - len(first) or len(first)
+    ess_first, ess = _ess(first), _ess(combined.whole)
+    particles = len(combined.whole) - len(first) or len(first)
     method = "iterated" if isinstance(settings, IteratedProposal) else "second_pass"
     return lambda frame, target: SecondPass(
         frame=frame,
         target=target,
         method=method,
-        kl=found,
+        kl=kl,
         above_kl=settings.above_kl,
         first=len(first),
         particles=particles,
-        ess_first=before,
-        ess=after,
+        ess_first=ess_first,
+        ess=ess,
     )
 
 
-def _ess(one: WeightedSample) -> float:
-    return LogWeights.normalise(one.prior_log + one.evidence.log_likelihood)[0].ess
+def _ess(sample: WeightedSample) -> float:
+    return LogWeights.normalise(sample.prior_log + sample.evidence.log_likelihood)[0].ess
 
 
 def combine(
@@ -419,17 +425,17 @@ def combine(
             Balanced weights depend on the first pass's likelihoods, and so their evidence falls short by a
             share of the order of one over its effective size; the others' does not.
     """
-    n, m, alone = len(first), len(draws.states), draws.log_alone
+    n, m, log_alone = len(first), len(draws.states), draws.log_alone
     if second.evidence.faults.keys() != first.evidence.faults.keys():
         return None
-    log_second = log_sum(alone + second.evidence.log_likelihood)
+    log_second = log_sum(log_alone + second.evidence.log_likelihood)
     if weights == "second_only":
-        return CombinedSample(reweight_sample(second, alone), log_second)
+        return CombinedSample(reweight_sample(second, log_alone), log_second)
     share = n / (n + m)
     if weights == "separate":
-        return CombinedSample(concatenate(first, reweight_sample(second, alone), share), log_second)
+        return CombinedSample(concatenate(first, reweight_sample(second, log_alone), share), log_second)
     log_n, log_m = np.log(n), np.log(m)
     of_first = first.prior_log + log_n - np.logaddexp(log_n, log_m + draws.log_ratio_first)
     of_second = -np.logaddexp(log_n, log_m + draws.log_ratio)
-    whole = concatenate(first, second, share)
-    return CombinedSample(reweight_sample(whole, np.concatenate([of_first, of_second])), log_second)
+    sample = concatenate(first, second, share)
+    return CombinedSample(reweight_sample(sample, np.concatenate([of_first, of_second])), log_second)

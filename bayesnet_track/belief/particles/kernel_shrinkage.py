@@ -23,9 +23,9 @@ from bayesnet_track.belief.motion.start_prior import StartPrior
 def static_fields(motion: MotionModel) -> tuple[str, ...]:
     """Fields that are uncertain when the target starts and that no motion changes, in any mode."""
     motions = list(formulas_in(motion))
-    constants = [one.static(_prior_in(motion)) for one in motions]
-    names = dict.fromkeys(name for own in constants for name in own)
-    return tuple(name for name in names if all(name in own for own in constants))
+    constants = [part.static(_prior_in(motion)) for part in motions]
+    names = dict.fromkeys(name for fields in constants for name in fields)
+    return tuple(name for name in names if all(name in fields for fields in constants))
 
 
 def _prior_in(motion: object) -> StartPrior | None:
@@ -41,7 +41,7 @@ def formulas_in(motion: object) -> Iterator[FormulaMotion]:
         yield motion
         return
     parts = getattr(motion, "parts", None)
-    inside = parts if parts is not None else (getattr(motion, "motion", None),)
-    for one in inside:
-        if one is not None:
-            yield from formulas_in(one)
+    inner_motions = parts if parts is not None else (getattr(motion, "motion", None),)
+    for inner in inner_motions:
+        if inner is not None:
+            yield from formulas_in(inner)

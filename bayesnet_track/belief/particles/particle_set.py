@@ -59,13 +59,13 @@ class ParticleSet:
         Without the correction for degrees of freedom, which divides by zero there.
         """
         weights = self.weights.weights
-        away = self.states - weights @ self.states
-        return np.asarray((away * weights[:, None]).T @ away)
+        deviations = self.states - weights @ self.states
+        return np.asarray((deviations * weights[:, None]).T @ deviations)
 
-    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+    def uncertainty(self, reference: Floats, columns: Sequence[int]) -> float:
         """UD = sum w |s - about|^2 over the columns of the state."""
-        chosen = select(columns)
-        return uncertainty_deviation(self.states[:, chosen], self.weights.weights, about[chosen])
+        selection = select(columns)
+        return uncertainty_deviation(self.states[:, selection], self.weights.weights, reference[selection])
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
         """Share of the weight within `radius` px of `centre` (2,), known by so many effective draws."""
@@ -75,10 +75,10 @@ class ParticleSet:
     def regions(self, shares: Sequence[float]) -> Floats:
         """(S, 4) x_low, x_high, y_low, y_high, px: the central share of the centre's weight on each axis."""
         tails = np.array([[(1.0 - share) / 2.0, (1.0 + share) / 2.0] for share in shares])
-        found = np.empty((len(tails), 4))
+        bounds = np.empty((len(tails), 4))
         for axis, (ordered, cumulative) in enumerate(self._ordered):
-            found[:, 2 * axis : 2 * axis + 2] = ordered[cumulative.searchsorted(tails * cumulative[-1])]
-        return found
+            bounds[:, 2 * axis : 2 * axis + 2] = ordered[cumulative.searchsorted(tails * cumulative[-1])]
+        return bounds
 
     @cached_property
     def _ordered(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
@@ -135,10 +135,10 @@ class Clouds:
     def of(cls, beliefs: Sequence[ParticleSet]) -> Clouds:
         """Clouds of beliefs, one at least, with the same fields and as many hypotheses each."""
         return cls(
-            np.array([one.states for one in beliefs]),
+            np.array([belief.states for belief in beliefs]),
             beliefs[0].fields,
-            np.array([one.weights.log for one in beliefs]),
-            np.array([one.weights.weights for one in beliefs]),
+            np.array([belief.weights.log for belief in beliefs]),
+            np.array([belief.weights.weights for belief in beliefs]),
         )
 
     def __len__(self) -> int:
@@ -146,23 +146,23 @@ class Clouds:
 
     def belief(self, row: int) -> ParticleSet:
         """One target's, without copying."""
-        own = LogWeights(read_only(self.log[row]))
-        own.__dict__["weights"] = read_only(self.weights[row])
-        return ParticleSet(self.states[row], self.fields, own)
+        weights = LogWeights(read_only(self.log[row]))
+        weights.__dict__["weights"] = read_only(self.weights[row])
+        return ParticleSet(self.states[row], self.fields, weights)
 
-    def extended(self, others: Clouds) -> Clouds:
+    def extended(self, clouds: Clouds) -> Clouds:
         """These, then others with the same fields and as many hypotheses each."""
         return Clouds(
-            np.concatenate([self.states, others.states]),
+            np.concatenate([self.states, clouds.states]),
             self.fields,
-            np.concatenate([self.log, others.log]),
-            np.concatenate([self.weights, others.weights]),
+            np.concatenate([self.log, clouds.log]),
+            np.concatenate([self.weights, clouds.weights]),
         )
 
     def take(self, rows: Sequence[int]) -> Clouds:
         """Rows of some targets."""
-        chosen = some(rows)
-        return Clouds(self.states[chosen], self.fields, self.log[chosen], self.weights[chosen])
+        index = some(rows)
+        return Clouds(self.states[index], self.fields, self.log[index], self.weights[index])
 
     @property
     def means(self) -> Floats:
@@ -179,8 +179,8 @@ class Clouds:
     @property
     def covariances(self) -> Floats:
         """(T, D, D), as `ParticleSet.covariance`."""
-        away = self.states - np.matmul(self.weights[:, None], self.states)
-        return np.asarray(np.matmul((away * self.weights[:, :, None]).swapaxes(1, 2), away))
+        deviations = self.states - np.matmul(self.weights[:, None], self.states)
+        return np.asarray(np.matmul((deviations * self.weights[:, :, None]).swapaxes(1, 2), deviations))
 
 
 def some(rows: Sequence[int]) -> slice | list[int]:

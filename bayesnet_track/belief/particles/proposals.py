@@ -106,9 +106,9 @@ class Fitted:
         parts = []
         for shares, means, roots in zip(self.log_shares, self.means, self.roots, strict=True):
             root = roots[parents]
-            away = np.linalg.solve(root, (points - means[parents])[:, :, None])[:, :, 0]
+            whitened = np.linalg.solve(root, (points - means[parents])[:, :, None])[:, :, 0]
             log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-            parts.append(shares[parents] - 0.5 * np.sum(away**2 + np.log(2 * np.pi), axis=1) - log_det)
+            parts.append(shares[parents] - 0.5 * np.sum(whitened**2 + np.log(2 * np.pi), axis=1) - log_det)
         return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
 
@@ -121,16 +121,16 @@ def fit_proposal(transition: Transition, weights: LogWeights, message: Message) 
         message: the likelihood.
     """
     means, sds = transition.means, transition.sds
-    own = sds**-2.0
+    motion_precision = sds**-2.0
     # (C, K', K, K): the precisions of motion and message add up.
-    precision = own[..., None] * np.eye(means.shape[1]) + message.precision
+    precision = motion_precision[..., None] * np.eye(means.shape[1]) + message.precision
     covariance = np.linalg.inv(precision)
-    information = own * means + message.information
+    information = motion_precision * means + message.information
     centres = np.einsum("ckij,ckj->cki", covariance, information)
     # The integral of motion times message over x, without what is the same for all.
     overlap = 0.5 * (
         np.einsum("cki,cki->ck", information, centres)
-        - np.sum(own * means**2, axis=2)
+        - np.sum(motion_precision * means**2, axis=2)
         + np.linalg.slogdet(covariance)[1]
         - 2.0 * np.log(sds).sum(axis=2)
     )
@@ -144,8 +144,8 @@ def paired_log_density(transition: Transition, points: Floats, parents: Ancestor
     means = transition.means[parents]
     parts = []
     for share, sds in zip(transition.log_shares, transition.sds, strict=True):
-        away = (points - means) / sds[parents]
-        parts.append(share - np.sum(0.5 * (away**2 + np.log(2 * np.pi)) + np.log(sds[parents]), axis=1))
+        deviations = (points - means) / sds[parents]
+        parts.append(share - np.sum(0.5 * (deviations**2 + np.log(2 * np.pi)) + np.log(sds[parents]), axis=1))
     return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
 
@@ -190,9 +190,9 @@ def confine(motion: MotionModel, states: Floats) -> Floats:
     return motion.confine(states) if isinstance(motion, Confined) else states
 
 
-def reweight_sample(one: WeightedSample, prior_log: Floats) -> WeightedSample:
+def reweight_sample(sample: WeightedSample, prior_log: Floats) -> WeightedSample:
     """The pass with other prior log-weights (N,)."""
-    return WeightedSample(one.states, prior_log, one.ancestors, one.evidence)
+    return WeightedSample(sample.states, prior_log, sample.ancestors, sample.evidence)
 
 
 def log_sum(log: Floats) -> float:
@@ -230,20 +230,20 @@ def draw_fitted(inputs: Inputs, first: WeightedSample, settings: SecondPassPropo
     as_first = round(settings.defensive * m)
     counts = [m - as_first - (m - as_first) // 2, (m - as_first) // 2]
     rng = inputs.stream("second pass")
-    pairs = [one.draw(count, rng) for one, count in zip(proposals, counts, strict=True)]
-    parents, drawn = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    pairs = [proposal.draw(count, rng) for proposal, count in zip(proposals, counts, strict=True)]
+    parents, draws = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     still = motion.drift(inputs.prior.states[parents], inputs.dt)
     ancestors = systematic(beta.weights, as_first, rng).astype(np.intp, copy=False)
-    moved = motion.propagate(inputs.prior.states[ancestors], inputs.dt, rng)
-    states = np.concatenate([transition.states(drawn, still), moved])
+    propagated = motion.propagate(inputs.prior.states[ancestors], inputs.dt, rng)
+    states = np.concatenate([transition.states(draws, still), propagated])
     ancestors = np.concatenate([parents, ancestors])
 
     def log_ratio(points: Floats, parents: Ancestors) -> Floats:
         prior = beta.log[parents] + paired_log_density(transition, points, parents)
-        own = [one.log_density(points, parents) - prior for one in proposals]
+        log_ratios = [proposal.log_density(points, parents) - prior for proposal in proposals]
         with np.errstate(divide="ignore"):
             shares = np.log(np.array([*counts, as_first]) / m)[:, None]
-        return np.asarray(np.logaddexp.reduce(shares + np.array([*own, np.zeros(len(points))])))
+        return np.asarray(np.logaddexp.reduce(shares + np.array([*log_ratios, np.zeros(len(points))])))
 
     # Densities are those of the model without borders, so they are taken before states are confined.
     of_second = log_ratio(transition.coordinates(states)[0], ancestors)
@@ -280,19 +280,21 @@ def draw_by_parents(inputs: Inputs, first: WeightedSample, settings: SecondPassP
     parents = inputs.prior.states[first.ancestors]
     likelihood = np.exp(first.evidence.log_likelihood - top(first.evidence.log_likelihood))
     if settings.neighbours == 1:
-        mean = others = likelihood
+        mean = others_mean = likelihood
     else:
         transition = inputs.motion.transition(parents, inputs.dt)
         group = neighbourhoods(transition.means / transition.sds[0], settings.neighbours)
         total, count = np.bincount(group, likelihood)[group], np.bincount(group)[group]
-        mean, others = total / count, np.maximum(total - likelihood, 0.0) / np.maximum(count - 1, 1)
+        mean, others_mean = total / count, np.maximum(total - likelihood, 0.0) / np.maximum(count - 1, 1)
     beta = prior_of(first).weights
     scale = float(beta @ mean)
     with np.errstate(divide="ignore"):
-        ratio, ratio_first = (mix_defensive(np.log(v / scale), settings.defensive) for v in (mean, others))
-    drawn = systematic(beta * np.exp(ratio), len(first), inputs.stream("second pass"))
-    states = inputs.motion.propagate(parents[drawn], inputs.dt, inputs.stream("second propagate"))
-    return Draws(states, first.ancestors[drawn], ratio[drawn], ratio_first)
+        ratio, ratio_first = (
+            mix_defensive(np.log(v / scale), settings.defensive) for v in (mean, others_mean)
+        )
+    indices = systematic(beta * np.exp(ratio), len(first), inputs.stream("second pass"))
+    states = inputs.motion.propagate(parents[indices], inputs.dt, inputs.stream("second propagate"))
+    return Draws(states, first.ancestors[indices], ratio[indices], ratio_first)
 
 
 def neighbourhoods(points: Floats, size: int) -> NDArray[np.intp]:
@@ -301,14 +303,14 @@ def neighbourhoods(points: Floats, size: int) -> NDArray[np.intp]:
     Cut at the median of the widest coordinate until no group can be cut.
     """
     labels = np.zeros(len(points), dtype=np.intp)
-    waiting, found = [np.arange(len(points))], 0
+    waiting, label = [np.arange(len(points))], 0
     while waiting:
         group = waiting.pop()
         if len(group) < 2 * size or points.shape[1] == 0:
-            labels[group], found = found, found + 1
+            labels[group], label = label, label + 1
             continue
-        here = points[group]
-        order = np.argsort(here[:, int(np.argmax(np.ptp(here, axis=0)))], kind="stable")
+        group_points = points[group]
+        order = np.argsort(group_points[:, int(np.argmax(np.ptp(group_points, axis=0)))], kind="stable")
         half = len(group) // 2
         waiting += [group[order[:half]], group[order[half:]]]
     return labels

@@ -41,9 +41,9 @@ class SampleSize:
     worth: float | None = None
     sd_px: float | None = None
 
-    def asks(self, before: int) -> float:
-        """The number asked for when there were `before`: no fewer when the sample is too poor to tell."""
-        return self.particles if self.ess >= LEAST_EFFECTIVE else max(self.particles, float(before))
+    def asks(self, previous: int) -> float:
+        """The number asked for after `previous` hypotheses: no fewer when the sample is too poor to tell."""
+        return self.particles if self.ess >= LEAST_EFFECTIVE else max(self.particles, float(previous))
 
 
 @dataclass(frozen=True)
@@ -80,32 +80,32 @@ def find_sample_size(
         share = prior_log - np.logaddexp.reduce(prior_log)
         weighted = len(log) * np.exp(share + log_likelihood)
         return SampleSize(resampling.likelihood_sum(weighted, size.likelihood_sum.threshold), ess)
-    asked = [
+    wishes = [
         _size_by_field(size, name, states[:, fields.index(name)], weights, ess)
         for name in size.settings.fields
     ]
-    return max(asked, key=lambda one: one.particles)
+    return max(wishes, key=lambda wish: wish.particles)
 
 
 def _size_by_field(size: AdaptiveSize, field: str, values: Floats, weights: Floats, ess: float) -> SampleSize:
     if isinstance(size.settings, NormalSize):
         return _normal_size(size, size.settings, field, values, weights, ess)
-    wanted: BinnedSize = size.settings
-    bins = resampling.occupied_bins(values, weights, wanted.bin_px)
-    worth = _WORTH[size.kind](values, weights)
-    particles = resampling.kld_revised(bins, wanted.error, wanted.confidence, worth)
-    return SampleSize(particles, ess, field, bins, worth)
+    settings: BinnedSize = size.settings
+    bins = resampling.occupied_bins(values, weights, settings.bin_px)
+    inflation = _WORTH[size.kind](values, weights)
+    particles = resampling.kld_revised(bins, settings.error, settings.confidence, inflation)
+    return SampleSize(particles, ess, field, bins, inflation)
 
 
 def _normal_size(
-    size: AdaptiveSize, wanted: NormalSize, field: str, values: Floats, weights: Floats, ess: float
+    size: AdaptiveSize, settings: NormalSize, field: str, values: Floats, weights: Floats, ess: float
 ) -> SampleSize:
     _, error = size.tolerance
-    sd, worth = np.sqrt(resampling.variance(values, weights)), resampling.inflation(values, weights)
+    sd, inflation = np.sqrt(resampling.variance(values, weights)), resampling.inflation(values, weights)
     # Relative to the posterior's sd the variance is divided by Var_p, which leaves the worth alone.
-    spread = worth if wanted.error_px is None else resampling.importance_variance(values, weights)
-    particles = resampling.asymptotic_normal(spread, error, wanted.confidence)
-    return SampleSize(particles, ess, field, None, worth, float(sd))
+    spread = inflation if settings.error_px is None else resampling.importance_variance(values, weights)
+    particles = resampling.asymptotic_normal(spread, error, settings.confidence)
+    return SampleSize(particles, ess, field, None, inflation, float(sd))
 
 
 _WORTH: dict[str, Callable[[Floats, Floats], float]] = {
@@ -176,28 +176,28 @@ class SizeDecision:
         if not any(self.more):
             return self.before.wanted
         mean = (self.halves_wanted[0].particles + self.halves_wanted[1].particles) / 2
-        larger = max(self.halves_wanted, key=lambda wanted: wanted.particles)
+        larger = max(self.halves_wanted, key=lambda wish: wish.particles)
         return replace(larger, particles=mean, ess=self.halves_wanted[0].ess + self.halves_wanted[1].ess)
 
-    def _enlarge(self, wanted: SampleSize, most: int, count: int) -> int:
-        asked = wanted.asks(self.begin)
-        return count if asked <= ENLARGED * self.begin else max(count, min(most, math.ceil(asked / 2)))
+    def _enlarge(self, wish: SampleSize, largest: int, count: int) -> int:
+        needed = wish.asks(self.begin)
+        return count if needed <= ENLARGED * self.begin else max(count, min(largest, math.ceil(needed / 2)))
 
     def scale(self, factor: float) -> SizeDecision:
         """The wishes of both frames times `factor`."""
-        first, second = (_scale(wanted, factor) for wanted in self.halves_wanted)
-        before = replace(self.before, wanted=_scale(self.before.wanted, factor))
-        return replace(self, before=before, halves_wanted=(first, second))
+        first, second = (_scale(wish, factor) for wish in self.halves_wanted)
+        previous = replace(self.before, wanted=_scale(self.before.wanted, factor))
+        return replace(self, before=previous, halves_wanted=(first, second))
 
 
-def _scale(wanted: SampleSize, factor: float) -> SampleSize:
-    return replace(wanted, particles=factor * wanted.particles)
+def _scale(wish: SampleSize, factor: float) -> SampleSize:
+    return replace(wish, particles=factor * wish.particles)
 
 
-def begin_with(before: SizeMemory, low: int, high: int) -> int:
+def begin_with(memory: SizeMemory, low: int, high: int) -> int:
     """The number that a frame begins with: what the last one asked for, rounded up and kept in bounds."""
-    asked = before.wanted.asks(before.first_pass)
-    return low if asked <= low else high if asked >= high else math.ceil(asked)
+    needed = memory.wanted.asks(memory.first_pass)
+    return low if needed <= low else high if needed >= high else math.ceil(needed)
 
 
 def halve(count: int) -> tuple[int, int]:
@@ -231,11 +231,11 @@ def make_report(sizing: SizeDecision) -> Report:
 
 def find_limit(sizing: SizeDecision) -> str:
     """Limit that kept the number from the wish: max, min, ess (too few effective to save any), or nothing."""
-    wanted, particles = sizing.cause, sizing.particles
-    if wanted.particles > particles:
+    wish, particles = sizing.cause, sizing.particles
+    if wish.particles > particles:
         return "max"
     # A half that is asked for less keeps what was drawn; and each half is rounded up.
-    if any(sizing.more) or wanted.particles > particles - 2:
+    if any(sizing.more) or wish.particles > particles - 2:
         return ""
     return "min" if particles == sizing.low else "ess"
 
@@ -248,15 +248,15 @@ def find_turning(sizing: SizeDecision) -> float | None:
         particles = sizing.scale(math.exp(log_factor)).particles
         return particles <= reported * NOTABLE if has_risen else particles >= reported / NOTABLE
 
-    kept, moves = (-_WIDEST if has_risen else _WIDEST), 0.0
-    if not stays(kept):
+    steady, moves = (-_WIDEST if has_risen else _WIDEST), 0.0
+    if not stays(steady):
         return None
     for _ in range(_HALVINGS):
-        middle = (kept + moves) / 2
-        kept, moves = (middle, moves) if stays(middle) else (kept, middle)
+        middle = (steady + moves) / 2
+        steady, moves = (middle, moves) if stays(middle) else (steady, middle)
     setting, level = sizing.size.tolerance
     power = {"error": -1.0, "threshold": 1.0}.get(setting, -0.5)  # N is proportional to setting^(1 / power)
-    return level * math.exp(power * kept)
+    return level * math.exp(power * steady)
 
 
 _WIDEST = math.log(1e6)
@@ -321,13 +321,13 @@ def concatenate(first: WeightedSample, second: WeightedSample, share: float) -> 
     )
 
 
-def prior_of(one: WeightedSample) -> LogWeights:
+def prior_of(sample: WeightedSample) -> LogWeights:
     """beta, normalised: the prior weights that measures use. Unchanged when normalised but for rounding."""
-    equal = LogWeights.uniform(len(one))
-    if one.prior_log is equal.log:  # as after resampling
+    equal = LogWeights.uniform(len(sample))
+    if sample.prior_log is equal.log:  # as after resampling
         return equal
-    beta, log_total = LogWeights.normalise(one.prior_log)
-    return LogWeights(one.prior_log) if abs(log_total) < ROUNDING else beta
+    beta, log_total = LogWeights.normalise(sample.prior_log)
+    return LogWeights(sample.prior_log) if abs(log_total) < ROUNDING else beta
 
 
 def _concatenate_evidence(first: Evidence, second: Evidence) -> Evidence:
