@@ -48,6 +48,7 @@ LIGHTEST = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps", "absent"), [(LIGHTEST, HEAVY | {"numpy", "pydantic", "yaml"}), (LIGHT, HEAVY)]
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from itertools import islice
 
+import pytest
+
 from bayesnet_track import GraphSpec, Start, load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.switches import Activated, Deactivated
@@ -46,6 +48,7 @@ def test_motion_is_called_when_the_belief_splits():
     assert called.expected.keys() == {"motion"} and first.index["motion"] < first.index["color"]
 
 
+@pytest.mark.slow
 def test_a_run_repeats_exactly():
     one, two = ([to_json(d) for d in decisions(60, {"every": 1})] for _ in range(2))
     assert len(one) > 3 and one == two

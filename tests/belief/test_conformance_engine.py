@@ -43,6 +43,7 @@ def boxes_of(results, place=0):
     return np.array([result.targets[place].centre_box for result in results])
 
 
+@pytest.mark.slow
 def test_it_runs_from_pictures_to_files(asked, scene, tmp_path):
     """40 frames of the crossing squares: motion switched off and on by UD and KL, all of it written down."""
     results = play(graph_with(square=asked.says), scene, [Start(scene.start_box)], out=tmp_path / "run")

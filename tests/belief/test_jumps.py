@@ -121,6 +121,7 @@ def one_step(motion, stream, weights=None, size=200):
     return belief.step(prior, Confined(motion, WIDTH, HEIGHT), 1.0, near, stream)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("within", [None, PART], ids=["anywhere", "part"])
 @pytest.mark.parametrize("search", sorted(SEARCHES))
 def test_the_evidence_is_unbiased(jumping, stream_of, search, within):

@@ -190,6 +190,7 @@ def crowd(kind, associate, **root):
     return load_graph({"bayesnet": 1, "name": "crowd", "targets": {"p": target}})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "associate"),
     [

@@ -74,6 +74,7 @@ def test_hardly_damped_velocity_is_constant_velocity(motion_of):
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [[2.0], [0.5, 1.5]])
 def test_draws_have_the_stated_mean_and_covariance(linear, steps, rng):
     count = 60_000

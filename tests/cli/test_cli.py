@@ -797,6 +797,7 @@ def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_pat
     assert (ended.frames, ended.complete, ended.reason) == (read, False, "source_truncated")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["run {graph}", "run {graph} --executor processes"])
 def test_a_run_in_which_no_agent_can_start_is_an_error_that_names_the_cause(cli, images, tmp_path, first):
     """Color alone, on a gray source: it was lost in every frame, and ended with 0."""
@@ -1041,6 +1042,7 @@ def command(*arguments, **settings):
     return subprocess.Popen([sys.executable, "-m", "bayesnet_track", *map(str, arguments)], **settings)
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error(demo_run):
     process = command("log", demo_run, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()

@@ -191,6 +191,7 @@ ADAPTIVE = GRAPH.replace(
 ).replace("agent: intensity}", "agent: intensity}\n      flow: {parent: target, agent: motion}  # flows")
 
 
+@pytest.mark.slow
 def test_sds_and_policy_are_written_before_the_score_is_fitted(data, capsys):
     (data / "g.yaml").write_text(ADAPTIVE)
     out = data / "fitted.yaml"

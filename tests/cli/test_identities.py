@@ -46,6 +46,7 @@ def u_turn():
     return [[(x, 40, 30, 60)] for x in at]
 
 
+@pytest.mark.slow
 def test_a_turn_beyond_the_gate_is_found_and_a_setting_keeps_the_identity(run, capsys):
     out = run("kalman_detections", u_turn(), WORSE.replace("GATE", "0.9"))
     text = diagnosed(out, capsys)
@@ -68,6 +69,7 @@ def test_identities_of_one_frame_each_stand_out(run, capsys):
     assert finding["measure"] == "identities" and finding["settings"]
 
 
+@pytest.mark.slow
 def test_a_target_that_ends_while_it_is_hidden_is_found(run, capsys):
     frames = [[] if 35 < k < 55 else [(50 + 5 * min(k, 30), 40, 60, 40)] for k in range(70)]
     out = run("kalman_detections", frames, "death.unseen_frames=10")

@@ -20,6 +20,7 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.slow
 def test_the_short_log_has_each_change_without_reasons(tmp_path, capsys):
     out = tmp_path / "run"
     assert main(["demo", "two_squares", "--end", "60", "-o", str(out), "-q"]) == 0

@@ -105,6 +105,7 @@ def first_of(values: list[tuple[int, ...]], count: int = 1) -> list[object]:
     return [*values[:count], *(pytest.param(value, marks=pytest.mark.slow) for value in values[count:])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cue", CUES)
 def test_good_input_stops_nobody(cue: str) -> None:
     run = tracked(cue, Pictures([picture(frame) for frame in range(FRAMES)]), (30, 20, 24, 24))
@@ -123,6 +124,7 @@ def test_gray_video(cue: str) -> None:
         assert "tested" not in run.results[0].targets[0].active
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cue", CUES)
 @pytest.mark.parametrize(
     "box", first_of([(-30, -20, 160, 120), (84, 60, 24, 24), (-12, 20, 24, 24), (0, 0, 96, 72)], 2)

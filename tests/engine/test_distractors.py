@@ -145,6 +145,7 @@ def test_the_most_that_a_score_can_be(fit, doubt, bound):
     assert most(Logistic(bias=0.0, full_fit=0.05), fit, doubt) == pytest.approx(bound)
 
 
+@pytest.mark.slow
 def test_on_black_frames_general_is_not_sure_for_one_frame():
     scene = make_scene("occluder", seed=0)
     frames, tracker = list(scene.frames), Tracker("general", 0)

@@ -189,6 +189,7 @@ def runs(draw):
     return rules, checks, moods, breaks, active, draw(st.sampled_from(["observe", "learn", "adapt"]))
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(runs())
 def test_folding_the_decisions_gives_the_net_of_every_frame(fakes, case):

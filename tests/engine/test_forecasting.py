@@ -95,6 +95,7 @@ def test_looking_ahead_changes_nothing(graph, scene):
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_the_same_again_is_the_same_and_doubt_grows(scene):
     variances = np.zeros(3)
     for seed in range(3):

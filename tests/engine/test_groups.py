@@ -155,6 +155,7 @@ def no_fault(monkeypatch):
     monkeypatch.setattr(Made, "cue", Glance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", [True, False])
 @pytest.mark.parametrize("cue", AGENTS)
 def test_the_bytes_of_a_target_do_not_depend_on_who_else_is_in_its_group(cue, plain):

@@ -147,6 +147,7 @@ def test_scenes_are_whole(name):
         assert (scene.truth[:, :2] + scene.truth[:, 2:] <= [scene.width, scene.height]).all()
 
 
+@pytest.mark.slow
 def test_a_factor_that_is_the_same_everywhere_changes_no_joint_belief():
     """It belongs to the prior of each: taken for evidence of pixels it would change the shares that match."""
     scene, plain = crowd(1, count=16), as_plain(load_graph("crowd").spec)

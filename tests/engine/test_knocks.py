@@ -66,6 +66,7 @@ def inside(tracker, frame):
     return held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [(20.0, -6.0), (-90.0, 30.0)], ids=["in reach", "out of reach"])
 def test_a_knock_is_found_named_and_contained(tmp_path, shift):
     """Also one so far that no detection is near where its target is expected."""
@@ -88,6 +89,7 @@ def test_a_knock_is_found_named_and_contained(tmp_path, shift):
     assert np.mean(held) > 0.8
 
 
+@pytest.mark.slow
 def test_nobody_is_knocked_where_people_turn_or_cameras_stand_still(tmp_path):
     """All who turn at once are elsewhere in every camera."""
     for turned in (False, True):
@@ -95,6 +97,7 @@ def test_nobody_is_knocked_where_people_turn_or_cameras_stand_still(tmp_path):
         assert not knocks_of(tracker, scene(rng, PAIR, turned=turned))
 
 
+@pytest.mark.slow
 def test_who_starts_after_a_knock_stands_where_the_others_do(tmp_path):
     """One who is seen by the knocked camera alone starts without its shift, and as unsure as that is."""
     tracker, rng = DetectionsTracker(biased(tmp_path, PAIR), fps=FPS), np.random.default_rng(11)
@@ -110,6 +113,7 @@ def test_who_starts_after_a_knock_stands_where_the_others_do(tmp_path):
     assert np.hypot(*away) < 0.6
 
 
+@pytest.mark.slow
 def test_what_is_known_of_cameras_is_stored_with_the_state(tmp_path):
     tracker, rng = DetectionsTracker(biased(tmp_path, PAIR), fps=FPS), np.random.default_rng(11)
     frames = list(scene(rng, PAIR, (20.0, 10.0)))

@@ -53,6 +53,7 @@ def track(regain, paint=(90, 120, 190)):
     return said, events
 
 
+@pytest.mark.slow
 def test_tracking_is_said_earlier_after_an_event_and_the_log_says_when_it_would_not_have_been():
     regain = {"score_above": 0.55, "ud_box": 0.05, "frames": 3}
     said, (event,) = track(regain)

@@ -134,6 +134,7 @@ def assert_alike(rows, singles, unlike):
             assert unlike(a, b, rel=1e-8, abs=1e-13) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sort", "bytetrack", "oc_sort"])
 def test_trackers_of_the_field_agree_as_rows_and_apart(name, found, unlike):
     """With tentative tracks, passes, directions and re-updates; what is remembered is the same, too."""
@@ -158,6 +159,7 @@ def test_trackers_of_the_field_agree_as_rows_and_apart(name, found, unlike):
     ]
 
 
+@pytest.mark.slow
 def test_rows_and_objects_agree(graph, found, unlike):
     rows, singles = outcomes(graph, found), apart(graph, found)
     assert sum(map(has_table, rows)) > FRAMES - 8
@@ -198,6 +200,7 @@ def test_one_that_is_switched_by_hand_is_an_object_and_the_others_stay_rows(grap
                 assert a == b, f"frame {index}: the bytes of {line.target}"
 
 
+@pytest.mark.slow
 def test_lost_targets_that_are_found_by_their_place_are_rows_again(found, unlike):
     written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
     (plate,) = written["targets"].values()
@@ -210,6 +213,7 @@ def test_lost_targets_that_are_found_by_their_place_are_rows_again(found, unlike
     assert_alike(rows, apart(graph, found), unlike)
 
 
+@pytest.mark.slow
 def test_one_that_is_switched_off_by_hand_sees_nothing_until_it_is_released(graph, found, unlike):
     target = next(iter(outcomes(graph, found, None, 12)[-1].state.targets))
     inputs = {12: (Toggled(0, target, "seen", False),), 14: (Released(0, target, "seen"),)}
@@ -225,6 +229,7 @@ def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, unlike):
     assert_alike(outcomes(graph, found, inputs, 24), apart(graph, found, inputs, 24), unlike)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CHANGES if name != "plain"])
 def test_other_gaussians_agree_as_rows_and_as_objects(name, graph, found, monkeypatch, unlike):
     own = with_nodes(graph, name)
@@ -246,6 +251,7 @@ def test_other_gaussians_agree_as_rows_and_as_objects(name, graph, found, monkey
     assert any(0 < line.learn_rate < 1 for one in rows for line in one.metrics) == (name == "looks")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_track_is_the_same_bytes_alone_and_in_a_crowd(name, graph):
     graph = with_nodes(graph, name)

@@ -290,6 +290,7 @@ def test_sizes_are_those_of_the_calibrations(tmp_path):
     assert DetectionsTracker(path, size={"south": (640, 480), "east": (800, 480)})
 
 
+@pytest.mark.slow
 def test_a_standing_target_is_as_uncertain_as_the_biases_of_its_cameras(tmp_path):
     """At best it is where both cameras, each off by its own bias, agree; one camera alone knows less."""
     place, bias_px, rng = np.array([0.5, 10.0]), 4.0, np.random.default_rng(0)

@@ -92,6 +92,7 @@ def test_a_graph_without_the_key_does_not_enter_the_stage() -> None:
     assert "identities" not in [stage.name for stage in compile_stages(compile_graph(load_graph("jpda")))]
 
 
+@pytest.mark.slow
 def test_five_that_meet_at_once_are_asked_about_by_four() -> None:
     sizes = []
     for end in (28, 29, 30, 31, 32):

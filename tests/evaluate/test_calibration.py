@@ -157,6 +157,7 @@ def test_frames_without_a_box_are_off_target_and_say_nothing_of_the_centre():
     assert everyone.frames == 800 and all(np.isfinite(row.coverage50) for row in rows)
 
 
+@pytest.mark.slow
 def test_left_out_videos_are_calibrated_where_videos_are_alike():
     videos = [calibration_data(name, k) for k, name in enumerate("abcd")]
     rows, everyone = leave_one_out(videos)

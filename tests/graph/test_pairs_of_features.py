@@ -179,6 +179,7 @@ def run(graph, images):
     return list(track(graph, images, starts, seed=1))[-1].targets
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::bayesnet_track.sources.entrances.notices.InputNotice")
 @pytest.mark.parametrize("pair", PAIRS, ids=" and ".join)
 def test_a_pair_runs_or_is_refused_with_a_sentence(pair, tmp_path, images):

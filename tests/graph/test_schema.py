@@ -65,6 +65,7 @@ def test_references_have_no_siblings_and_all_lead_somewhere(cues):
     visit(schema)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", graph_names())
 def test_every_installed_graph_is_valid(name):
     graph = find_graph(name)

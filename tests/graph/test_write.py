@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +18,7 @@ from bayesnet_track.graph.text.write import as_plain, graph_sha256, write_graph
 LENIENT = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
+@pytest.mark.slow
 @LENIENT
 @given(data=st.data())
 def test_reading_what_was_written_gives_the_same_graph(specs, data):
@@ -28,6 +30,7 @@ def test_reading_what_was_written_gives_the_same_graph(specs, data):
     assert ("name",) in at.keys
 
 
+@pytest.mark.slow
 @LENIENT
 @given(data=st.data())
 def test_the_plain_form_means_the_same(graphs, data):

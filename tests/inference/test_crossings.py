@@ -66,6 +66,7 @@ def test_a_path_crosses_as_often_as_it_is_surely_across(start, path, count):
     assert follow(line(start), path).counts.tolist() == [count]
 
 
+@pytest.mark.slow
 def test_particles_cross_as_all_paths_of_their_ancestors_do():
     rng = np.random.default_rng(4)
     crossing = line("left", hysteresis_px=3.0)

@@ -114,6 +114,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("fault", HOSTILE)
 def test_a_fault_leaves_no_trace_but_its_quarantine(fakes, shape, fault):

@@ -172,6 +172,7 @@ def small(copies, pairings=8):
     return members, [Edge(("a", "b"), 0.5, 0.5, pairings)]
 
 
+@pytest.mark.slow
 def test_a_chain_and_a_star_agree_with_enumeration():
     """Messages are exact on a tree up to sampling: with 400 hypotheses and 16 partners within 0.02."""
     for edges in (

@@ -94,6 +94,7 @@ def test_they_are_uniform_under_the_model(belief, modes):
     assert stats.kstest(p_values_of(belief, 100, modes=modes), "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes", ["", MODES])
 @pytest.mark.parametrize(
     "belief", ["{gaussian: {filter: unscented, gate: 0.999999}}", "{particles: {size: 800}}"]

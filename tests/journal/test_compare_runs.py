@@ -32,6 +32,7 @@ def run_command(capsys, *arguments):
     return code, *capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_what_if_tells_where_it_parts(run, higher, capsys, tmp_path):
     page = tmp_path / "page.html"
     code, out, _ = run_command(capsys, "compare", run, higher, "--html", page)
@@ -83,6 +84,7 @@ def test_runs_over_other_pictures_are_refused(run, capsys, tmp_path):
     assert run_command(capsys, "compare", run, other, "--force")[0] == 0
 
 
+@pytest.mark.slow
 def test_each_what_if_gets_a_folder_of_its_own_unless_one_is_named(run, capsys, tmp_path):
     mine = tmp_path / "mine"
     shutil.copytree(run, mine)

@@ -125,6 +125,7 @@ def test_one_frame_is_read_alone(written: Path) -> None:
     assert found.frame == 6
 
 
+@pytest.mark.slow
 def test_whatever_is_torn_off_leaves_whole_frames(written: Path) -> None:
     data, ends = written.read_bytes(), [place.start + place.size for place in FrameFile(written).places]
     for size in range(len(data)):

@@ -29,6 +29,7 @@ def plainly(states, moves, root, normals):
     return new
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_the_kernels_are_the_matrices(order, rng):
     moves, root = np.array(F[order]), np.tril(rng.normal(size=(order, order)))

@@ -50,6 +50,7 @@ def run_program(code, *words):
     return subprocess.run(call, capture_output=True, text=True, timeout=120, check=False)
 
 
+@pytest.mark.slow
 def test_it_goes_on_behind_the_last_frame_that_the_program_saw(frames, monkeypatch):
     monkeypatch.chdir(frames)
     done = run_program(PROGRAM)

@@ -31,6 +31,7 @@ def assert_equal_bytes(room, other):
         assert (room / "engine" / file).read_bytes() == (room / other / file).read_bytes(), file
 
 
+@pytest.mark.slow
 def test_hosts_in_processes_give_equal_bytes(room):
     named = [*options_of(sources_in(room), "--source"), *options_of(detections_in(room))]
     options = ["--hosts", "process", "--out", str(room / "process"), "--quiet"]
@@ -38,6 +39,7 @@ def test_hosts_in_processes_give_equal_bytes(room):
     assert_equal_bytes(room, "process")
 
 
+@pytest.mark.slow
 def test_a_host_that_is_killed_changes_no_byte(room):
     """Both, one between frames and one while it is asked next; the engine has no pixels."""
     executor = make_executor(hosts="process")
@@ -68,6 +70,7 @@ def test_a_host_that_is_killed_changes_no_byte(room):
     assert_equal_bytes(room, "killed")
 
 
+@pytest.mark.slow
 def test_a_run_whose_engine_stops_goes_on_with_equal_bytes(room):
     results = track(
         room / "room.yaml",

@@ -171,6 +171,7 @@ def test_everybody_in_a_crowd_is_tracked(graph):
     assert sorted(found) == list(range(1, 121))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("max_overlap", [0.99, 1.0])
 def test_more_than_a_thousand_are_tracked_each_with_an_identity(max_overlap):
     graph = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)

@@ -90,6 +90,7 @@ def moments(rate, seed, seconds=1.6):
     return np.concatenate([[0.0], times[times < seconds]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kalman_detections", "jpda", "sort", "oc_sort", "bytetrack"])
 @pytest.mark.parametrize("rate", [25.0, 50.0, None])
 def test_detections_at_any_rate_give_one_track_with_their_speed(name, rate):

@@ -111,6 +111,7 @@ def test_a_stored_tracker_goes_on_with_the_same_numbers(tmp_path):
     assert first.targets == second.targets
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_taken_up_with_equal_bytes(files):
     graph, rows, folder = files
     list(track(graph, None, detections=rows, out=folder / "whole", checkpoint_every=1e-9))
@@ -198,6 +199,7 @@ def test_a_file_of_boxes_is_no_file_of_quantities(files):
         list(track(graph, None, detections=named))
 
 
+@pytest.mark.slow
 def test_frames_of_a_video_are_met_by_their_numbers(files):
     """A sensor beside a source of frames: rows by `frame`; those by time are refused."""
     graph, rows, folder = files

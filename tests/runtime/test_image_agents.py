@@ -74,6 +74,7 @@ def shown(calls, camera, methods=("learn", "score")):
     return [call for call in calls if call[1] == CAMERAS[camera].size and call[0] in methods]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no detection is of the last")
 def test_an_image_agent_of_the_second_camera_adds_to_detections_of_the_first(tmp_path):
     """`south` tells the depth badly; `east` sees it from the side."""

@@ -76,6 +76,7 @@ def tracked(graph: CheckedGraph, folder: Path, then: Callable[[], None], video: 
     return done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OUTPUTS)
 @pytest.mark.parametrize("edit", list(EDITS))
 def test_it_is_told_with_the_next_line(

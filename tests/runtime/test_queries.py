@@ -249,6 +249,7 @@ def down(x: float, first: float, last: float, frames: int = 40) -> list[tuple[fl
     return [(x, first + (last - first) * k / (frames - 1)) for k in range(frames)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kalman_detections", "jpda"])
 def test_a_crowd_is_counted_across_a_line(name: str) -> None:
     paths = [down(100, 120, 300), down(300, 110, 320), down(500, 150, 190), down(400, 330, 100)]

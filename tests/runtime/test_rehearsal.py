@@ -76,6 +76,7 @@ def late(graph, kind):
     return done.stdout.strip().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_no_frame_of_a_crowd_imports_or_compiles():
     assert late("kalman_detections", "detections") == "[[], []]"
 

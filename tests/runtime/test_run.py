@@ -102,6 +102,7 @@ def general():
 # ------------------------------------------------------------------------------------ the same bytes
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(recorded, tmp_path):
     record(tmp_path / "again")
     record(tmp_path / "other", seed=1)

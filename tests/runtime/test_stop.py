@@ -473,6 +473,7 @@ def test_a_second_signal_ends_a_frame_that_takes_long(held, tmp_path):
     assert check(tmp_path / "run") == 10
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_files_that_can_be_read(held, tmp_path):
     out = tmp_path / "run"
     held.kill()

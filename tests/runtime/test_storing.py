@@ -95,6 +95,7 @@ def image(frame):
     return np.random.default_rng(frame).integers(0, 255, (420, 700, 3), np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "way"),
     [*((name, "file") for name in OF_DETECTIONS), *(("jpda", way) for way in WAYS if way != "file")],
@@ -130,6 +131,7 @@ print("\\n".join((*lines(of_images), *lines(of_detections))))
 """
 
 
+@pytest.mark.slow
 def test_they_go_on_in_another_process(tmp_path):
     """One that was pickled, and one that was saved."""
     of_images, of_detections = Tracker("two_squares", 1), DetectionsTracker("jpda", size=(700, 420))

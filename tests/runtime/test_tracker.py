@@ -319,6 +319,7 @@ def test_a_frame_of_another_size_is_refused_and_changes_nothing(change, message)
 # ------------------------------------------------------------------------------------ being lost
 
 
+@pytest.mark.slow
 def test_black_frames_are_never_a_confident_box():
     rng = np.random.default_rng(1)
     pictures = [rng.integers(40, 90, (240, 320, 3), dtype=np.uint8) for _ in range(4)]

@@ -80,6 +80,7 @@ def test_a_fingerprint_is_of_names_sizes_and_bytes(tmp_path):
         fingerprint([tmp_path])
 
 
+@pytest.mark.slow
 def test_a_crowd_begins_apart_and_has_as_many_as_asked_for():
     scene = crowd(seed=4, count=6, frames=20)
     boxes = np.array([scene.truth, *scene.others])[:, :5]

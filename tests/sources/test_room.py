@@ -43,6 +43,7 @@ def test_every_one_is_seen_by_some_camera_most_of_the_time(tmp_path):
     assert np.all(np.bincount(rows[:, 1].astype(int))[1:] > 0.9 * ROOM_FRAMES)
 
 
+@pytest.mark.slow
 def test_the_demo_scores_in_metres(tmp_path, capsys):
     assert main(["demo", "room", "--end", "30", "--out", str(tmp_path / "room")]) == 0
     scores = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines() if len(line.split()) > 1)

@@ -59,6 +59,7 @@ def goes_as_in_the_thesis(seed):
     )
 
 
+@pytest.mark.slow
 def test_the_hidden_square_is_found_again_with_its_identity():
     sink, last, truth = run(1, frames=40)
     (found,) = [event for event in sink.events if isinstance(event, Reacquired)]

@@ -41,6 +41,7 @@ def crossing() -> tuple[Scene, list[Result]]:
     return scene, play("two_squares", scene, 0)
 
 
+@pytest.mark.slow
 def test_motion_is_off_early_and_on_at_both_crossings(crossing: tuple[Scene, list[Result]]) -> None:
     """The squares overlap in frames 25-34 and 174-183; motion has to be called while they come close."""
     _, results = crossing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bayesnet_track import Start, load_graph, track
 from bayesnet_track.graph.checks.run import check_graph
@@ -19,6 +20,7 @@ def rows_off(graph, seed=0):
     return float(np.abs(tops - source.scene.truth[:, 1])[hidden].mean())
 
 
+@pytest.mark.slow
 def test_a_hidden_target_stays_on_its_road():
     """Of 20 seeds the mean is 4 px with the factor and 8 px without it."""
     plain = as_plain(load_graph("road").spec)

@@ -72,6 +72,7 @@ def run(files, tmp_path, *more, out="run"):
     return main(line)
 
 
+@pytest.mark.slow
 def test_both_ways_of_giving_a_pair_give_the_same(files, tmp_path):
     calibration = ("--calibration", files / "pair.yml")
     assert run(files, tmp_path, "--source", files / "left", "--right", files / "right", *calibration) == 0

@@ -6,6 +6,7 @@ import gc
 import weakref
 
 import numpy as np
+import pytest
 
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.vision import correlation
@@ -27,6 +28,7 @@ def test_a_tile_is_made_once_a_frame():
     assert not np.array_equal(find_tile(other, other.image, ASKED).spectra, tile.spectra)
 
 
+@pytest.mark.slow
 def test_tiles_are_forgotten_with_their_frame():
     one = frame(1)
     tile, before = weakref.ref(find_tile(one, one.image, ASKED)), len(correlation._OF_FRAME)

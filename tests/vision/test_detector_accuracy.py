@@ -101,6 +101,7 @@ def test_motion_takes_the_cameras_own_out(bench):
     )
 
 
+@pytest.mark.slow
 def test_the_background_bears_shadows_and_a_sudden_change_of_light(bench):
     scene = street(0)
     frames = bench.frames(scene, 112)

@@ -14,6 +14,7 @@ from bayesnet_track.runtime.executors.workers import ForkServer
 from bayesnet_track.sources.scenes.library import SceneSource
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("started", [0, 1])
 def test_a_worker_that_cannot_start_is_no_agent_without_answer(monkeypatch, tmp_path, started):
     start, left = ForkServer.worker, [started]

@@ -27,6 +27,7 @@ def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(place
         assert reports_of(placed.play(engine, before=kill)) == reports_of(placed.run(TWO))
 
 
+@pytest.mark.slow
 def test_all_agents_are_asked_before_the_first_is_heard(placed, monkeypatch):
     calls, ask, answer = [], Worker.ask, Worker.answer
     monkeypatch.setattr(Worker, "ask", lambda worker, call: calls.append(call.agent) or ask(worker, call))
@@ -129,6 +130,7 @@ def test_a_cue_that_writes_into_what_others_see_is_out_on_every_executor(placed,
         assert reports_of(placed.run(agents, kind, workers=workers)) == reports_of(expected)
 
 
+@pytest.mark.slow
 def test_a_worker_that_died_while_it_had_nothing_to_do_costs_no_attempt(placed, reports_of):
     with placed.executing(TWO, "processes", workers=2, retries=0) as (engine, executor):
         killed = []

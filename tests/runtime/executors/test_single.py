@@ -23,6 +23,7 @@ def test_threads_are_as_before_whatever_happens_inside(opencv):
         cv2.setNumThreads(before)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")
 def test_a_process_takes_no_more_memory_than_it_may():
     code = "\n".join(

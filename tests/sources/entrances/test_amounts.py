@@ -234,6 +234,7 @@ def test_what_fits_is_used_without_a_word(tmp_path, capsys, feed):
     assert said == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("feed", "n"), OTHERS, ids=[f"{feed.__name__}-{n}" for feed, n in OTHERS])
 def test_of_more_less_or_something_else_nothing_is_left_out_in_silence(tmp_path, capsys, feed, n):
     try:
