@@ -81,9 +81,13 @@ def to_power(measured: Measurement, power: float) -> Measurement:
     """The message raised to a power: its covariance is divided by it."""
     if power == 1.0:
         return measured
+    function = measured.seen
+    if function is not None and (covariance := function.covariance) is not None:
+        function = replace(function, covariance=lambda expected: covariance(expected) / power)
     return replace(
         measured,
         covariance=measured.covariance / power,
+        seen=function,
         errors=None if (own := measured.errors) is None else replace(own, power=own.power * power),
         log_peak=None if measured.log_peak is None else measured.log_peak * power,
         floor=measured.floor**power,

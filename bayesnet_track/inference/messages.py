@@ -95,7 +95,9 @@ def evaluate(
             answer = to_power(answer, 1.0 / step.temperature)
             messages[step.agent] = measurement_message(answer, at[step.at])
             view = plan.view(step.at)
-            measured[step.agent] = answer if view is None else through(view, answer, step.agent)
+            measured[step.agent] = (
+                answer if view is None else through(view, answer, step.agent, _errors(step, observer))
+            )
         elif answer is None:
             measured[step.agent] = None
             messages[step.agent] = np.zeros(len(hypotheses))
@@ -109,6 +111,15 @@ def evaluate(
     at_root = _log_constants(plan, constants, present)
     heard = (joined.gaussians, joined.sampled, measured, factors, at_root)
     return Evidence(total, said, latent, faults, *heard)
+
+
+def _errors(step: Observe, observer: Observer) -> Callable[[Floats], Floats] | None:
+    """Variances of a detection of an expected box (4,), as the agent's rule says; None of other agents."""
+    cue = observer.cues[step.agent]
+    if not isinstance(cue, AssociatingCue):
+        return None
+    rule = cue.rule
+    return lambda box: rule.variances(box) * step.temperature
 
 
 def _weigh_factors(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
@@ -156,8 +156,17 @@ def cut_covariance(camera: GroundView, boxes: Floats) -> Floats:
     return cut
 
 
-def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
-    """Measurement of the box in the image by `agent`, as a measurement of the state on the ground."""
+def through(
+    view: View,
+    measured: Measurement,
+    agent: str = "",
+    variances: Callable[[Floats], Floats] | None = None,
+) -> Measurement:
+    """Measurement of the box in the image by `agent`, as a measurement of the state on the ground.
+
+    Errors are those that a detection of the expected box has (`variances`, (4,) -> (4,)): a detection that is
+    large by chance would count less than one that is small by chance, and the belief be pulled.
+    """
     inner, errors = measured.seen, measured.errors
     columns = None if inner is not None else [BOX.index(name) for name in measured.fields]
 
@@ -174,14 +183,14 @@ def through(view: View, measured: Measurement, agent: str = "") -> Measurement:
         errors = replace(errors, function=lambda states, away: of_boxes(in_image(states), away))
     periods = np.full(len(measured.fields), np.inf) if inner is None else inner.periods
     beyond = None if view.clock is None or measured.fields != BOX or inner is not None else view.beyond
-    choices = tuple((weight, through(view, one, agent)) for weight, one in measured.choices)
+    choices = tuple((weight, through(view, one, agent, variances)) for weight, one in measured.choices)
+    box = Seen(function, periods, view.shared, beyond)
     if measured.fields == BOX and inner is None:
         cut = cut_covariance(view.camera, measured.mean[None])[0]
-        if cut.any():
-            measured = replace(measured, covariance=measured.covariance + cut)
-    return replace(
-        measured, seen=Seen(function, periods, view.shared, beyond), choices=choices, errors=errors
-    )
+        measured = replace(measured, covariance=measured.covariance + cut)
+        if (errors_of := variances) is not None:
+            box = replace(box, covariance=lambda expected: np.diag(errors_of(expected)) + cut)
+    return replace(measured, seen=box, choices=choices, errors=errors)
 
 
 Sizes = tuple[tuple[float, float] | None, tuple[float, float] | None]

@@ -171,12 +171,15 @@ class Seen:
             targets have, too.
         beyond: mean (D,) and covariance (D, D) of a state -> (K,) and (K, K): what the derivative at the mean
             leaves out of the quantities' mean and covariance; None where that is nothing much.
+        covariance: quantities (K,) expected of a state -> (K, K) of their errors; None: that of the
+            measurement, whatever is expected.
     """
 
     function: Callable[[Mapping[str, Floats]], Floats]
     periods: Floats
     shared: tuple[str, ...] = ()
     beyond: Callable[[Floats, Floats], tuple[Floats, Floats]] | None = None
+    covariance: Callable[[Floats], Floats] | None = None
 
     def in_mode(self, number: int) -> Seen:
         """The same of states that are in a mode of this number and do not say so."""

@@ -113,9 +113,10 @@ def error_of(box):
 
 def extended(mean, covariance, box):
     slopes = np.hstack([CAMERA.jacobian(mean[None, :4])[0], np.zeros((4, 2))])
-    spread = slopes @ covariance @ slopes.T + error_of(box)
+    expected = CAMERA.boxes(mean[None, :4])[0]
+    spread = slopes @ covariance @ slopes.T + error_of(expected)
     gain = covariance @ slopes.T @ np.linalg.inv(spread)
-    return mean + gain @ (box - CAMERA.boxes(mean[None, :4])[0]), covariance - gain @ slopes @ covariance
+    return mean + gain @ (box - expected), covariance - gain @ slopes @ covariance
 
 
 def unscented(mean, covariance, box):
@@ -125,7 +126,7 @@ def unscented(mean, covariance, box):
     seen = CAMERA.boxes(points[:, :4])
     expected = weights @ seen
     away = (seen - expected) * weights[:, None]
-    spread = away.T @ (seen - expected) + error_of(box)
+    spread = away.T @ (seen - expected) + error_of(CAMERA.boxes(mean[None, :4])[0])
     gain = (points - mean).T @ away @ np.linalg.inv(spread)
     return mean + gain @ (box - expected), covariance - gain @ spread @ gain.T
 

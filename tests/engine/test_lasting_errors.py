@@ -152,7 +152,7 @@ class Joint:
             h[:2, -2:] = np.eye(2)
             slopes.append(h)
             away.append(box - plain - sides * state[6:])
-            errors.append((NOISE * box[[2, 3, 2, 3]]) ** 2)
+            errors.append((NOISE * (plain + sides * state[6:])[[2, 3, 2, 3]]) ** 2)
         # A target is updated by its own detection: other rows of its gain are 0, those of the bias too.
         gain = np.zeros((len(self.mean), 4 * len(boxes)))
         for k, (own, error) in enumerate(zip(slopes, errors, strict=True)):

@@ -104,9 +104,10 @@ def moved(mean, covariance, dt):
 
 def corrected(camera, mean, covariance, box):
     slopes = np.hstack([CAMERAS[camera].jacobian(mean[None, :4])[0], np.zeros((4, 2))])
-    spread = slopes @ covariance @ slopes.T + np.diag((NOISE * box[[2, 3, 2, 3]]) ** 2)
+    expected = CAMERAS[camera].boxes(mean[None, :4])[0]
+    spread = slopes @ covariance @ slopes.T + np.diag((NOISE * expected[[2, 3, 2, 3]]) ** 2)
     gain = covariance @ slopes.T @ np.linalg.inv(spread)
-    away = box - CAMERAS[camera].boxes(mean[None, :4])[0]
+    away = box - expected
     return mean + gain @ away, covariance - gain @ slopes @ covariance
 
 

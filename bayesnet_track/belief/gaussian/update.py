@@ -364,16 +364,16 @@ def update_seen(
     """The update by quantities z = h(x) + N(0, R); None where h has no value near the mean.
 
     By h's derivative at the mean, or at sigma points +-sqrt(max(K, 3)) sds away, K the covariance's rank.
-    Angles are taken as the shorter way from that of the mean. `linear` is what `linearise_seen` gives of the
-    mean, if that was found before.
+    Angles are taken as the shorter way from that of the mean; `linear` is of `linearise_seen`, if known.
     """
     assert measurement.seen is not None
     quantities = measurement.seen
-
     centre, slopes = linearise_seen(mean[None], fields, quantities)[0] if linear is None else linear
     if not (np.isfinite(centre).all() and np.isfinite(slopes).all()):
         return None
     measured = centre + quantities.less(measurement.mean, centre)
+    if quantities.covariance is not None:
+        measurement = evolve(measurement, covariance=quantities.covariance(centre))
     if quantities.beyond is not None:
         shift, spread = quantities.beyond(mean, covariance)
         measurement = evolve(measurement, covariance=measurement.covariance + spread)

@@ -1,7 +1,7 @@
 """Detections of boxes in the image of a camera, of targets on the ground: a sensor whose h is a projection.
 
 Association takes place in the image: of a target predicted as N(m, P) a box is expected as N(h(m), H P H' +
-R), R that of the detection itself. A target that starts stands where its box says.
+R), R that of a detection of the box h(m). A target that starts stands where its box says.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ class ViewSensor:
         """The same in every frame."""
         return self
 
-    def boxes(self, mean: Floats) -> Floats:
-        """(T, 4) boxes in the image of states (T, D)."""
-        found = self.view.boxes(self.views.named(mean))
+    def boxes(self, mean: Floats, agent: str = "") -> Floats:
+        """(T, 4) boxes in the image of states (T, D), as the camera shows and `agent` finds them."""
+        found = self.view.boxes(self.views.named(mean), agent)
         return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, np.array(UNSEEN))
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
@@ -113,7 +113,7 @@ class ViewSensor:
         if not len(rows):
             return
         expected = self.expect(mean[rows], covariance[rows])
-        noise = self._noise(found)
+        noise = self._noise(mean[rows], found)
         first = mean.shape[1] - len(self.views.lasting)
         shared = [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]
         for at, row in enumerate(rows.tolist()):
@@ -122,7 +122,7 @@ class ViewSensor:
             own = slice(mixed.starts[row], mixed.starts[row + 1])
             columns, shares = mixed.columns[own], mixed.weights[own]
             cross = expected.cross[at]
-            spread = expected.spread[at] + noise[columns]
+            spread = expected.spread[at] + noise[at, columns]
             gains = np.swapaxes(
                 np.linalg.solve(spread, np.broadcast_to(cross.T, (len(columns), *cross.T.shape))), 1, 2
             )
@@ -186,7 +186,7 @@ class ViewSensor:
     def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where the camera sees nothing."""
         expected = self.expect(mean, covariance)
-        lower = np.linalg.cholesky(expected.spread[:, None] + self._noise(found))
+        lower = np.linalg.cholesky(expected.spread[:, None] + self._noise(mean, found))
         away = found.values[None] - expected.values[:, None]
         scaled = np.linalg.solve(lower, away[..., None])[..., 0]
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
@@ -202,10 +202,13 @@ class ViewSensor:
         """True of the error of the camera's calibration."""
         return error.node == self.view.node and error.is_shared
 
-    def _noise(self, found: Found) -> Floats:
-        """(N, 4, 4) of the errors of detections that differ from frame to frame, cut edges included."""
-        own = self.association.variances(found.values)[:, :, None] * np.eye(WIDTH)
-        return own + cut_covariance(self.view.camera, found.values)
+    def _noise(self, mean: Floats, found: Found) -> Floats:
+        """(T, N, 4, 4) of the errors of detections that differ from frame to frame, cut edges included.
+
+        They are those of a detection of the box of states (T, D), as in `inference.views.through`.
+        """
+        own = self.association.variances(self.boxes(mean, self.agent))[:, :, None] * np.eye(WIDTH)
+        return own[:, None] + cut_covariance(self.view.camera, found.values)
 
     def _of(self, states: Floats) -> Floats:
         return self.view.boxes(self.views.named(states), self.agent)
