@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -55,6 +54,23 @@ class Texts:
             code = self._codes[text] = len(self.texts) - 1
         return code
 
+    def renumbered(self, column: NDArray[np.int32], start: int) -> NDArray[np.int32]:
+        """A column of codes, after those from `start` on were given anew in the order of the column."""
+        if len(self.texts) < start + 2:
+            return column
+        present, rows = np.unique(column, return_index=True)
+        order = present[np.argsort(rows)]
+        order = order[order >= start]
+        if (order[:-1] < order[1:]).all():
+            return column
+        rest = np.setdiff1d(np.arange(start, len(self.texts)), order)
+        codes = np.concatenate([np.arange(start), order, rest])
+        keys = [*self._codes]
+        self.texts = [self.texts[code] for code in codes]
+        self._codes = {keys[code]: number for number, code in enumerate(codes)}
+        self._columns.clear()
+        return np.argsort(codes).astype(np.int32)[column]
+
 
 @dataclass(frozen=True)
 class Block:
@@ -78,8 +94,10 @@ class Block:
         if CLOUD in self.columns:
             counts = self.columns["cloud_count"].astype(np.int64)
             starts = np.cumsum(counts) - counts
-            spans_of_rows = [np.arange(starts[row], starts[row] + counts[row]) for row in rows.tolist()]
-            columns[CLOUD] = self.columns[CLOUD][:, np.concatenate([np.arange(0), *spans_of_rows])]
+            counts_of_rows = counts[rows]
+            shifts = starts[rows] - (np.cumsum(counts_of_rows) - counts_of_rows)
+            hypotheses = np.arange(counts_of_rows.sum()) + np.repeat(shifts, counts_of_rows)
+            columns[CLOUD] = self.columns[CLOUD][:, hypotheses]
         return Block(self.frame[rows], columns)
 
     def numbers(self, name: str) -> Floats:
@@ -119,9 +137,8 @@ class Blocks:
         if self._names & {*REGIONS}:
             self._names |= {"map", "sd"}
         self._lines = metrics
-        self._file = metrics.file if isinstance(metrics, Measurements) else None
-        if self._file is not None:
-            places = self._file.places
+        if isinstance(metrics, Measurements):
+            places = metrics.file.places
             self.all_frames = np.array([place.frame for place in places], dtype=np.int64)
             counts = np.array([place.targets for place in places], dtype=np.int64)
         else:
@@ -141,9 +158,12 @@ class Blocks:
     def read(self, start: int, end: int) -> Block:
         """The rows of the frames from `start` to before `end`."""
         first, after = np.searchsorted(self.all_frames, [start, end]).tolist()
-        if self._file is None:
+        if not isinstance(self._lines, Measurements):
             return self._of_lines(self._lines[first:after])
-        return self._of_places(self._file, self._file.places[first:after])
+        file, count = self._lines.file, len(self.texts["target"].texts)
+        block = self._of_places(file, file.places[first:after])
+        self._lines.check_targets(self.texts["target"].texts[count:])
+        return block
 
     def joined(self, blocks: Sequence[Block]) -> Block:
         """Blocks of this run, one below the other."""
@@ -165,22 +185,37 @@ class Blocks:
 
     def _of_places(self, file: FrameFile, places: Sequence[Place]) -> Block:
         """Records with the same header stand below each other in one array, and are taken apart together."""
-        pieces: list[tuple[int, dict[str, NDArray[Any]]]] = []
-        frames = np.repeat([place.frame for place in places], [place.targets for place in places])
+        frames = np.array([place.frame for place in places], dtype=np.int64)
         if len(frames) and not 0 <= frames.min() <= frames.max() <= MOST:
             raise JournalError(f"{file.path}: frame {frames.max()} is not an integer from 0 to {MOST}")
-        for header, group in groupby(file.contents(places), key=lambda record: record[1]):
-            members = list(group)
-            place = members[0][0]
+        records_of_header: defaultdict[tuple[bytes, int], list[tuple[int, bytes]]] = defaultdict(list)
+        for number, (place, header, content) in enumerate(file.contents(places)):
+            records_of_header[header, place.targets].append((number, content))
+        counts = {name: len(column.texts) for name, column in self.texts.items()}
+        pieces: list[tuple[int, dict[str, NDArray[Any]]]] = []
+        record_of_row = [np.zeros(0, np.int64)]
+        for (header, targets), records in records_of_header.items():
+            numbers, contents = zip(*records, strict=True)
             try:
-                records = structured([content for _, _, content in members], header, self._names)
-                pieces.append((place.targets * len(members), self._piece(records, place.targets)))
+                piece = self._piece(structured(contents, header, self._names), targets)
             except (KeyError, ValueError, TypeError, IndexError) as error:
-                raise file.damaged(place, error) from error
+                raise file.damaged(places[numbers[0]], error) from error
+            pieces.append((targets * len(records), piece))
+            record_of_row.append(np.repeat(numbers, targets))
         names = dict.fromkeys(name for _, piece in pieces for name in piece)
         if pieces:
             names |= dict.fromkeys(name for name in TEXTS if name in self._names)
-        return Block(frames.astype(np.int64), {name: self._joined(name, pieces) for name in names})
+        rows = np.concatenate(record_of_row)
+        block = Block(frames[rows], {name: self._joined(name, pieces) for name in names})
+        if len(pieces) < 2:
+            return block
+        block = block.of_rows(np.argsort(rows, kind="stable"))
+        renumbered = {
+            name: self.texts[name].renumbered(column, counts.get(name, 0))
+            for name, column in block.columns.items()
+            if is_text(name)
+        }
+        return Block(block.frame, {**block.columns, **renumbered})
 
     def _piece(self, records: NDArray[Any], targets: int) -> dict[str, NDArray[Any]]:
         piece: dict[str, NDArray[Any]] = {}
@@ -262,14 +297,6 @@ def boxes_of(metrics: Sequence[FrameMetrics], lost: bool) -> Iterator[NumberedBo
             yield NumberedBoxes(block.frame[is_shown], ids[is_shown], corners[is_shown], scores[is_shown])
         else:
             yield NumberedBoxes(block.frame, ids, corners, scores)
-
-
-def targets_of(metrics: Sequence[FrameMetrics]) -> list[str]:
-    """The targets that are measured, in the order in which they appear."""
-    blocks = Blocks(metrics, ())
-    for _ in blocks:
-        pass
-    return blocks.texts["target"].texts
 
 
 TEXTS = ("target", "status", "active", "silent")

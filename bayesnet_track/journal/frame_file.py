@@ -130,7 +130,7 @@ class FrameFile:
 
     def contents(self, places: Sequence[Place]) -> Iterator[tuple[Place, bytes, bytes]]:
         """Place, header and numbers of some frames, in order, for `structured`."""
-        with self.path.open("rb") as file:
+        with self.path.open("rb", buffering=1 << 18) as file:
             for place in places:
                 file.seek(place.start)
                 try:

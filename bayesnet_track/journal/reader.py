@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from itertools import accumulate, takewhile
@@ -94,14 +94,17 @@ class Measurements(Sequence[FrameMetrics]):
     Args:
         path: the file.
         notice: told of a torn last record.
+        targets: ids of the targets that start in the journal, if it was read.
 
     Raises:
-        JournalError: a record is damaged, when it is read.
+        JournalError: a record is damaged, or about a target that never starts, when it is read.
         OSError: the file cannot be read.
     """
 
-    def __init__(self, path: Path, notice: Notice | None = None) -> None:
-        self.file = FrameFile(path, notice)
+    def __init__(
+        self, path: Path, notice: Notice | None = None, targets: Container[str] | None = None
+    ) -> None:
+        self.file, self._targets = FrameFile(path, notice), targets
         self._ends = list(accumulate(place.targets for place in self.file.places))
         self._last: tuple[int, list[FrameMetrics]] = (-1, [])
 
@@ -127,6 +130,12 @@ class Measurements(Sequence[FrameMetrics]):
             self._last = number, self._read(number)
         return self._last[1][at - self._ends[number]]
 
+    def check_targets(self, targets: Iterable[str]) -> None:
+        """Raise JournalError for the first of some targets that never starts."""
+        for target in () if self._targets is None else sorted(targets):
+            if target not in (self._targets or ()):
+                raise JournalError(f"{self.file.path}: target {target!r} never starts in journal.jsonl")
+
     def __repr__(self) -> str:
         return f"Measurements({str(self.file.path)!r}: {len(self)} lines)"
 
@@ -137,6 +146,7 @@ class Measurements(Sequence[FrameMetrics]):
             raise JournalError(
                 f"{self.file.path}: frame {place.frame}: {len(lines)} lines, not {place.targets}"
             )
+        self.check_targets(line.target for line in lines)
         return lines
 
 

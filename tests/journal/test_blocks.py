@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.journal import blocks as blocks_module
-from bayesnet_track.journal.blocks import Blocks, spans, targets_of
+from bayesnet_track.journal.blocks import Blocks, spans
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.frame_file import FrameWriter
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -30,8 +30,9 @@ def metrics():
 def written(metrics, tmp_path):
     """Frames whose targets, agents and texts differ, in a file and as lines."""
     lines = []
-    for frame in (0, 1, 2, 5, 9):
-        names = ["1", "22", "333"][: 1 + frame % 3]
+    frames = (0, 1, 2, 5, 6, 9)  # the record of 6 has the columns of that of 0, and a target that comes last
+    for frame in frames:
+        names = ["7"] if frame == 6 else ["1", "22", "333"][: 1 + frame % 3]
         lines += [
             replace(
                 metrics,
@@ -48,7 +49,7 @@ def written(metrics, tmp_path):
             for name in names
         ]
     with FrameWriter(tmp_path / "frames.npy.gz") as writer:
-        for frame in (0, 1, 2, 5, 9):
+        for frame in frames:
             writer.write([line for line in lines if line.frame == frame])
             writer.flush()
     return tmp_path / "frames.npy.gz", lines
@@ -75,14 +76,14 @@ def test_file_and_lines_give_the_same_columns(written, rows, monkeypatch):
         assert texts[0] == [
             value if isinstance(value := getattr(line, name), str) else " ".join(value) for line in lines
         ]
-    assert targets_of(Measurements(path)) == ["1", "22", "333"]
+    assert [side.texts["target"].texts for side in sides] == [["1", "22", "333", "7"]] * 2
 
 
 def test_blocks_of_two_runs_cover_the_frames_of_both(written, monkeypatch):
     monkeypatch.setattr(blocks_module, "ROWS", 1)
     path, lines = written
     sides = [Blocks(Measurements(path), ()), Blocks(lines[-2:], ())]
-    assert [*spans(sides, 9)] == [(0, 1), (1, 2), (2, 3), (5, 6)]
+    assert [*spans(sides, 9)] == [(0, 1), (1, 2), (2, 3), (5, 6), (6, 7)]
     assert [*spans(sides[1:], 99)][-1] == (9, 10)
 
 

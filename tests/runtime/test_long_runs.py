@@ -3,6 +3,7 @@
 import pytest
 
 from bayesnet_track import Start, open_run, track
+from bayesnet_track.journal.blocks import Blocks
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.reader import Measurements
 from bayesnet_track.runtime.recording import run_reader
@@ -45,12 +46,32 @@ def test_tables_pictures_and_pages_are_the_same(both):
     assert read.page().html == kept.page().html
 
 
-def test_a_damaged_frame_is_named_when_the_run_is_opened(folder, tmp_path, both):
+@pytest.fixture
+def copied(folder, tmp_path):
     for path in folder.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    data = bytearray((tmp_path / "frames.npy.gz").read_bytes())
+    return tmp_path
+
+
+def columns(run):
+    return list(Blocks(run.metrics, ("box",)))
+
+
+@pytest.mark.parametrize("read", [lambda run: list(run.metrics), columns])
+@pytest.mark.parametrize("kept", [3, 10_000])
+def test_a_damaged_frame_and_a_target_that_never_starts_are_named_when_they_are_read(
+    copied, monkeypatch, kept, read
+):
+    monkeypatch.setattr(run_reader, "MOST_KEPT", kept)
+    lines = (copied / "journal.jsonl").read_text().splitlines(keepends=True)
+    starts = [line for line in lines if '"target_started"' in line]
+    (copied / "journal.jsonl").write_text("".join(line for line in lines if line != starts[-1]))
+    with pytest.raises(JournalError, match=r"frames.npy.gz: target '2' never starts in journal.jsonl"):
+        read(open_run(copied))
+    data = bytearray((copied / "frames.npy.gz").read_bytes())
     data[-20] ^= 0xFF
-    (tmp_path / "frames.npy.gz").write_bytes(data)
+    (copied / "frames.npy.gz").write_bytes(data)
+    (copied / "journal.jsonl").write_text("".join(lines))
     with pytest.raises(JournalError, match=r"frame 7 .* is damaged"):
-        open_run(tmp_path)
+        read(open_run(copied))

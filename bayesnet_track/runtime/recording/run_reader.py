@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.load import read_graph
-from bayesnet_track.journal.blocks import Blocks, targets_of
+from bayesnet_track.journal.blocks import Blocks
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import Returned, TargetStarted
@@ -262,7 +262,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
 
     Raises:
         RunDirectoryError: it is no run directory, or a file is missing from it.
-        JournalError: a file in it is damaged.
+        JournalError: a file in it is damaged. Records of a long run are checked when they are read.
 
     ::
 
@@ -272,21 +272,13 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
     directory = RunDirectory.open(Path(path))
     try:
         events = tuple(read_events(directory.journal, notice))
-        measured = Measurements(directory.frames, notice)
-        targets = targets_of(measured)
-        metrics = tuple(measured) if len(measured) <= MOST_KEPT else measured
-        text = directory.graph.read_text(encoding="utf-8")
+        run = Run(directory, events, (), directory.graph.read_text(encoding="utf-8"))
+        measured = Measurements(directory.frames, notice, run.kinds)
+        return replace(run, metrics=tuple(measured) if len(measured) <= MOST_KEPT else measured)
     except FileNotFoundError as error:
         raise RunDirectoryError(f"{error.filename}: missing from the run directory") from error
     except UnicodeDecodeError as error:
         raise JournalError(f"{directory.graph}: not a text: {error}") from error
-    run = Run(directory, events, metrics, text)
-    unknown = {*targets} - run.kinds.keys()
-    if unknown:
-        raise JournalError(
-            f"{directory.frames}: target {min(unknown)!r} never starts in {directory.journal.name}"
-        )
-    return run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
