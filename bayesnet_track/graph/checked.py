@@ -92,7 +92,7 @@ class Anchor:
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """How a target starts with a detection of quantities.
+    """Start of a target with a detection of quantities.
 
     Attributes:
         terms: field of the state -> its value by the quantities; empty where h is followed.
@@ -225,22 +225,26 @@ class CheckedTarget:
     @property
     def confusions(self) -> dict[str, str]:
         """Agent for which labels of detections are evidence -> the category that they tell of."""
-        written = ((agent, getattr(one, "confusion", {})) for agent, one in self.parameters.items())
+        written = (
+            (agent, getattr(parameters, "confusion", {})) for agent, parameters in self.parameters.items()
+        )
         return {agent: category for agent, confusion in written for category in confusion}
 
     @cached_property
     def below(self) -> Mapping[str, frozenset[str]]:
         """Inference node -> the nodes below it, at any depth."""
-        found: dict[str, frozenset[str]] = {}
+        descendants: dict[str, frozenset[str]] = {}
         for name in reversed(self.order):  # children before their parents
             if name in self.children:
-                own = self.children[name]
-                found[name] = frozenset(own).union(*(found.get(child, frozenset()) for child in own))
-        return found
+                children = self.children[name]
+                descendants[name] = frozenset(children).union(
+                    *(descendants.get(child, frozenset()) for child in children)
+                )
+        return descendants
 
     @cached_property
     def lost(self) -> Lost:
-        """When it counts as lost; by default a point where it more probably does not exist than it does."""
+        """Rule by which it counts as lost; by default a point is lost if it more probably does not exist."""
         written, existence = self.inference(self.root).lost, self.spec.existence
         if written is not None or self.spec.state == "box" or existence is None:
             return written or Lost()
@@ -300,13 +304,13 @@ class CheckedGraph:
     @property
     def declarations(self) -> Mapping[str, CueDeclaration]:
         """Name -> declaration of every cue that can be used with it: its own, and the installed ones."""
-        named = {one.cue for target in self.spec.targets.values() for _, _, one in target.cue_choices()}
+        named = {choice.cue for target in self.spec.targets.values() for _, _, choice in target.cue_choices()}
         return {**installed_cues(named), **self.cues}
 
     @property
     def image_size(self) -> tuple[int, int] | None:
         """Width and height of the images of its first camera, px; None where no calibration says it."""
-        return next((one.camera.size for one in self.calibrations.values()), None)
+        return next((calibration.camera.size for calibration in self.calibrations.values()), None)
 
     @property
     def several_cameras(self) -> Mapping[str, tuple[int, int] | None]:

@@ -182,8 +182,8 @@ class Target(Model):
             if isinstance(node, AgentNode):
                 yield name, ("agent",), node.agent
             elif isinstance(node, InferenceNode) and node.score is not None:
-                for verifier, one in node.score.settings.verifiers.items():
-                    yield name, ("score", "logistic", "verifiers", verifier, "agent"), one.agent
+                for verifier, settings in node.score.settings.verifiers.items():
+                    yield name, ("score", "logistic", "verifiers", verifier, "agent"), settings.agent
 
 
 class GraphSpec(Model):

@@ -17,19 +17,19 @@ def named_agents_are_governed(plate: Plate) -> Iterator[GraphMessage]:
     """Each of `adapt.agents` is an agent below the node, named once, that no rule nearer by switches."""
     for name, node in plate.inference.items():
         named = () if node.adapt is None else node.adapt.agents or ()
-        left = plate.left_to(name) if named else []
+        switchable = plate.left_to(name) if named else []
         for number, agent in enumerate(named):
             if agent in named[:number]:
-                found = f"agents names {agent!r} twice"
+                fault = f"agents names {agent!r} twice"
             elif agent not in plate.agents or agent not in plate.below(name):
-                found = f"agents names {agent!r}, which is no agent below {name}"
-            elif agent not in left:
-                found = f"agents names {agent!r}, which the rules of {plate.governor[agent]} switch"
+                fault = f"agents names {agent!r}, which is no agent below {name}"
+            elif agent not in switchable:
+                fault = f"agents names {agent!r}, which the rules of {plate.governor[agent]} switch"
             else:
                 continue
-            allowed = [agent for agent in left if agent not in named]
+            remedy = [agent for agent in switchable if agent not in named]
             path = ("adapt", "agents", number)
-            yield plate.message(name, found, allowed or "each once", key=path, word=agent)
+            yield plate.message(name, fault, remedy or "each once", key=path, word=agent)
 
 
 def tests_in_order(plate: Plate) -> Iterator[GraphMessage]:
@@ -38,30 +38,41 @@ def tests_in_order(plate: Plate) -> Iterator[GraphMessage]:
         adapt = node.adapt
         if adapt is None or adapt.activate is None or adapt.deactivate is None:
             continue
-        on, off = adapt.activate.unless, adapt.deactivate.when
-        if on is None or off is None or on.concentrated is None or off.concentrated is None:
+        activation, deactivation = adapt.activate.unless, adapt.deactivate.when
+        if (
+            activation is None
+            or deactivation is None
+            or activation.concentrated is None
+            or deactivation.concentrated is None
+        ):
             continue
         for key in ("share", "confidence", "within_box"):
-            less, wanted = getattr(off.concentrated, key), getattr(on.concentrated, key)
+            less, required = getattr(deactivation.concentrated, key), getattr(activation.concentrated, key)
             narrower = key == "within_box"
-            if less > wanted if narrower else less < wanted:
-                yield _looser(plate, name, off.concentrated, key, less, wanted, narrower)
+            if less > required if narrower else less < required:
+                yield _looser(plate, name, deactivation.concentrated, key, less, required, narrower)
 
 
 def _looser(
-    plate: Plate, name: str, off: Concentrated, key: str, found: float, wanted: float, narrower: bool
+    plate: Plate,
+    name: str,
+    deactivation: Concentrated,
+    key: str,
+    value: float,
+    required: float,
+    narrower: bool,
 ) -> GraphMessage:
     path: tuple[str, ...] = ("adapt", "deactivate", "when")
-    if off.model_fields_set:
+    if deactivation.model_fields_set:
         path += ("concentrated",)
-    if key in off.model_fields_set:
+    if key in deactivation.model_fields_set:
         path += (key,)
-    default = "" if key in off.model_fields_set else " by default"
-    said = (
-        f"adapt.deactivate.when: {key} is {found:.6g}{default}, and {wanted:.6g} in adapt.activate.unless: "
+    default = "" if key in deactivation.model_fields_set else " by default"
+    fault = (
+        f"adapt.deactivate.when: {key} is {value:.6g}{default}, and {required:.6g} in adapt.activate.unless: "
         "both rules could hold at once"
     )
-    return plate.message(name, said, f"at {'most' if narrower else 'least'} {wanted:.6g}", key=path)
+    return plate.message(name, fault, f"at {'most' if narrower else 'least'} {required:.6g}", key=path)
 
 
 def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
@@ -70,17 +81,17 @@ def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
         adapt = node.adapt
         if adapt is None or adapt.information == Information():
             continue
-        on = adapt.activate is not None and adapt.activate.which == "information_per_ms"
-        off = adapt.deactivate is not None and adapt.deactivate.drop == "min_information_per_ms"
-        if not on and not off:
-            allowed = "which: information_per_ms, drop: min_information_per_ms, or no such key"
-            found = "information has no effect: no rule here goes by it"
-            yield plate.message(name, found, allowed, key=("adapt", "information"), on_key=True)
-        elif not on and adapt.information.exploration != Information().exploration:
+        activates = adapt.activate is not None and adapt.activate.which == "information_per_ms"
+        drops = adapt.deactivate is not None and adapt.deactivate.drop == "min_information_per_ms"
+        if not activates and not drops:
+            remedy = "which: information_per_ms, drop: min_information_per_ms, or no such key"
+            fault = "information has no effect: no rule here goes by it"
+            yield plate.message(name, fault, remedy, key=("adapt", "information"), on_key=True)
+        elif not activates and adapt.information.exploration != Information().exploration:
             key = ("adapt", "information", "exploration")
-            found = "exploration has no effect: only which: information_per_ms hopes for the unknown"
+            fault = "exploration has no effect: only which: information_per_ms hopes for the unknown"
             yield plate.message(
-                name, found, "which: information_per_ms, or no exploration", key=key, on_key=True
+                name, fault, "which: information_per_ms, or no exploration", key=key, on_key=True
             )
 
 
@@ -91,9 +102,9 @@ def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
         if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "most_expensive_redundant":
             continue
         if adapt.deactivate.below is None or (adapt.activate is not None and adapt.activate.above is None):
-            found = "drop: most_expensive_redundant asks what UD would be, and a rule here goes by a test"
-            allowed = "levels of UD (above, below), or another drop"
-            yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
+            fault = "drop: most_expensive_redundant asks what UD would be, and a rule here goes by a test"
+            remedy = "levels of UD (above, below), or another drop"
+            yield plate.message(name, fault, remedy, key=("adapt", "deactivate", "drop"))
 
 
 def calls_have_a_caller(plate: Plate) -> Iterator[GraphMessage]:
@@ -103,16 +114,16 @@ def calls_have_a_caller(plate: Plate) -> Iterator[GraphMessage]:
         if adapt is None or adapt.on_call is None:
             continue
         key = ("adapt", "on_call")
-        others = [rule for rule in ("activate", "deactivate") if getattr(adapt, rule) is not None]
+        rules = [rule for rule in ("activate", "deactivate") if getattr(adapt, rule) is not None]
         if node.parent is not None:
-            found = f"on_call at {name}, which is below {', '.join(plate.roots)}"
-            yield plate.message(name, found, "on_call at the root", key=key, on_key=True)
-        elif others:
-            found = f"on_call beside {' and '.join(others)}: agents on call stay on"
-            yield plate.message(name, found, "one or the other", key=key, on_key=True)
+            fault = f"on_call at {name}, which is below {', '.join(plate.roots)}"
+            yield plate.message(name, fault, "on_call at the root", key=key, on_key=True)
+        elif rules:
+            fault = f"on_call beside {' and '.join(rules)}: agents on call stay on"
+            yield plate.message(name, fault, "one or the other", key=key, on_key=True)
         elif len(plate.governed(name)) == len(plate.agents):
-            found = "on_call leaves no agent that runs in every frame, and could call the others"
-            yield plate.message(name, found, "agents: [...] with some of them", key=key, on_key=True)
+            fault = "on_call leaves no agent that runs in every frame, and could call the others"
+            yield plate.message(name, fault, "agents: [...] with some of them", key=key, on_key=True)
         elif adapt.keep != 1:
             yield plate.message(
                 name,
@@ -128,8 +139,8 @@ def calls_say_when_to_learn(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.adapt is None or node.adapt.on_call is None or node.learn is None or node.learn.every == 1:
             continue
-        found = "learn.every has no effect beside on_call: references learn where the agents on call run"
-        yield plate.message(name, found, "no learn.every", key=("learn", "every"), on_key=True)
+        fault = "learn.every has no effect beside on_call: references learn where the agents on call run"
+        yield plate.message(name, fault, "no learn.every", key=("learn", "every"), on_key=True)
 
 
 def called_agents_begin_on(plate: Plate) -> Iterator[GraphMessage]:
@@ -139,8 +150,8 @@ def called_agents_begin_on(plate: Plate) -> Iterator[GraphMessage]:
             continue
         for agent in plate.governed(name):
             if not plate.agents[agent].active:
-                found = "active: false, and nothing switches on an agent on call"
-                yield plate.message(agent, found, "active: true", key=("active",))
+                fault = "active: false, and nothing switches on an agent on call"
+                yield plate.message(agent, fault, "active: true", key=("active",))
 
 
 def rules_of_agents_fit(plate: Plate) -> Iterator[GraphMessage]:
@@ -180,8 +191,8 @@ def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
         if node.learn is not None and node.learn.score_above is not None:
             needing.append(("learn", "score_above"))
         for key in needing:
-            found = f"{'.'.join(key)} without a score that is a probability"
-            yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)
+            fault = f"{'.'.join(key)} without a score that is a probability"
+            yield plate.message(name, fault, "score at the root, or no such key", key=key, on_key=True)
 
 
 def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
@@ -192,24 +203,24 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
             continue
         low, high = rule.score_below, rule.uncertain_below
         if low is None and high is not None:
-            found = "lost.uncertain_below without lost.score_below"
-            yield plate.message(name, found, "both, or none", key=("lost", "uncertain_below"), on_key=True)
+            fault = "lost.uncertain_below without lost.score_below"
+            yield plate.message(name, fault, "both, or none", key=("lost", "uncertain_below"), on_key=True)
         elif low is not None and high is not None and high <= low:
-            found = f"lost.uncertain_below is {high:.6g}, not above lost.score_below, {low:.6g}"
-            yield plate.message(name, found, f"above {low:.6g}", key=("lost", "uncertain_below"))
+            fault = f"lost.uncertain_below is {high:.6g}, not above lost.score_below, {low:.6g}"
+            yield plate.message(name, fault, f"above {low:.6g}", key=("lost", "uncertain_below"))
         if low is None and rule.found_fit is not None:
-            found = "lost.found_fit without lost.score_below"
-            yield plate.message(name, found, "both, or none", key=("lost", "found_fit"), on_key=True)
+            fault = "lost.found_fit without lost.score_below"
+            yield plate.message(name, fault, "both, or none", key=("lost", "found_fit"), on_key=True)
         if low is None and rule.regain is not None:
-            found = "lost.regain without lost.score_below"
-            yield plate.message(name, found, "both, or none", key=("lost", "regain"), on_key=True)
+            fault = "lost.regain without lost.score_below"
+            yield plate.message(name, fault, "both, or none", key=("lost", "regain"), on_key=True)
         by_fit = node.score is not None and node.score.settings.full_fit > 0.0
         if low is not None and rule.regain is not None and rule.found_fit is None and not by_fit:
-            found = "lost.regain has no effect: neither full_fit of score nor lost.found_fit limits the score"
-            yield plate.message(name, found, "one of these", key=("lost", "regain"), on_key=True)
+            fault = "lost.regain has no effect: neither full_fit of score nor lost.found_fit limits the score"
+            yield plate.message(name, fault, "one of these", key=("lost", "regain"), on_key=True)
         if low is not None and rule.above != Lost().above:
-            found = "lost.above has no effect: with score_below the score alone says when the target is lost"
-            yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)
+            fault = "lost.above has no effect: with score_below the score alone says when the target is lost"
+            yield plate.message(name, fault, "one of above, score_below", key=("lost", "above"), on_key=True)
 
 
 def one_half_is_uncertain(plate: Plate) -> Iterator[GraphMessage]:
@@ -226,8 +237,8 @@ def one_half_is_uncertain(plate: Plate) -> Iterator[GraphMessage]:
         for key in limiting:
             verb = "put" if key == ("distractors",) else "puts"
             effect = f"{'.'.join(key)} {verb} the score at one half"
-            found = f"{effect}, which lost.uncertain_below does not call uncertain"
-            yield plate.message(name, found, "lost.uncertain_below above 0.5", key=key, on_key=True)
+            fault = f"{effect}, which lost.uncertain_below does not call uncertain"
+            yield plate.message(name, fault, "lost.uncertain_below above 0.5", key=key, on_key=True)
 
 
 def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessage]:
@@ -235,42 +246,42 @@ def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessag
     for name, node in plate.inference.items():
         error = node.localization_error
         if error is not None and error.lost_sd_box is not None and error.lost_sd_box <= error.sd_box:
-            found = (
+            fault = (
                 f"localization_error.lost_sd_box is {error.lost_sd_box:.6g}, not above "
                 f"localization_error.sd_box, {error.sd_box:.6g}"
             )
             key = ("localization_error", "lost_sd_box")
-            yield plate.message(name, found, f"above {error.sd_box:.6g}", key=key)
+            yield plate.message(name, fault, f"above {error.sd_box:.6g}", key=key)
 
 
 def alarm_can_be_raised(plate: Plate) -> Iterator[GraphMessage]:
     """Its e-value stays below the number of calibration videos plus one."""
     for name, node in plate.inference.items():
         if node.alarm is not None and (node.alarm.videos + 1) * node.alarm.share < 1.0 + 1e-9:
-            found = (
+            fault = (
                 f"alarm of {node.alarm.videos} videos is never raised: its e-value stays below "
                 f"{node.alarm.videos + 1}, and has to reach {1.0 / node.alarm.share:.4g}"
             )
-            allowed = "more videos, or a larger share"
-            yield plate.message(name, found, allowed, key=("alarm", "videos"))
+            remedy = "more videos, or a larger share"
+            yield plate.message(name, fault, remedy, key=("alarm", "videos"))
 
 
 def verifiers_can_be_asked(plate: Plate) -> Iterator[GraphMessage]:
     """A verifier scores a box by its looks, and has a name that no other feature has."""
-    for name, where, chosen in plate.spec.cue_choices():
-        cue = plate.cues.get(chosen.cue)
-        if where[0] != "score" or cue is None:
+    for name, path, choice in plate.spec.cue_choices():
+        cue = plate.cues.get(choice.cue)
+        if path[0] != "score" or cue is None:
             continue
-        verifier = where[3]
+        verifier = path[3]
         if verifier in RESERVED:
-            found = f"a verifier named {verifier!r}, as something else of the score"
-            yield plate.message(name, found, "another name", key=where[:4], on_key=True)
+            fault = f"a verifier named {verifier!r}, as something else of the score"
+            yield plate.message(name, fault, "another name", key=path[:4], on_key=True)
         why = "measures" if cue.measures else "keeps what cannot be stored" if cue.opaque else ""
         if not cue.is_appearance and not why:
             why = "does not go by the target's looks"
         if why:
-            found = f"verifier {verifier}: {chosen.cue} {why}"
-            yield plate.message(name, found, "a cue that scores boxes by looks", key=(*where, chosen.cue))
+            fault = f"verifier {verifier}: {choice.cue} {why}"
+            yield plate.message(name, fault, "a cue that scores boxes by looks", key=(*path, choice.cue))
 
 
 def confidences_are_given(plate: Plate) -> Iterator[GraphMessage]:
@@ -279,10 +290,10 @@ def confidences_are_given(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         for agent in {} if node.score is None else node.score.settings.confidence:
             if agent not in able:
-                found = f"the confidence of {agent!r}, which is no agent that says how sure it is"
-                allowed = able or "an agent such as siamese_box"
+                fault = f"the confidence of {agent!r}, which is no agent that says how sure it is"
+                remedy = able or "an agent such as siamese_box"
                 key = ("score", "logistic", "confidence", agent)
-                yield plate.message(name, found, allowed, key=key, word=agent, on_key=True)
+                yield plate.message(name, fault, remedy, key=key, word=agent, on_key=True)
 
 
 RESERVED = frozenset({*FEATURES, "most", "bias"})

@@ -31,26 +31,26 @@ def kalman_moves_linearly(plate: Plate) -> Iterator[GraphMessage]:
             continue
         if node.motion.expressions is not None:
             continue
-        moved: dict[KeyPath, Motion] = {("belief", "gaussian", "filter"): node.motion}
-        for mode, one in (node.modes or {}).items():
-            if one.motion is not None and one.motion.expressions is None:
-                moved["modes", mode, "motion"] = one.motion
-        for key, motion in moved.items():
+        motions: dict[KeyPath, Motion] = {("belief", "gaussian", "filter"): node.motion}
+        for mode, settings in (node.modes or {}).items():
+            if settings.motion is not None and settings.motion.expressions is None:
+                motions["modes", mode, "motion"] = settings.motion
+        for key, motion in motions.items():
             yield from _linear(plate, name, key, motion.settings)
 
 
 def _linear(plate: Plate, name: str, key: KeyPath, noise: Noise) -> Iterator[GraphMessage]:
-    further = [
+    nonlinear = [
         f"{part}.{field}"
         for part in ("sd_box", "sd_log")
         for field in type(getattr(noise, part)).model_fields
         if getattr(getattr(noise, part), field) > 0
     ]
-    further += ["heavy_tail"] if noise.heavy_tail is not None else []
-    if further:
-        found = f"filter: kalman with {', '.join(further)}, which is not Gaussian noise in px"
-        allowed = "filter: extended or unscented, or noise by sd_px alone"
-        yield plate.message(name, found, allowed, key=key)
+    nonlinear += ["heavy_tail"] if noise.heavy_tail is not None else []
+    if nonlinear:
+        fault = f"filter: kalman with {', '.join(nonlinear)}, which is not Gaussian noise in px"
+        remedy = "filter: extended or unscented, or noise by sd_px alone"
+        yield plate.message(name, fault, remedy, key=key)
 
 
 def gaussian_settings_have_effect(plate: Plate) -> Iterator[GraphMessage]:
@@ -64,11 +64,11 @@ def gaussian_settings_have_effect(plate: Plate) -> Iterator[GraphMessage]:
             "sigma": ("filter", "unscented"),
         }
         for key, (setting, needed) in unused.items():
-            own = getattr(gaussian, setting)
-            if key in gaussian.model_fields_set and own != needed:
-                found = f"{key} has no effect beside {setting}: {own}"
-                allowed = f"{setting}: {needed}, or no {key}"
-                yield plate.message(name, found, allowed, key=("belief", "gaussian", key), on_key=True)
+            value = getattr(gaussian, setting)
+            if key in gaussian.model_fields_set and value != needed:
+                fault = f"{key} has no effect beside {setting}: {value}"
+                remedy = f"{setting}: {needed}, or no {key}"
+                yield plate.message(name, fault, remedy, key=("belief", "gaussian", key), on_key=True)
 
 
 def grid_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
@@ -80,16 +80,16 @@ def grid_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
             continue
         kind, settings = node.motion.kind, node.motion.settings
         if kind == "constant_acceleration":
-            found = "a grid has no cells for accelerations"
-            allowed = "random_walk, constant_velocity, damped_velocity"
-            yield plate.message(name, found, allowed, key=("motion", kind), on_key=True)
+            fault = "a grid has no cells for accelerations"
+            remedy = "random_walk, constant_velocity, damped_velocity"
+            yield plate.message(name, fault, remedy, key=("motion", kind), on_key=True)
         sized = [f"sd_px.{side}" for side in ("w", "h") if getattr(settings.sd_px, side) > 0]
         if settings.sd_log.aspect > 0:
             sized.append("sd_log.aspect")
         if sized:
-            found = f"a grid has no cells for {', '.join(sized)}"
-            allowed = "size noise by sd_log.scale alone, or none"
-            yield plate.message(name, found, allowed, key=("motion", kind))
+            fault = f"a grid has no cells for {', '.join(sized)}"
+            remedy = "size noise by sd_log.scale alone, or none"
+            yield plate.message(name, fault, remedy, key=("motion", kind))
 
 
 def grid_resets_at_one_level(plate: Plate) -> Iterator[GraphMessage]:
@@ -97,8 +97,8 @@ def grid_resets_at_one_level(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         reset = node.belief.grid.reset if node.belief is not None and node.belief.grid is not None else None
         if reset is not None and reset.below is not None and reset.false_rate is not None:
-            found, allowed = "reset with both below and false_rate", "one of below, false_rate"
-            yield plate.message(name, found, allowed, key=("belief", "grid", "reset"))
+            fault, remedy = "reset with both below and false_rate", "one of below, false_rate"
+            yield plate.message(name, fault, remedy, key=("belief", "grid", "reset"))
 
 
 def sizes_in_order(plate: Plate) -> Iterator[GraphMessage]:
@@ -114,17 +114,17 @@ def sizes_in_order(plate: Plate) -> Iterator[GraphMessage]:
         else:
             for key in ("min", "max"):
                 if getattr(particles, key) is not None:
-                    found = f"{key} beside a size of {particles.size}, which is fixed"
-                    allowed = f"an adaptive size ({', '.join(AdaptiveSize.model_fields)}), or no {key}"
-                    yield plate.message(name, found, allowed, key=(*_KEY, key), on_key=True)
+                    fault = f"{key} beside a size of {particles.size}, which is fixed"
+                    remedy = f"an adaptive size ({', '.join(AdaptiveSize.model_fields)}), or no {key}"
+                    yield plate.message(name, fault, remedy, key=(*_KEY, key), on_key=True)
             if isinstance(particles.when, EssBelow) and particles.proposal.kind in _REDRAWN:
-                found = f"when: ess_below beside proposal: {particles.proposal.kind}, which draws new parents"
-                yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
+                fault = f"when: ess_below beside proposal: {particles.proposal.kind}, which draws new parents"
+                yield plate.message(name, fault, "when: every_frame", key=(*_KEY, "when"))
         adaptive = particles.proposal.second_pass
         if adaptive is not None and adaptive.by == "fitted" and "neighbours" in adaptive.model_fields_set:
             key_of_pass = (*_KEY, "proposal", "second_pass", "neighbours")
-            found = "neighbours has no effect beside by: fitted"
-            yield plate.message(name, found, "by: parents, or no neighbours", key=key_of_pass, on_key=True)
+            fault = "neighbours has no effect beside by: fitted"
+            yield plate.message(name, fault, "by: parents, or no neighbours", key=key_of_pass, on_key=True)
 
 
 def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize) -> Iterator[GraphMessage]:
@@ -132,21 +132,21 @@ def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize)
         low = f"min is {particles.least}{'' if particles.min is not None else ' by default'}"
         high = f"max, {particles.most}{'' if particles.max is not None else ' by default'}"
         key = "max" if particles.min is None else "min"
-        allowed = f"at least {particles.least}" if key == "max" else f"at most {particles.most}"
-        yield plate.message(name, f"{low}, above {high}", allowed, key=(*_KEY, key))
+        remedy = f"at least {particles.least}" if key == "max" else f"at most {particles.most}"
+        yield plate.message(name, f"{low}, above {high}", remedy, key=(*_KEY, key))
     if isinstance(particles.when, EssBelow):
-        found = "when: ess_below beside an adaptive size, which changes by drawing new parents"
-        yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
+        fault = "when: ess_below beside an adaptive size, which changes by drawing new parents"
+        yield plate.message(name, fault, "when: every_frame", key=(*_KEY, "when"))
     if particles.proposal.kind in _REDRAWN:
-        found = f"proposal: {particles.proposal.kind} beside an adaptive size"
-        allowed = "bootstrap, second_pass, iterated or prior_editing; or a size that is a number"
-        yield plate.message(name, found, allowed, key=(*_KEY, "proposal"))
+        fault = f"proposal: {particles.proposal.kind} beside an adaptive size"
+        remedy = "bootstrap, second_pass, iterated or prior_editing; or a size that is a number"
+        yield plate.message(name, fault, remedy, key=(*_KEY, "proposal"))
     if isinstance(size.settings, NormalSize):
-        given = [key for key in ("error_px", "error_sd") if getattr(size.settings, key) is not None]
-        if len(given) != 1:
-            found = "asymptotic_normal with both error_px and error_sd" if given else "no error to keep"
+        errors = [key for key in ("error_px", "error_sd") if getattr(size.settings, key) is not None]
+        if len(errors) != 1:
+            fault = "asymptotic_normal with both error_px and error_sd" if errors else "no error to keep"
             key_of_size = (*_KEY, "size", "asymptotic_normal")
-            yield plate.message(name, found, "exactly one of error_px, error_sd", key=key_of_size)
+            yield plate.message(name, fault, "exactly one of error_px, error_sd", key=key_of_size)
 
 
 _KEY = ("belief", "particles")
@@ -159,8 +159,8 @@ def what_cannot_be_sent_stays(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if node.on == "process" and declaration is not None and declaration.opaque:
-            found = f"{node.agent.cue} keeps what cannot be sent to another process"
-            yield plate.message(name, found, "on: engine, or no such key", key=("on",))
+            fault = f"{node.agent.cue} keeps what cannot be sent to another process"
+            yield plate.message(name, fault, "on: engine, or no such key", key=("on",))
 
 
 PLACE_CHECKS: tuple[Check, ...] = (what_cannot_be_sent_stays,)
@@ -180,14 +180,14 @@ def _roots(plate: Plate) -> Iterator[tuple[str, InferenceNode]]:
 def starts_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """`start` is of fields of the state, by expressions of the start box and constants."""
     for name, node in _roots(plate):
-        fields = (*BOX, *(one for one in moving_fields(node) if one != "angle"))
+        fields = (*BOX, *(field for field in moving_fields(node) if field != "angle"))
         for field, text in node.start.items():
             key = ("start", field)
             if field not in fields:
-                found = f"start of {field!r}, which is no field of the state"
+                fault = f"start of {field!r}, which is no field of the state"
                 if field == "angle":
-                    found = "start of angle, which is that of the first frame: 0"
-                yield plate.message(name, found, fields, key=key, word=field, on_key=True)
+                    fault = "start of angle, which is that of the first frame: 0"
+                yield plate.message(name, fault, fields, key=key, word=field, on_key=True)
             try:
                 term = parse(str(text), (*BOX, "pi", *plate.constants), draws=True)
             except ExpressionError as error:
@@ -206,21 +206,21 @@ def _exists(plate: Plate, name: str, node: InferenceNode, start: tuple[str, Term
     field, term = start
     key: KeyPath = ("start", field)
     function = distribution_of(term)
-    reads_box = any(one in BOX for one in names_in(term))
+    reads_box = any(variable in BOX for variable in names_in(term))
     box = dict(zip(BOX, (100.0, 100.0, 50.0, 50.0), strict=True)) if reads_box else {}
     with np.errstate(all="ignore"):
         parameters = parameters_of(term, {**plate.constants, **box}, 1)
         spread = moments(function, parameters)[1]
     proper = is_proper(function, parameters)[0]
     if not reads_box and not proper:
-        found = (
+        fault = (
             f"{function or 'a value'} that does not exist: {', '.join(f'{v:g}' for v in parameters[:, 0])}"
         )
-        allowed = "sds, scales and degrees above 0, low below high" if function else "a finite number"
-        yield plate.message(name, found, allowed, key=key)
+        remedy = "sds, scales and degrees above 0, low below high" if function else "a finite number"
+        yield plate.message(name, fault, remedy, key=key)
     elif proper and not np.isfinite(spread[0]) and node.belief is not None and node.belief.gaussian:
-        found = f"belief: gaussian, and {function} of {field} has no variance"
-        yield plate.message(name, found, "more than 2 degrees, or belief: particles", key=key)
+        fault = f"belief: gaussian, and {function} of {field} has no variance"
+        yield plate.message(name, fault, "more than 2 degrees, or belief: particles", key=key)
 
 
 def starts_are_said_once(plate: Plate) -> Iterator[GraphMessage]:
@@ -230,15 +230,15 @@ def starts_are_said_once(plate: Plate) -> Iterator[GraphMessage]:
             continue
         for field in node.start:
             for key in _other_priors(node.motion, field):
-                found = f"start of {field} beside {'.'.join(map(str, key[2:]))}, which says it, too"
-                yield plate.message(name, found, "either of them", key=("start", field), on_key=True)
-        for mode, one in (node.modes or {}).items():
-            if one.motion is None:
+                fault = f"start of {field} beside {'.'.join(map(str, key[2:]))}, which says it, too"
+                yield plate.message(name, fault, "either of them", key=("start", field), on_key=True)
+        for mode, settings in (node.modes or {}).items():
+            if settings.motion is None:
                 continue
-            for key in _start_keys(one.motion, BOX):
-                found = f"{key[-1]} in a mode: a target starts in no certain mode"
-                allowed = f"start: {{x: normal(x, 5)}} of {name}, or the same key in its motion"
-                yield plate.message(name, found, allowed, key=("modes", mode, *key), on_key=True)
+            for key in _start_keys(settings.motion, BOX):
+                fault = f"{key[-1]} in a mode: a target starts in no certain mode"
+                remedy = f"start: {{x: normal(x, 5)}} of {name}, or the same key in its motion"
+                yield plate.message(name, fault, remedy, key=("modes", mode, *key), on_key=True)
 
 
 def _other_priors(motion: Motion, field: str) -> Iterator[KeyPath]:
@@ -252,8 +252,8 @@ def _other_priors(motion: Motion, field: str) -> Iterator[KeyPath]:
 def _start_keys(motion: Motion, fields: tuple[str, ...]) -> Iterator[KeyPath]:
     if motion.expressions is not None:
         for field in fields:
-            own = motion.expressions.fields.get(field)
-            if own is not None and (own.sd > 0 or own.start != 0):
+            declaration = motion.expressions.fields.get(field)
+            if declaration is not None and (declaration.sd > 0 or declaration.start != 0):
                 yield ("motion", "expressions", "fields", field)
         return
     for field in fields:
@@ -270,13 +270,13 @@ def starts_are_held(plate: Plate) -> Iterator[GraphMessage]:
             keys |= {field: key for field in BOX for key in _start_keys(node.motion, (field,))}
         if node.belief is not None and node.belief.grid is not None:
             for key in dict.fromkeys(keys.values()):
-                found = "a start prior beside a grid, which starts in the cell of the start box"
-                yield plate.message(name, found, "particles or gaussian", key=key, on_key=True)
+                fault = "a start prior beside a grid, which starts in the cell of the start box"
+                yield plate.message(name, fault, "particles or gaussian", key=key, on_key=True)
         sensors = sensors_of(plate)
-        for field in (one for one in BOX if one in keys and sensors):
-            found = f"start of {field}, and targets start with detections of {next(iter(sensors))}"
-            allowed = "start of other fields: the sensor's sd says how well a detection places a target"
-            yield plate.message(name, found, allowed, key=keys[field], on_key=True)
+        for field in (coordinate for coordinate in BOX if coordinate in keys and sensors):
+            fault = f"start of {field}, and targets start with detections of {next(iter(sensors))}"
+            remedy = "start of other fields: the sensor's sd says how well a detection places a target"
+            yield plate.message(name, fault, remedy, key=keys[field], on_key=True)
 
 
 def fields_of_the_box_start_in_it(plate: Plate) -> Iterator[GraphMessage]:
@@ -285,16 +285,16 @@ def fields_of_the_box_start_in_it(plate: Plate) -> Iterator[GraphMessage]:
         if node.motion is None or node.motion.expressions is None:
             continue
         fields = node.motion.expressions.fields
-        for field in (one for one in BOX if one in fields):
+        for field in (coordinate for coordinate in BOX if coordinate in fields):
             if fields[field].start != 0:
-                found = f"start of {field}, which is that of the start box"
-                allowed = f"an sd alone; or start: {{{field}: normal({field} + 10, 5)}} of {name}"
+                fault = f"start of {field}, which is that of the start box"
+                remedy = f"an sd alone; or start: {{{field}: normal({field} + 10, 5)}} of {name}"
                 key: KeyPath = ("motion", "expressions", "fields", field, "start")
-                yield plate.message(name, found, allowed, key=key, on_key=True)
+                yield plate.message(name, fault, remedy, key=key, on_key=True)
         if len(node.motion.expressions.own) > 8:
-            found = f"{len(node.motion.expressions.own)} fields beside the box"
+            fault = f"{len(node.motion.expressions.own)} fields beside the box"
             key = ("motion", "expressions", "fields")
-            yield plate.message(name, found, "at most 8", key=key, on_key=True)
+            yield plate.message(name, fault, "at most 8", key=key, on_key=True)
 
 
 START_CHECKS: tuple[Check, ...] = (
@@ -316,11 +316,19 @@ def noises_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                 message = plate.message(name, error.found, error.allowed, key=key)
                 yield plate.at.inside(explain_name(message, error.word, error.near), error.at)
                 continue
-            fixed = {one: plate.constants[one] for one in names_in(term) if one in plate.constants}
-            read = [one for one in names_in(term) if one not in fixed and one not in (DRAWN, "pi")]
+            fixed = {
+                constant: plate.constants[constant]
+                for constant in names_in(term)
+                if constant in plate.constants
+            }
+            read = [
+                variable
+                for variable in names_in(term)
+                if variable not in fixed and variable not in (DRAWN, "pi")
+            ]
             if not read and not math.isfinite(float(log_values(term, {**fixed, DRAWN: np.zeros(1)})[0])):
-                allowed = "an sd, a scale and degrees above 0"
-                yield plate.message(name, f"{quantity} is {text!r}", allowed, key=key)
+                remedy = "an sd, a scale and degrees above 0"
+                yield plate.message(name, f"{quantity} is {text!r}", remedy, key=key)
 
 
 def noises_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
@@ -332,16 +340,18 @@ def noises_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
             continue
         key: KeyPath = ("agent", node.agent.cue, "sd")
         if root.belief.gaussian is not None and root.belief.gaussian.filter == "kalman":
-            found = "an sd by an expression beside filter: kalman, which is of Gaussian noise that is known"
-            yield plate.message(name, found, "filter: extended or unscented", key=key, on_key=True)
+            fault = "an sd by an expression beside filter: kalman, which is of Gaussian noise that is known"
+            yield plate.message(name, fault, "filter: extended or unscented", key=key, on_key=True)
         if latent_above(plate, node.parent) is not None and root.belief.gaussian is not None:
-            found = "an sd by an expression below a latent node, and belief: gaussian"
-            yield plate.message(name, found, "belief: particles, or a number", key=key, on_key=True)
+            fault = "an sd by an expression below a latent node, and belief: gaussian"
+            yield plate.message(name, fault, "belief: particles, or a number", key=key, on_key=True)
         for quantity, text in noises.items():
-            unread = [one for one in _read_by(text) if root.belief.gaussian and _is_noise_alone(plate, one)]
+            unread = [
+                field for field in _read_by(text) if root.belief.gaussian and _is_noise_alone(plate, field)
+            ]
             if unread:
-                found = f"belief: gaussian learns nothing of {unread[0]}, which only noise reads"
-                yield plate.message(name, found, "belief: particles", key=(*key, quantity))
+                fault = f"belief: gaussian learns nothing of {unread[0]}, which only noise reads"
+                yield plate.message(name, fault, "belief: particles", key=(*key, quantity))
 
 
 def _read_by(text: str) -> list[str]:
@@ -361,14 +371,14 @@ def _is_noise_alone(plate: Plate, field: str) -> bool:
         if motion is not None and motion.expressions is not None:
             owned = owned or field in motion.expressions.own
             texts += [str(text) for name, text in motion.expressions.drift.items() if name != field]
-    texts += [one.expression for one in plate.factors.values()]
-    given = [
+    texts += [factor.expression for factor in plate.factors.values()]
+    quantities = [
         quantity
         for node in plate.agents.values()
         if (cue := plate.cues.get(node.agent.cue)) is not None and cue.gives is not None
         for quantity in noises_of(plate, node)
     ]
-    return owned and field not in given and not any(field in _read_by(text) for text in texts)
+    return owned and field not in quantities and not any(field in _read_by(text) for text in texts)
 
 
 NOISE_CHECKS: tuple[Check, ...] = (noises_can_be_read, noises_fit_the_belief)

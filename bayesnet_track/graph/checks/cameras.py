@@ -35,8 +35,10 @@ class AnyCalibration(Mapping[str, Calibration]):
 
     def __getitem__(self, name: str) -> Calibration:
         """Of a camera one metre above the ground."""
-        down = np.diag([1.0, -1.0, -1.0])
-        return Calibration(Path(name), "", Camera(np.eye(3), np.zeros(0), down, np.array([0.0, 0.0, 1.0])))
+        rotation = np.diag([1.0, -1.0, -1.0])
+        return Calibration(
+            Path(name), "", Camera(np.eye(3), np.zeros(0), rotation, np.array([0.0, 0.0, 1.0]))
+        )
 
     def __iter__(self) -> Iterator[str]:
         """Nothing: there is one for every name."""
@@ -51,24 +53,26 @@ ON_GROUND = "state: {ground: {unit: m}}"
 
 
 def calibrations_of(
-    spec: GraphSpec, folder: Path, given: Mapping[str, Calibration] | None = None
+    spec: GraphSpec, folder: Path, overrides: Mapping[str, Calibration] | None = None
 ) -> dict[str, Calibration | str]:
-    """Path as written -> the calibration, or what is wrong with it; of `given` as it is given there.
+    """Path as written -> the calibration, or what is wrong with it; of `overrides` as it is given there.
 
     Others are looked for in `folder`, then among the installed graphs.
     """
-    found: dict[str, Calibration | str] = {}
+    calibrations: dict[str, Calibration | str] = {}
     for source in spec.cameras.values():
         key = source.key
-        if key not in found:
-            found[key] = given[key] if given is not None and key in given else _read(source, folder)
-    return found
+        if key not in calibrations:
+            calibrations[key] = (
+                overrides[key] if overrides is not None and key in overrides else _read(source, folder)
+            )
+    return calibrations
 
 
 def _read(source: CameraSource, folder: Path) -> Calibration | str:
     name = source.calibration
-    here, installed = folder / name, Path(graph_folder()) / name
-    path = here if here.exists() or not installed.is_file() else installed
+    local, installed = folder / name, Path(graph_folder()) / name
+    path = local if local.exists() or not installed.is_file() else installed
     try:
         return read_file(path, source.name)
     except (ValueError, OSError) as error:
@@ -83,39 +87,41 @@ def read_file(path: Path, name: str | None) -> Calibration:
 
 
 def cameras_can_be_read(
-    spec: GraphSpec, at: Positions, calibrations: Mapping[str, Calibration | str]
+    spec: GraphSpec, positions: Positions, calibrations: Mapping[str, Calibration | str]
 ) -> Iterator[GraphMessage]:
     """Every camera has a calibration that can be read, and a view."""
-    seen = {name for target in spec.targets.values() for _, node in _nodes(target) for name in node.seen_by}
+    viewed = {name for target in spec.targets.values() for _, node in _nodes(target) for name in node.seen_by}
     for name, source in spec.cameras.items():
         path: KeyPath = ("cameras", name)
         wrong = calibrations[source.key]
         if isinstance(wrong, str):
-            found, _, allowed = wrong.partition("; allowed: ")
-            allowed = allowed or "a calibration file, its path from where the graph file is"
-            yield at.message((*path, "calibration"), f"calibration: {found}", allowed)
-        if name not in seen:
-            found = f"camera {name!r}, which no view looks through"
-            yield at.message(path, found, f"a node with camera: {name}, or no such camera", on_key=True)
+            fault, _, remedy = wrong.partition("; allowed: ")
+            remedy = remedy or "a calibration file, its path from where the graph file is"
+            yield positions.message((*path, "calibration"), f"calibration: {fault}", remedy)
+        if name not in viewed:
+            fault = f"camera {name!r}, which no view looks through"
+            yield positions.message(
+                path, fault, f"a node with camera: {name}, or no such camera", on_key=True
+            )
 
 
-def units_are_of_the_state(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def units_are_of_the_state(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """A state in metres takes no key in pixels, and one in pixels none in metres."""
     for name, target in spec.targets.items():
         for node_name, node in _nodes(target):
             path: KeyPath = ("targets", name, "nodes", node_name)
             if target.is_ground and not is_seen(target, node_name):
-                yield from _in_pixels(node, path, at)
+                yield from _in_pixels(node, path, positions)
             elif not target.is_ground and node.motion is not None:
-                yield from _in_metres(node.motion, (*path, "motion", node.motion.kind), at)
+                yield from _in_metres(node.motion, (*path, "motion", node.motion.kind), positions)
     grounds = [name for name, target in spec.targets.items() if target.is_ground]
     for name, query in spec.queries.items():
         if len(query.kinds) == 1 and query.kinds[0] in grounds:
-            for kind, asked in (("count", query.count), ("crosses", query.crosses)):
-                if asked is not None and asked.point == "foot":
+            for kind, settings in (("count", query.count), ("crosses", query.crosses)):
+                if settings is not None and settings.point == "foot":
                     path = ("queries", name, kind, "point")
-                    found = "point: foot of targets on the ground, whose x, y is the foot point"
-                    yield at.message(path, found, "no such key", on_key=True)
+                    fault = "point: foot of targets on the ground, whose x, y is the foot point"
+                    yield positions.message(path, fault, "no such key", on_key=True)
         if query.crosses is None or len(query.kinds) != 1:
             continue
         is_ground, written = query.kinds[0] in grounds, query.crosses.model_fields_set
@@ -124,42 +130,44 @@ def units_are_of_the_state(spec: GraphSpec, at: Positions) -> Iterator[GraphMess
                 path = ("queries", name, "crosses", key)
                 right = "hysteresis" if is_ground else "hysteresis_px"
                 state = "metres" if is_ground else "pixels"
-                found = f"{key}, which is in {unit}, and the state is in {state}"
-                yield at.message(path, found, right, on_key=True)
+                fault = f"{key}, which is in {unit}, and the state is in {state}"
+                yield positions.message(path, fault, right, on_key=True)
 
 
-def _in_pixels(value: Any, path: KeyPath, at: Positions) -> Iterator[GraphMessage]:
+def _in_pixels(value: Any, path: KeyPath, positions: Positions) -> Iterator[GraphMessage]:
     """Keys in pixels of a part of the graph that is about metres."""
     if isinstance(value, PluginChoice) or not isinstance(value, Model):
         return
     for key in sorted(value.model_fields_set):
         if key.endswith(("_px", "_px2")):
             right = METRES.get(key) or ("ud_box" if key == "ud_px2" else "no such key")
-            found = f"{key}, which is in pixels, and the state is in metres"
-            yield at.message((*path, key), found, right, on_key=True)
+            fault = f"{key}, which is in pixels, and the state is in metres"
+            yield positions.message((*path, key), fault, right, on_key=True)
         elif getattr(value, key) is not None:
-            yield from _in_pixels(getattr(value, key), (*path, key), at)
+            yield from _in_pixels(getattr(value, key), (*path, key), positions)
 
 
-def _in_metres(motion: Motion, path: KeyPath, at: Positions) -> Iterator[GraphMessage]:
+def _in_metres(motion: Motion, path: KeyPath, positions: Positions) -> Iterator[GraphMessage]:
     for pixels, metres in METRES.items():
         if motion.expressions is None and metres in motion.settings.model_fields_set:
-            found = f"{metres}, which is in metres, and the state is in pixels"
-            yield at.message((*path, metres), found, f"{pixels}; or {ON_GROUND}", on_key=True)
+            fault = f"{metres}, which is in metres, and the state is in pixels"
+            yield positions.message((*path, metres), fault, f"{pixels}; or {ON_GROUND}", on_key=True)
 
 
-def grounds_stand_alone(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def grounds_stand_alone(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """All targets are on the ground, whose time is in seconds, or none is; and they are not joined."""
     grounds = [name for name, target in spec.targets.items() if target.is_ground]
     if not grounds:
         return
     for name, target in spec.targets.items():
         if not target.is_ground:
-            found = f"a state in pixels beside {grounds[0]}, which is on the ground: its time is in seconds"
-            yield at.message(("targets", name), found, f"{ON_GROUND}, or a graph of its own", on_key=True)
+            fault = f"a state in pixels beside {grounds[0]}, which is on the ground: its time is in seconds"
+            yield positions.message(
+                ("targets", name), fault, f"{ON_GROUND}, or a graph of its own", on_key=True
+            )
     if spec.joins:
-        found = "joins of targets on the ground, whose boxes depend on the camera"
-        yield at.message(("joins",), found, "no joins", on_key=True)
+        fault = "joins of targets on the ground, whose boxes depend on the camera"
+        yield positions.message(("joins",), fault, "no joins", on_key=True)
 
 
 def views_are_of_cameras(plate: Plate) -> Iterator[GraphMessage]:
@@ -170,43 +178,45 @@ def views_are_of_cameras(plate: Plate) -> Iterator[GraphMessage]:
             continue
         key, camera = ("camera",), node.seen_by[0]
         if not plate.spec.is_ground:
-            found = f"camera at a node of {plate.name}, whose state is in pixels"
-            yield plate.message(name, found, ON_GROUND, key=key, on_key=True)
+            fault = f"camera at a node of {plate.name}, whose state is in pixels"
+            yield plate.message(name, fault, ON_GROUND, key=key, on_key=True)
             continue
         if node.parent is None:
-            found = "camera at a node without a parent: a view is below the node that has the state"
-            yield plate.message(name, found, "parent: the node that has the motion", key=key, on_key=True)
+            fault = "camera at a node without a parent: a view is below the node that has the state"
+            yield plate.message(name, fault, "parent: the node that has the motion", key=key, on_key=True)
         elif camera not in plate.cameras:
             if name == written_name(name):  # else it is said of the list
-                found = f"unknown camera {camera!r}"
-                allowed = [*plate.cameras] or f"cameras: {{{camera}: {{calibration: ..}}}}"
-                yield plate.message(name, found, allowed, key=key, word=camera)
+                fault = f"unknown camera {camera!r}"
+                remedy = [*plate.cameras] or f"cameras: {{{camera}: {{calibration: ..}}}}"
+                yield plate.message(name, fault, remedy, key=key, word=camera)
         elif camera in looked_through:
-            other = written_name(looked_through[camera])
-            found = f"a second view of camera {camera!r}, after {other!r}: its evidence would count twice"
-            yield plate.message(name, found, f"agents below {other}", key=key)
+            first_view = written_name(looked_through[camera])
+            fault = (
+                f"a second view of camera {camera!r}, after {first_view!r}: its evidence would count twice"
+            )
+            yield plate.message(name, fault, f"agents below {first_view}", key=key)
         else:
             looked_through[camera] = name
-        above = node.parent
-        while above in plate.inference:
-            if plate.inference[above].camera is not None:
-                found = f"a view below the view {above!r}, whose boxes are in pixels already"
-                yield plate.message(name, found, "parent: the node that has the state", key=("parent",))
+        ancestor = node.parent
+        while ancestor in plate.inference:
+            if plate.inference[ancestor].camera is not None:
+                fault = f"a view below the view {ancestor!r}, whose boxes are in pixels already"
+                yield plate.message(name, fault, "parent: the node that has the state", key=("parent",))
                 break
-            above = plate.inference[above].parent
+            ancestor = plate.inference[ancestor].parent
         if node.fuse is not None and node.fuse.latent is not None:
-            found = "fuse: latent at a view, whose hypotheses are those of its parent"
-            yield plate.message(name, found, ["product", "pool"], key=("fuse", "latent"), on_key=True)
+            fault = "fuse: latent at a view, whose hypotheses are those of its parent"
+            yield plate.message(name, fault, ["product", "pool"], key=("fuse", "latent"), on_key=True)
 
 
 def grounds_are_seen(plate: Plate) -> Iterator[GraphMessage]:
-    """What looks at boxes in the image stands below a view."""
+    """Agents that look at boxes in the image stand below a view."""
     if not plate.spec.is_ground:
         return
     if not any(node.camera is not None for node in plate.inference.values()):
-        found = "a state on the ground, and no view of it"
-        allowed = "a node {parent: .., camera: ..}, and agents below it"
-        yield plate.at.message(("targets", plate.name, "state"), found, allowed)
+        fault = "a state on the ground, and no view of it"
+        remedy = "a node {parent: .., camera: ..}, and agents below it"
+        yield plate.at.message(("targets", plate.name, "state"), fault, remedy)
         return
     views = ", ".join(
         dict.fromkeys(written_name(name) for name, node in plate.inference.items() if node.seen_by)
@@ -218,15 +228,15 @@ def grounds_are_seen(plate: Plate) -> Iterator[GraphMessage]:
             declaration = plate.cues.get(node.agent.cue)
             if declaration is None or (declaration.gives is not None and not declaration.reads_detection):
                 continue
-            found = f"{node.agent.cue} at {node.parent}, which is in metres: it is about boxes in the image"
-            yield plate.message(name, found, f"parent: {views}", key=("parent",))
+            fault = f"{node.agent.cue} at {node.parent}, which is in metres: it is about boxes in the image"
+            yield plate.message(name, fault, f"parent: {views}", key=("parent",))
         elif isinstance(node, FactorNode) and node.mask is not None:
-            found = f"a mask at {node.parent}, which is in metres"
-            yield plate.message(name, found, f"parent: {views}", key=("parent",))
+            fault = f"a mask at {node.parent}, which is in metres"
+            yield plate.message(name, fault, f"parent: {views}", key=("parent",))
         elif isinstance(node, InferenceNode) and node.fuse is not None and node.fuse.latent is not None:
-            found = "fuse: latent at a node in metres"
+            fault = "fuse: latent at a node in metres"
             yield plate.message(
-                name, found, f"a node below {views}, or no latent", key=("fuse", "latent"), on_key=True
+                name, fault, f"a node below {views}, or no latent", key=("fuse", "latent"), on_key=True
             )
 
 
@@ -241,35 +251,35 @@ def grounds_need_no_pixels(plate: Plate) -> Iterator[GraphMessage]:
         node = plate.inference[name]
         for key in _WITHOUT:
             if getattr(node, key) is not None:
-                found = f"{key} of a target on the ground: it is of boxes in the image"
-                yield plate.message(name, found, "no such key", key=(key,), on_key=True)
+                fault = f"{key} of a target on the ground: it is of boxes in the image"
+                yield plate.message(name, fault, "no such key", key=(key,), on_key=True)
         if node.start_texts:
-            found = "start of a target on the ground, which starts where its first box stands"
-            allowed = "state: {ground: {width: .., height: ..}}"
-            yield plate.message(name, found, allowed, key=("start",), on_key=True)
+            fault = "start of a target on the ground, which starts where its first box stands"
+            remedy = "state: {ground: {width: .., height: ..}}"
+            yield plate.message(name, fault, remedy, key=("start",), on_key=True)
         if node.motion is not None:
             yield from _moves_freely(plate, name, node.motion)
         if node.belief is None:
             continue
         if node.belief.grid is not None:
-            found = "a grid, whose cells are pixels, and the state is in metres"
-            yield plate.message(name, found, "particles or gaussian", key=("belief", "grid"), on_key=True)
+            fault = "a grid, whose cells are pixels, and the state is in metres"
+            yield plate.message(name, fault, "particles or gaussian", key=("belief", "grid"), on_key=True)
         particles, gaussian = node.belief.particles, node.belief.gaussian
         if particles is not None and particles.proposal.kind != "bootstrap":
-            found = f"proposal: {particles.proposal.kind} of a state on the ground"
+            fault = f"proposal: {particles.proposal.kind} of a state on the ground"
             yield plate.message(
-                name, found, "bootstrap", key=("belief", "particles", "proposal"), on_key=True
+                name, fault, "bootstrap", key=("belief", "particles", "proposal"), on_key=True
             )
         if gaussian is not None and gaussian.filter == "kalman":
-            found = "filter: kalman beside a view, whose boxes are not linear in the state"
+            fault = "filter: kalman beside a view, whose boxes are not linear in the state"
             yield plate.message(
-                name, found, ["extended", "unscented"], key=("belief", "gaussian"), on_key=True
+                name, fault, ["extended", "unscented"], key=("belief", "gaussian"), on_key=True
             )
     for key in ("merge_duplicates", "reidentify"):
         if getattr(plate.spec, key) not in (None, "never"):
-            found = f"{key} of targets on the ground, which compares boxes in one image"
+            fault = f"{key} of targets on the ground, which compares boxes in one image"
             path = ("targets", plate.name, key)
-            yield plate.at.message(path, found, "never, or no such key", on_key=True)
+            yield plate.at.message(path, fault, "never, or no such key", on_key=True)
 
 
 def _moves_freely(plate: Plate, name: str, motion: Motion) -> Iterator[GraphMessage]:
@@ -279,8 +289,8 @@ def _moves_freely(plate: Plate, name: str, motion: Motion) -> Iterator[GraphMess
         return
     settings = motion.settings
     if not settings.is_plain or settings.borders is not None or settings.sd_angle_deg > 0:
-        found = "a motion that depends on the image, and the state is on the ground"
-        yield plate.message(name, found, "noise and kinematics alone", key=key, on_key=True)
+        fault = "a motion that depends on the image, and the state is on the ground"
+        yield plate.message(name, fault, "noise and kinematics alone", key=key, on_key=True)
 
 
 def views_of_detections(plate: Plate) -> Iterator[GraphMessage]:
@@ -292,17 +302,17 @@ def views_of_detections(plate: Plate) -> Iterator[GraphMessage]:
         if declaration is None or not declaration.reads_detection:
             continue
         if plate.spec.existence is None:
-            found = "detections of targets on the ground without existence, which says what a false one is"
-            allowed = f"existence: {{}} in targets.{plate.name}"
-            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+            fault = "detections of targets on the ground without existence, which says what a false one is"
+            remedy = f"existence: {{}} in targets.{plate.name}"
+            yield plate.message(name, fault, remedy, key=("agent",), on_key=True)
         try:
             parameters: Any = cue_parameters(node.agent, declaration)
         except ValidationError:
             continue  # said where parameters are checked
         for key in _compares_boxes(parameters):
-            found = f"{key} compares boxes in the image from frame to frame, and the state is on the ground"
+            fault = f"{key} compares boxes in the image from frame to frame, and the state is on the ground"
             path = ("agent", node.agent.cue, key)
-            yield plate.message(name, found, "no such key", key=path, on_key=True)
+            yield plate.message(name, fault, "no such key", key=path, on_key=True)
 
 
 def slow_errors_are_on_the_ground(plate: Plate) -> Iterator[GraphMessage]:
@@ -312,14 +322,14 @@ def slow_errors_are_on_the_ground(plate: Plate) -> Iterator[GraphMessage]:
         if not any(slow[:2]):
             continue
         key = ("agent", node.agent.cue, "sd_place_slow" if slow[0] else "sd_size_slow")
-        root = next((plate.inference[one] for one in plate.roots), None)
+        root = next((plate.inference[root_name] for root_name in plate.roots), None)
         if not plate.spec.is_ground:
-            what = "of a target whose state is in pixels, where a slow error is one of the place itself"
-            found = f"{key[-1]} {what}"
-            yield plate.message(name, found, f"no such key, or {ON_GROUND}", key=key, on_key=True)
+            reason = "of a target whose state is in pixels, where a slow error is one of the place itself"
+            fault = f"{key[-1]} {reason}"
+            yield plate.message(name, fault, f"no such key, or {ON_GROUND}", key=key, on_key=True)
         elif root is not None and (root.belief is None or root.belief.gaussian is None):
-            found = f"{key[-1]} beside particles, which weigh a detection as if errors were independent"
-            yield plate.message(name, found, "belief: {gaussian: ..}, or no such key", key=key, on_key=True)
+            fault = f"{key[-1]} beside particles, which weigh a detection as if errors were independent"
+            yield plate.message(name, fault, "belief: {gaussian: ..}, or no such key", key=key, on_key=True)
 
 
 def _slow(plate: Plate, agent: str) -> tuple[float, float, float]:
@@ -332,7 +342,7 @@ def _slow(plate: Plate, agent: str) -> tuple[float, float, float]:
         parameters: Any = cue_parameters(node.agent, declaration)
     except ValidationError:
         return 0.0, 0.0, 0.0  # said where parameters are checked
-    place, size = (float(getattr(parameters, f"sd_{what}_slow", 0.0)) for what in ("place", "size"))
+    place, size = (float(getattr(parameters, f"sd_{quantity}_slow", 0.0)) for quantity in ("place", "size"))
     return place, size, float(getattr(parameters, "slow_over_s", 0.0))
 
 
@@ -360,7 +370,7 @@ def read_lasting(plate: Plate) -> tuple[LastingError, ...]:
 def _compares_boxes(parameters: Any) -> Iterator[str]:
     if getattr(parameters, "sd", None):
         yield "sd"
-    for key, usual in {
+    for key, default in {
         "similarity": "density",
         "min_overlap": None,
         "continue_box": None,
@@ -369,7 +379,7 @@ def _compares_boxes(parameters: Any) -> Iterator[str]:
         "direction": 0.0,
         "first_score": 0.0,
     }.items():
-        if getattr(parameters, key, usual) not in (usual, 0):
+        if getattr(parameters, key, default) not in (default, 0):
             yield key
 
 
@@ -396,8 +406,8 @@ def in_units_of_the_state(target: Target) -> Target:
             for pixels, metres in METRES.items()
             if (value := getattr(settings, metres, None)) is not None
         }
-        moved = node.motion.model_copy(update={node.motion.kind: settings.model_copy(update=written)})
-        nodes[name] = node.model_copy(update={"motion": without_remembered(moved)})
+        motion = node.motion.model_copy(update={node.motion.kind: settings.model_copy(update=written)})
+        nodes[name] = node.model_copy(update={"motion": without_remembered(motion)})
     return target.model_copy(update={"nodes": nodes})
 
 

@@ -26,29 +26,29 @@ Parameters = TypeVar("Parameters", bound=BaseModel)
 
 def cues_are_installed(plate: Plate) -> Iterator[GraphMessage]:
     """Every agent and verifier names an installed cue; one of another package must be allowed."""
-    for name, where, chosen in plate.spec.cue_choices():
-        cue = chosen.cue
+    for name, path, choice in plate.spec.cue_choices():
+        cue = choice.cue
         if cue not in plate.cues:
-            key, absent = (*where, cue), why_absent(ENTRY_POINT_GROUP, cue)
+            key, absent = (*path, cue), why_absent(ENTRY_POINT_GROUP, cue)
             if absent is not None:
                 yield plate.message(name, f"cue {absent[0]}", absent[1], key=key, on_key=True)
                 continue
-            allowed = list(plate.cues) or "no cue is installed"
-            yield plate.message(name, f"unknown cue {cue!r}", allowed, key=key, word=cue, on_key=True)
+            remedy = list(plate.cues) or "no cue is installed"
+            yield plate.message(name, f"unknown cue {cue!r}", remedy, key=key, word=cue, on_key=True)
 
 
 def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
     """Every parameter is one that the cue declares, of its type and within its range."""
-    for name, where, chosen in plate.spec.cue_choices():
-        declaration = plate.cues.get(chosen.cue)
+    for name, subpath, choice in plate.spec.cue_choices():
+        declaration = plate.cues.get(choice.cue)
         if declaration is None:
             continue
         try:
-            cue_parameters(chosen, declaration)
+            cue_parameters(choice, declaration)
         except ValidationError as error:
-            path = ("targets", plate.name, "nodes", name, *where, chosen.cue)
+            path = ("targets", plate.name, "nodes", name, *subpath, choice.cue)
             model = declaration.parameters
-            for message in explain(error, model, chosen.parameters, plate.at, path):
+            for message in explain(error, model, choice.parameters, plate.at, path):
                 field = model.model_fields.get(str(message.path[-1]))
                 meaning = field.description if field is not None else None
                 yield (
@@ -60,17 +60,17 @@ def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
 
 def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
     """Files and parts of other libraries that a cue's parameters need are there."""
-    for name, where, chosen in plate.spec.cue_choices():
-        declaration = plate.cues.get(chosen.cue)
+    for name, path, choice in plate.spec.cue_choices():
+        declaration = plate.cues.get(choice.cue)
         if declaration is None or declaration.missing is None:
             continue
         try:
-            parameters = cue_parameters(chosen, declaration)
+            parameters = cue_parameters(choice, declaration)
         except ValidationError:
             continue
         absent = declaration.missing(parameters)
         if absent is not None:
-            yield plate.message(name, absent, key=(*where, chosen.cue))
+            yield plate.message(name, absent, key=(*path, choice.cue))
 
 
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> NoParameters:
@@ -89,18 +89,20 @@ def noises_of(plate: Plate, node: AgentNode) -> Mapping[str, str]:
         return {}  # said where parameters are checked
 
 
-def declares(plate: Plate, node: AgentNode, what: Callable[[CueDeclaration, NoParameters], bool]) -> bool:
+def declares(
+    plate: Plate, node: AgentNode, predicate: Callable[[CueDeclaration, NoParameters], bool]
+) -> bool:
     """True if an agent's cue is such a one; what is wrong with its parameters is said elsewhere."""
     declaration = plate.cues.get(node.agent.cue)
     if declaration is None:
         return False
     try:
-        return what(declaration, cue_parameters(node.agent, declaration))
+        return predicate(declaration, cue_parameters(node.agent, declaration))
     except ValidationError:
         return True
 
 
-def plugin_parameters(chosen: PluginChoice, model: type[Parameters]) -> Parameters:
+def plugin_parameters(choice: PluginChoice, model: type[Parameters]) -> Parameters:
     """The parameters of a plug-in as its own type.
 
     Numbers must be numbers, as everywhere in the language; a list stands for a tuple.
@@ -108,7 +110,7 @@ def plugin_parameters(chosen: PluginChoice, model: type[Parameters]) -> Paramete
     Raises:
         pydantic.ValidationError: some parameter does not fit.
     """
-    return model.model_validate_json(json.dumps(dict(chosen.parameters)), strict=True)
+    return model.model_validate_json(json.dumps(dict(choice.parameters)), strict=True)
 
 
 CUE_CHECKS: tuple[Check, ...] = (cues_are_installed, parameters_fit_the_cue, cues_have_what_they_need)
@@ -141,18 +143,20 @@ def evidence_counts_once(plate: Plate) -> Iterator[GraphMessage]:
                 reached[name] = {evidence: [name]}
             continue
         fuse = plate.inference[name].fuse
-        here = reached[name]
+        merged = reached[name]
         for child in plate.children[name]:
-            pairs = [(evidence, agent) for evidence, below in reached.pop(child).items() for agent in below]
+            pairs = [(evidence, agent) for evidence, agents in reached.pop(child).items() for agent in agents]
             for evidence, agent in pairs:
-                others = here.setdefault(evidence, [])
-                first = next((one for one in others if _share_pixels(boxes[one], boxes[agent])), None)
+                agents = merged.setdefault(evidence, [])
+                first = next(
+                    (earlier for earlier in agents if _share_pixels(boxes[earlier], boxes[agent])), None
+                )
                 if first is None:
-                    others.append(agent)
+                    agents.append(agent)
                 elif fuse is None or fuse.pool is None:
-                    found = f"the same evidence as {first!r}: {evidence[0]} counts twice in {name!r}"
+                    fault = f"the same evidence as {first!r}: {evidence[0]} counts twice in {name!r}"
                     advice = "both under one node with fuse: pool, or different parameters"
-                    yield plate.message(agent, found, advice, key=("agent",))
+                    yield plate.message(agent, fault, advice, key=("agent",))
 
 
 def _boxes(plate: Plate) -> dict[str | None, Box]:
@@ -162,24 +166,24 @@ def _boxes(plate: Plate) -> dict[str | None, Box]:
         x, y, w, h = boxes[plate.spec.nodes[name].parent]
         fuse = plate.inference[name].fuse if name in plate.inference else None
         if fuse is not None and fuse.latent is not None:
-            at, size = fuse.latent.given.offset_box, fuse.latent.given.size_box
+            offset, size = fuse.latent.given.offset_box, fuse.latent.given.size_box
             if fuse.latent.given.written:  # where it is, is not known here: it shares no pixels with another
                 x += ELSEWHERE * len(boxes)
-            x, y = (x, y) if at is None else (x + at.x * w, y + at.y * h)
+            x, y = (x, y) if offset is None else (x + offset.x * w, y + offset.y * h)
             w, h = (w, h) if size is None else (w * size.w, h * size.h)
         boxes[name] = (x, y, w, h)
     return boxes
 
 
-def _share_pixels(one: Box, other: Box) -> bool:
+def _share_pixels(first: Box, second: Box) -> bool:
     """At least the share `SHARED` of the smaller box lies in the other."""
     sides = [
-        min(one[k] + one[k + 2] / 2, other[k] + other[k + 2] / 2)
-        - max(one[k] - one[k + 2] / 2, other[k] - other[k + 2] / 2)
+        min(first[k] + first[k + 2] / 2, second[k] + second[k + 2] / 2)
+        - max(first[k] - first[k + 2] / 2, second[k] - second[k + 2] / 2)
         for k in (0, 1)
     ]
     common = max(sides[0], 0.0) * max(sides[1], 0.0)
-    return common >= SHARED * min(one[2] * one[3], other[2] * other[3])
+    return common >= SHARED * min(first[2] * first[3], second[2] * second[3])
 
 
 def _evidence(plate: Plate, agent: str) -> Evidence | None:
@@ -206,70 +210,72 @@ def _with_categories(plate: Plate) -> Iterator[tuple[str, InferenceNode, Mapping
 def categories_are_whole(plate: Plate) -> Iterator[GraphMessage]:
     """Every category has two values or more, and a prior of all of them."""
     for name, node, categories in _with_categories(plate):
-        for category, one in categories.items():
-            here: KeyPath = ("category", category)
-            if len(set(one.values)) < len(one.values):
-                twice = next(value for value in one.values if one.values.count(value) > 1)
-                yield plate.message(name, f"value {twice!r} twice", "each once", key=(*here, "values"))
-            elif len(one.values) == 1:
-                found = f"category {category!r} of one value, which says nothing"
-                yield plate.message(name, found, "at least two values", key=(*here, "values"))
-            for value in one.prior:
-                if value not in one.values:
-                    key = (*here, "prior", value)
-                    found = f"no value {value!r} of {category}"
-                    yield plate.message(name, found, list(one.values), key=key, word=value, on_key=True)
-            missing = [value for value in one.values if one.prior and value not in one.prior]
+        for category, settings in categories.items():
+            path: KeyPath = ("category", category)
+            if len(set(settings.values)) < len(settings.values):
+                twice = next(value for value in settings.values if settings.values.count(value) > 1)
+                yield plate.message(name, f"value {twice!r} twice", "each once", key=(*path, "values"))
+            elif len(settings.values) == 1:
+                fault = f"category {category!r} of one value, which says nothing"
+                yield plate.message(name, fault, "at least two values", key=(*path, "values"))
+            for value in settings.prior:
+                if value not in settings.values:
+                    key = (*path, "prior", value)
+                    fault = f"no value {value!r} of {category}"
+                    yield plate.message(name, fault, list(settings.values), key=key, word=value, on_key=True)
+            missing = [value for value in settings.values if settings.prior and value not in settings.prior]
             if missing:
-                found = f"prior of {category} without {', '.join(missing)}"
-                yield plate.message(name, found, "a probability of each value", key=(*here, "prior"))
-            elif one.prior and not isclose(sum(one.prior.values()), 1.0, abs_tol=1e-6):
-                found = f"prior of {category} that sums to {sum(one.prior.values()):.6g}"
-                yield plate.message(name, found, "probabilities that sum to 1", key=(*here, "prior"))
-        together = prod(len(one.values) for one in categories.values()) * len(node.modes or [""])
+                fault = f"prior of {category} without {', '.join(missing)}"
+                yield plate.message(name, fault, "a probability of each value", key=(*path, "prior"))
+            elif settings.prior and not isclose(sum(settings.prior.values()), 1.0, abs_tol=1e-6):
+                fault = f"prior of {category} that sums to {sum(settings.prior.values()):.6g}"
+                yield plate.message(name, fault, "probabilities that sum to 1", key=(*path, "prior"))
+        together = prod(len(settings.values) for settings in categories.values()) * len(node.modes or [""])
         if together > MOST_TOGETHER:
-            found = f"{together} combinations of modes and values of categories"
-            yield plate.message(name, found, f"at most {MOST_TOGETHER}", key=("category",), on_key=True)
+            fault = f"{together} combinations of modes and values of categories"
+            yield plate.message(name, fault, f"at most {MOST_TOGETHER}", key=("category",), on_key=True)
 
 
 def categories_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
     """Categories and their values have names that expressions can tell apart."""
     for name, node, categories in _with_categories(plate):
-        taken = dict.fromkeys((*WORDS, "mode", "t"), "a word of expressions")
-        taken |= dict.fromkeys(plate.frame_names, "an input") | dict.fromkeys(plate.constants, "a constant")
-        taken |= dict.fromkeys(further_fields(node), "a field of the state")
-        taken |= dict.fromkeys(node.modes or {}, "a mode")
-        for category, one in categories.items():
-            for word, key in ((category, ()), *((value, ("values",)) for value in one.values)):
-                what = "value" if key else "category"
-                if word in taken:
-                    found = f"{what} {word!r}, which is {taken[word]}"
+        meanings = dict.fromkeys((*WORDS, "mode", "t"), "a word of expressions")
+        meanings |= dict.fromkeys(plate.frame_names, "an input") | dict.fromkeys(
+            plate.constants, "a constant"
+        )
+        meanings |= dict.fromkeys(further_fields(node), "a field of the state")
+        meanings |= dict.fromkeys(node.modes or {}, "a mode")
+        for category, settings in categories.items():
+            for word, key in ((category, ()), *((value, ("values",)) for value in settings.values)):
+                kind = "value" if key else "category"
+                if word in meanings:
+                    fault = f"{kind} {word!r}, which is {meanings[word]}"
                     path = ("category", category, *key)
-                    yield plate.message(name, found, "another name", key=path, on_key=not key)
-            taken |= {category: "a category"} | dict.fromkeys(one.values, f"a value of {category}")
+                    yield plate.message(name, fault, "another name", key=path, on_key=not key)
+            meanings |= {category: "a category"} | dict.fromkeys(settings.values, f"a value of {category}")
 
 
 def confusions_name_categories(plate: Plate) -> Iterator[GraphMessage]:
     """Labels are evidence on a category of the root, with probabilities for each of its values."""
     root = plate.inference[plate.roots[0]] if plate.roots else None
-    known = {} if root is None or root.category is None else root.category
+    categories = {} if root is None or root.category is None else root.category
     for agent, category, rows in _confusions(plate):
-        here: KeyPath = ("agent", plate.agents[agent].agent.cue, "confusion")
-        if category not in known:
+        path: KeyPath = ("agent", plate.agents[agent].agent.cue, "confusion")
+        if category not in categories:
             written = f"category: {{{category}: {{values: [{', '.join(rows)}]}}}} at the root"
-            found = f"confusion of {category!r}, and the root has no such category"
-            allowed: Any = list(known) or written
-            yield plate.message(agent, found, allowed, key=(*here, category), word=category, on_key=True)
+            fault = f"confusion of {category!r}, and the root has no such category"
+            remedy: Any = list(categories) or written
+            yield plate.message(agent, fault, remedy, key=(*path, category), word=category, on_key=True)
             continue
-        values = known[category].values
+        values = categories[category].values
         for value in rows:
             if value not in values:
-                found, key = f"no value {value!r} of {category}", (*here, category, value)
-                yield plate.message(agent, found, list(values), key=key, word=value, on_key=True)
+                fault, key = f"no value {value!r} of {category}", (*path, category, value)
+                yield plate.message(agent, fault, list(values), key=key, word=value, on_key=True)
         missing = [value for value in values if value not in rows]
         if missing:
-            found = f"confusion of {category} without {', '.join(missing)}"
-            yield plate.message(agent, found, "a row for each value", key=(*here, category), on_key=True)
+            fault = f"confusion of {category} without {', '.join(missing)}"
+            yield plate.message(agent, fault, "a row for each value", key=(*path, category), on_key=True)
         yield from _rows_are_whole(plate, agent, category, rows)
 
 
@@ -277,18 +283,18 @@ def _rows_are_whole(
     plate: Plate, agent: str, category: str, rows: Mapping[str, Any]
 ) -> Iterator[GraphMessage]:
     """Each row has a probability of each label, and sums to 1."""
-    here: KeyPath = ("agent", plate.agents[agent].agent.cue, "confusion", category)
+    path: KeyPath = ("agent", plate.agents[agent].agent.cue, "confusion", category)
     written = {value: row for value, row in rows.items() if isinstance(row, Mapping)}
     labels = {label: value for value, row in written.items() for label in row}
     for value, row in written.items():
         lacking = [label for label in labels if label not in row]
         if lacking:
-            found = f"confusion of {value} without label {lacking[0]!r}, which {labels[lacking[0]]} has"
-            yield plate.message(agent, found, "a probability of it, as small as you like", key=(*here, value))
-        numbers = [one for one in row.values() if isinstance(one, int | float)]
+            fault = f"confusion of {value} without label {lacking[0]!r}, which {labels[lacking[0]]} has"
+            yield plate.message(agent, fault, "a probability of it, as small as you like", key=(*path, value))
+        numbers = [probability for probability in row.values() if isinstance(probability, int | float)]
         if len(numbers) == len(row) and not isclose(sum(numbers), 1.0, abs_tol=1e-6):
-            found = f"confusion of {value} that sums to {sum(numbers):.6g}"
-            yield plate.message(agent, found, "probabilities of labels that sum to 1", key=(*here, value))
+            fault = f"confusion of {value} that sums to {sum(numbers):.6g}"
+            yield plate.message(agent, fault, "probabilities of labels that sum to 1", key=(*path, value))
 
 
 def _confusions(plate: Plate) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
@@ -300,26 +306,26 @@ def _confusions(plate: Plate) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
                 yield agent, str(category), rows
 
 
-def categories_have_evidence(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def categories_have_evidence(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """Something says of every category which value it has: labels, or an expression that reads it."""
     for kind, target in spec.targets.items():
         root = root_of(target)
-        told = set(_words(join.factor for join in spec.joins if kind in (join.between or ())))
+        words = set(_words(join.factor for join in spec.joins if kind in (join.between or ())))
         for node in target.nodes.values():
             if not isinstance(node, InferenceNode):
-                told |= set(_words(_texts(node.model_dump())))
-        for category, one in {} if root is None or root.category is None else root.category.items():
-            if category in told:
+                words |= set(_words(_texts(node.model_dump())))
+        for category, settings in {} if root is None or root.category is None else root.category.items():
+            if category in words:
                 continue
             name = next(name for name, node in target.nodes.items() if node is root)
-            found = f"category {category!r}, of which nothing says anything"
-            rows = ", ".join(f"{value}: {{..}}" for value in one.values)
-            allowed = (
+            fault = f"category {category!r}, of which nothing says anything"
+            rows = ", ".join(f"{value}: {{..}}" for value in settings.values)
+            remedy = (
                 f"agent: {{detection: {{confusion: {{{category}: {{{rows}}}}}}}}}, or a factor, measures or "
                 f"the factor of a join that reads {category}"
             )
             path = ("targets", kind, "nodes", name, "category", category)
-            yield at.message(path, found, allowed, on_key=True)
+            yield positions.message(path, fault, remedy, on_key=True)
 
 
 def _texts(value: Any) -> Iterator[str]:
@@ -327,12 +333,12 @@ def _texts(value: Any) -> Iterator[str]:
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
-        for key, inside in value.items():
+        for key, element in value.items():
             yield str(key)
-            yield from _texts(inside)
+            yield from _texts(element)
     elif isinstance(value, list | tuple):
-        for inside in value:
-            yield from _texts(inside)
+        for element in value:
+            yield from _texts(element)
 
 
 def _words(texts: Iterable[str | None]) -> Iterator[str]:

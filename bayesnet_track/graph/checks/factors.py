@@ -44,12 +44,12 @@ from bayesnet_track.observation.image_files import Mask, PictureError, read_mask
 from bayesnet_track.observation.protocols import BOX
 
 
-def constants_have_their_own_names(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def constants_have_their_own_names(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """No constant has the name of a function or of a field of the state."""
     for name in spec.constants:
         if name in WORDS:
-            found = f"constant {name!r}, which is a word of expressions"
-            yield at.message(("constants", name), found, "another name", on_key=True)
+            fault = f"constant {name!r}, which is a word of expressions"
+            yield positions.message(("constants", name), fault, "another name", on_key=True)
 
 
 def factors_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
@@ -69,41 +69,45 @@ def masks_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
             continue
         wrong = plate.masks.get(node.mask)
         if isinstance(wrong, str):
-            found, _, allowed = wrong.partition("; allowed: ")
-            allowed = allowed or "an image file of the frames' size, its path from where the graph file is"
-            yield plate.message(name, found, allowed, key=("mask",))
+            fault, _, remedy = wrong.partition("; allowed: ")
+            remedy = remedy or "an image file of the frames' size, its path from where the graph file is"
+            yield plate.message(name, fault, remedy, key=("mask",))
         elif not _asks_its_mask(node.expression):
-            found, allowed = "a mask that the factor does not ask", "mask(x, y) in the factor, or no factor"
-            yield plate.message(name, found, allowed, key=("mask",), on_key=True)
+            fault, remedy = "a mask that the factor does not ask", "mask(x, y) in the factor, or no factor"
+            yield plate.message(name, fault, remedy, key=("mask",), on_key=True)
 
 
 def _asks_its_mask(text: str) -> bool:
     try:
-        return any(isinstance(one, Call) and one.function == MASK for one in walk(parse(text, mask=True)))
+        return any(isinstance(term, Call) and term.function == MASK for term in walk(parse(text, mask=True)))
     except ExpressionError:
         return True  # said where expressions are checked
 
 
-def masks_of(spec: GraphSpec, folder: Path, given: Mapping[str, Mask] | None = None) -> dict[str, Mask | str]:
-    """Path as written -> the mask, or what is wrong with it; of `given` as it is given there.
+def masks_of(
+    spec: GraphSpec, folder: Path, overrides: Mapping[str, Mask] | None = None
+) -> dict[str, Mask | str]:
+    """Path as written -> the mask, or what is wrong with it; of `overrides` as it is given there.
 
     Others are looked for in `folder`, then among the installed graphs.
     """
-    found: dict[str, Mask | str] = {}
+    masks: dict[str, Mask | str] = {}
     for target in spec.targets.values():
         for node in target.nodes.values():
             name = node.mask if isinstance(node, FactorNode) else None
-            if name is None or name in found:
+            if name is None or name in masks:
                 continue
-            found[name] = given[name] if given is not None and name in given else _read_mask(name, folder)
-    return found
+            masks[name] = (
+                overrides[name] if overrides is not None and name in overrides else _read_mask(name, folder)
+            )
+    return masks
 
 
 def _read_mask(name: str, folder: Path) -> Mask | str:
-    here = folder / name
+    local = folder / name
     installed = Path(graph_folder()) / name
     try:
-        return read_mask(here if here.exists() or not installed.is_file() else installed)
+        return read_mask(local if local.exists() or not installed.is_file() else installed)
     except (PictureError, ValueError) as error:
         return f"mask {str(error)[:300]}"
 
@@ -120,14 +124,14 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         assert fuse is not None and fuse.latent is not None
         draws = belief is None or belief.particles is not None or latent == plate.roots[0]
         has_parent = draws and fuse.latent.draw != "kernel"
-        own = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
+        state = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
     elif is_seen(plate.spec, node):
-        own = BOX
+        state = BOX
     else:
         root = plate.inference[plate.roots[0]]
         fields = BOX[:2] if plate.spec.state == "point" else BOX
-        own = (*fields, *further_fields(root), *discrete_fields(root), *_modes(plate))
-    return (*own, *FRAME_NAMES, *plate.frame_names, *plate.constants)
+        state = (*fields, *further_fields(root), *discrete_fields(root), *_modes(plate))
+    return (*state, *FRAME_NAMES, *plate.frame_names, *plate.constants)
 
 
 def agents_find_what_they_read(plate: Plate) -> Iterator[GraphMessage]:
@@ -137,15 +141,15 @@ def agents_find_what_they_read(plate: Plate) -> Iterator[GraphMessage]:
         if declaration is None or declaration.reads is None:
             continue
         try:
-            wanted = declaration.reads(plugin_parameters(node.agent, declaration.parameters))
+            fields = declaration.reads(plugin_parameters(node.agent, declaration.parameters))
         except ValidationError:
             continue  # said where parameters are checked
         state = names_at(plate, str(node.parent))
-        missing = [field for field in wanted if field not in state]
+        missing = [field for field in fields if field not in state]
         if missing:
-            found = f"{node.agent.cue} reads {', '.join(missing)}, which the state of this node does not have"
-            allowed = "a motion with a velocity, at no latent node and on no grid"
-            yield plate.message(name, found, allowed, key=("agent", node.agent.cue))
+            fault = f"{node.agent.cue} reads {', '.join(missing)}, which the state of this node does not have"
+            remedy = "a motion with a velocity, at no latent node and on no grid"
+            yield plate.message(name, fault, remedy, key=("agent", node.agent.cue))
 
 
 def latent_above(plate: Plate, node: str | None) -> str | None:
@@ -166,33 +170,33 @@ def _constants(plate: Plate) -> dict[str, float]:
 def _modes(plate: Plate) -> dict[str, float]:
     """The names of modes that are free, with their numbers."""
     root = plate.inference[plate.roots[0]]
-    taken = {*WORDS, *plate.constants, *further_fields(root)}
-    return {name: number for name, number in numbers_of(root).items() if name not in taken}
+    reserved = {*WORDS, *plate.constants, *further_fields(root)}
+    return {name: number for name, number in numbers_of(root).items() if name not in reserved}
 
 
 def read_factors(plate: Plate) -> dict[str, Factor]:
     """The factors of a plate that passed the checks."""
-    found = {}
+    factors = {}
     for name, node in plate.factors.items():
         term = parse(node.expression, mask=True)
-        known = _constants(plate)
-        used = {one: known[one] for one in names_in(term) if one in known}
+        constants = _constants(plate)
+        read = {word: constants[word] for word in names_in(term) if word in constants}
         mask = plate.masks.get(node.mask or "")
-        found[name] = Factor(str(node.parent), term, used, mask if isinstance(mask, Mask) else None)
-    return found
+        factors[name] = Factor(str(node.parent), term, read, mask if isinstance(mask, Mask) else None)
+    return factors
 
 
-def explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> GraphMessage:
+def explain_name(message: GraphMessage, word: str, candidates: tuple[str, ...]) -> GraphMessage:
     """The message of an unknown name with what is special about it, or the nearest name."""
     if word.startswith(PARENT):
-        where = "known only at a latent node that draws one state for each hypothesis"
-        return replace(message, found=f"name {word!r}, {where}")
+        reason = "known only at a latent node that draws one state for each hypothesis"
+        return replace(message, found=f"name {word!r}, {reason}")
     if word in STATE_NAMES:
         return replace(message, found=f"name {word!r}, which the state of this node does not have")
-    return with_nearest(message, word, near)
+    return with_nearest(message, word, candidates)
 
 
-def with_nearest(message: GraphMessage, word: str, near: tuple[str, ...]) -> GraphMessage:
+def with_nearest(message: GraphMessage, word: str, candidates: tuple[str, ...]) -> GraphMessage:
     """The message of an unknown name with the nearest one; without any, what it may be."""
     if not word:
         return message
@@ -200,9 +204,9 @@ def with_nearest(message: GraphMessage, word: str, near: tuple[str, ...]) -> Gra
         return replace(
             message, hint="t is the time in frame intervals, the frame's number at a constant rate"
         )
-    close = nearest(word, near)
-    hint = "" if close else f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}"
-    return replace(message, nearest=close, hint=hint)
+    suggestion = nearest(word, candidates)
+    hint = "" if suggestion else f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}"
+    return replace(message, nearest=suggestion, hint=hint)
 
 
 TIMES = ("frame", "time", "time_s", "frame_number")
@@ -232,31 +236,31 @@ def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
         if declaration is None:
             continue
         if node.measures and not declaration.measures:
-            found = f"measures of {node.agent.cue}, which scores hypotheses"
-            yield plate.message(name, found, "an agent such as readings", key=("measures",), on_key=True)
+            fault = f"measures of {node.agent.cue}, which scores hypotheses"
+            yield plate.message(name, fault, "an agent such as readings", key=("measures",), on_key=True)
             continue
         if declaration.gives is None:
             continue
         try:
-            given = declaration.gives(cue_parameters(node.agent, declaration))
+            quantities = declaration.gives(cue_parameters(node.agent, declaration))
         except ValidationError:
             continue  # said where parameters are checked
-        if node.measures and declaration.reads_detection and not given:
-            found = f"measures of {node.agent.cue}, which is assigned detections by its box"
-            allowed = f"sd: {{{next(iter(node.measures))}: .., ...}} in the agent, or no measures"
-            yield plate.message(name, found, allowed, key=("measures",), on_key=True)
+        if node.measures and declaration.reads_detection and not quantities:
+            fault = f"measures of {node.agent.cue}, which is assigned detections by its box"
+            remedy = f"sd: {{{next(iter(node.measures))}: .., ...}} in the agent, or no measures"
+            yield plate.message(name, fault, remedy, key=("measures",), on_key=True)
             continue
         state = names_of_measures(plate, node)
-        for quantity in given:
+        for quantity in quantities:
             if quantity not in node.measures and quantity not in state:
-                found = f"{quantity!r} is measured, and nothing says what it would be of a state"
-                allowed = f"measures: {{{quantity}: an expression of {', '.join(state[:4])}, ...}}"
-                yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+                fault = f"{quantity!r} is measured, and nothing says what it would be of a state"
+                remedy = f"measures: {{{quantity}: an expression of {', '.join(state[:4])}, ...}}"
+                yield plate.message(name, fault, remedy, key=("agent",), on_key=True)
         for quantity in node.measures:
-            if quantity not in given:
-                found = f"measures of {quantity!r}, which the agent does not measure"
+            if quantity not in quantities:
+                fault = f"measures of {quantity!r}, which the agent does not measure"
                 key = ("measures", quantity)
-                yield plate.message(name, found, given, key=key, word=quantity, on_key=True)
+                yield plate.message(name, fault, quantities, key=key, word=quantity, on_key=True)
 
 
 def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
@@ -266,8 +270,8 @@ def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
         return
     for name, node in plate.agents.items():
         if node.measures and latent_above(plate, node.parent) is None:
-            found = "measures beside filter: kalman, which is of linear measurements"
-            yield plate.message(name, found, "filter: extended or unscented", key=("measures",), on_key=True)
+            fault = "measures beside filter: kalman, which is of linear measurements"
+            yield plate.message(name, fault, "filter: extended or unscented", key=("measures",), on_key=True)
 
 
 def names_of_measures(plate: Plate, node: AgentNode) -> tuple[str, ...]:
@@ -277,18 +281,18 @@ def names_of_measures(plate: Plate, node: AgentNode) -> tuple[str, ...]:
 
 def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
     """The measurement functions of a plate that passed the checks."""
-    found = {}
+    functions = {}
     for name, node in plate.agents.items():
         if node.measures or noises_of(plate, node) or delay_of(node):
-            found[name] = _read_measures(plate, node)
-    return found
+            functions[name] = _read_measures(plate, node)
+    return functions
 
 
 def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
     terms = {quantity: parse(text) for quantity, text in node.measures.items()}
     errors = {quantity: parse(text, error=True) for quantity, text in noises_of(plate, node).items()}
-    used = {one for term in (*terms.values(), *errors.values()) for one in names_in(term)}
-    constants = {name: value for name, value in _constants(plate).items() if name in used}
+    words = {word for term in (*terms.values(), *errors.values()) for word in names_in(term)}
+    constants = {name: value for name, value in _constants(plate).items() if name in words}
     discrete = _discrete_numbers(plate.inference[plate.roots[0]])
     late = _late_fields(plate, node) if delay_of(node) else ()
     return MeasuredAs(terms, constants, errors, discrete, delay_of(node), late)
@@ -297,7 +301,7 @@ def _read_measures(plate: Plate, node: AgentNode) -> MeasuredAs:
 def _discrete_numbers(root: InferenceNode) -> dict[str, tuple[int, ...]]:
     """The number of the mode, and of each category's value, in each of their combinations, in order."""
     sizes = {"mode": len(root.modes or [""])}
-    sizes |= {name: len(one.values) for name, one in (root.category or {}).items()}
+    sizes |= {name: len(category.values) for name, category in (root.category or {}).items()}
     combinations = zip(*product(*map(range, sizes.values())), strict=True)
     return dict(zip(sizes, combinations, strict=True)) if discrete_fields(root) else {}
 
@@ -324,31 +328,31 @@ def delays_can_be_kept(plate: Plate) -> Iterator[GraphMessage]:
         if not delay_of(node):
             continue
         belief, key = root.belief, ("agent", node.agent.cue, "delay")
-        at = latent_above(plate, node.parent)
-        if at is not None and at != plate.roots[0]:
-            found = f"delay at {at}, of whose past nothing is kept"
-            yield plate.message(name, found, f"parent: {plate.roots[0]}", key=key, on_key=True)
+        latent = latent_above(plate, node.parent)
+        if latent is not None and latent != plate.roots[0]:
+            fault = f"delay at {latent}, of whose past nothing is kept"
+            yield plate.message(name, fault, f"parent: {plate.roots[0]}", key=key, on_key=True)
         if belief is not None and belief.grid is not None:
-            found = "delay beside a grid, which keeps no past"
-            yield plate.message(name, found, "particles or gaussian", key=key, on_key=True)
+            fault = "delay beside a grid, which keeps no past"
+            yield plate.message(name, fault, "particles or gaussian", key=key, on_key=True)
         if belief is not None and belief.gaussian is not None and belief.gaussian.filter == "kalman":
-            found = "delay beside filter: kalman, whose state has no past"
-            yield plate.message(name, found, "filter: extended or unscented", key=key, on_key=True)
+            fault = "delay beside filter: kalman, whose state has no past"
+            yield plate.message(name, fault, "filter: extended or unscented", key=key, on_key=True)
         proposal = None if belief is None or belief.particles is None else belief.particles.proposal.kind
         if proposal not in (None, "bootstrap"):
-            found = f"delay beside proposal: {proposal}, which draws hypotheses without a past"
-            yield plate.message(name, found, "proposal: bootstrap", key=key, on_key=True)
+            fault = f"delay beside proposal: {proposal}, which draws hypotheses without a past"
+            yield plate.message(name, fault, "proposal: bootstrap", key=key, on_key=True)
         try:
             late = _late_fields(plate, node)
         except ExpressionError:
             continue  # said where expressions are checked
-        for mode, one in (root.modes or {}).items():
-            motion = one.motion or root.motion
-            own = (*BOX, *(() if motion is None else fields_of_motion(motion)))
-            lacking = [field for field in late if field not in own]
+        for mode, settings in (root.modes or {}).items():
+            motion = settings.motion or root.motion
+            fields = (*BOX, *(() if motion is None else fields_of_motion(motion)))
+            lacking = [field for field in late if field not in fields]
             if lacking:
-                found = f"delay of {lacking[0]}, which mode {mode!r} does not have"
-                yield plate.message(name, found, "fields that every mode has", key=key, on_key=True)
+                fault = f"delay of {lacking[0]}, which mode {mode!r} does not have"
+                yield plate.message(name, fault, "fields that every mode has", key=key, on_key=True)
 
 
 MEASURE_CHECKS: tuple[Check, ...] = (
@@ -365,47 +369,47 @@ OTHERS = ("sd_px", "sd_box", "sd_log", "heavy_tail", "offset_box", "size_box")
 
 def givens_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """Distributions are expressions of the parent's box, of own fields before, and of constants."""
-    for node, given in _givens(plate):
+    for node, conditional in _givens(plate):
         terms: list[Term] = []
-        for name, text in given.written.items():
-            own = BOX[: BOX.index(name)]
-            names = (*(PARENT + field for field in BOX), *own, "pi", *plate.constants)
+        for name, text in conditional.written.items():
+            earlier = BOX[: BOX.index(name)]
+            names = (*(PARENT + field for field in BOX), *earlier, "pi", *plate.constants)
             try:
                 terms.append(parse(text, names, draws=True))
             except ExpressionError as error:
                 message = plate.message(node, error.found, error.allowed, key=(*GIVEN_KEY, name))
                 yield plate.at.inside(_explain(message, error, name), error.at)
-        if len(terms) == len(given.written) and not any(map(is_drawn, terms)):
-            found = "given without a distribution: the node would have no state of its own"
-            yield plate.message(node, found, "at least one field such as normal(parent.x, 5)", key=GIVEN_KEY)
+        if len(terms) == len(conditional.written) and not any(map(is_drawn, terms)):
+            fault = "given without a distribution: the node would have no state of its own"
+            yield plate.message(node, fault, "at least one field such as normal(parent.x, 5)", key=GIVEN_KEY)
 
 
 def givens_stand_alone(plate: Plate) -> Iterator[GraphMessage]:
     """Expressions say all of the distribution, and are held by draws, or by a Gaussian."""
-    for node, given in _givens(plate):
-        for other in (name for name in OTHERS if name in given.model_fields_set):
-            found = f"{other} beside {', '.join(given.written)}, which say the whole distribution"
-            yield plate.message(node, found, "either of them", key=(*GIVEN_KEY, other), on_key=True)
+    for node, conditional in _givens(plate):
+        for key in (name for name in OTHERS if name in conditional.model_fields_set):
+            fault = f"{key} beside {', '.join(conditional.written)}, which say the whole distribution"
+            yield plate.message(node, fault, "either of them", key=(*GIVEN_KEY, key), on_key=True)
         belief = plate.inference[node].belief
         if belief is not None and belief.kind == "grid":
-            found = "grid beside a given by expressions"
-            yield plate.message(node, found, "belief: particles, or gaussian", key=("belief",))
+            fault = "grid beside a given by expressions"
+            yield plate.message(node, fault, "belief: particles, or gaussian", key=("belief",))
 
 
 def gaussian_givens_are_normal(plate: Plate) -> Iterator[GraphMessage]:
     """A Gaussian belief about a latent node's state is of normal distributions."""
-    for node, given in _givens(plate):
+    for node, conditional in _givens(plate):
         belief = plate.inference[node].belief
         if belief is None or belief.kind != "gaussian":
             continue
-        for name, text in given.written.items():
+        for name, text in conditional.written.items():
             try:
                 term = parse(text, draws=True)
             except ExpressionError:
                 continue  # `givens_can_be_read` says so
             if is_drawn(term) and isinstance(term, Call) and term.function != "normal":
-                found = f"belief: gaussian, and {name} is drawn from {term.function}"
-                yield plate.message(node, found, "normal, or belief: particles", key=(*GIVEN_KEY, name))
+                fault = f"belief: gaussian, and {name} is drawn from {term.function}"
+                yield plate.message(node, fault, "normal, or belief: particles", key=(*GIVEN_KEY, name))
 
 
 def is_drawn(term: Term) -> bool:
@@ -415,22 +419,22 @@ def is_drawn(term: Term) -> bool:
 
 def read_givens(plate: Plate) -> dict[str, Conditional]:
     """The distributions by expressions of a plate that passed the checks."""
-    found = {}
-    for node, given in _givens(plate):
-        terms = {name: parse(text, draws=True) for name, text in given.written.items()}
-        used = {one for term in terms.values() for one in names_in(term)}
-        constants = {name: value for name, value in plate.constants.items() if name in used}
-        found[node] = Conditional(terms, constants)
-    return found
+    conditionals = {}
+    for node, conditional in _givens(plate):
+        terms = {name: parse(text, draws=True) for name, text in conditional.written.items()}
+        words = {word for term in terms.values() for word in names_in(term)}
+        constants = {name: value for name, value in plate.constants.items() if name in words}
+        conditionals[node] = Conditional(terms, constants)
+    return conditionals
 
 
 def _explain(message: GraphMessage, error: ExpressionError, field: str) -> GraphMessage:
     if error.word in BOX:
-        found = f"{error.word!r} in the distribution of {field!r}, which is drawn before it"
-        return replace(message, found=found if error.word != field else f"{field!r} in its own distribution")
+        fault = f"{error.word!r} in the distribution of {field!r}, which is drawn before it"
+        return replace(message, found=fault if error.word != field else f"{field!r} in its own distribution")
     if error.word in STATE_NAMES:
-        found = f"name {error.word!r}, which a latent node's distribution does not know"
-        return replace(message, found=found)
+        fault = f"name {error.word!r}, which a latent node's distribution does not know"
+        return replace(message, found=fault)
     return replace(message, nearest=nearest(error.word, error.near)) if error.word else message
 
 

@@ -22,21 +22,21 @@ def beliefs_have_a_state(plate: Plate) -> Iterator[GraphMessage]:
         if has_a_state(node):
             yield from _without_settings(plate, name, node)
             continue
-        where = f"at the root, {plate.roots[0]}" if plate.roots else "at the root"
-        found = "key 'belief' at a node without a state of its own"
-        yield plate.message(name, found, f"{where}, or with fuse: latent", key=("belief",), on_key=True)
+        remedy = f"at the root, {plate.roots[0]}" if plate.roots else "at the root"
+        fault = "key 'belief' at a node without a state of its own"
+        yield plate.message(name, fault, f"{remedy}, or with fuse: latent", key=("belief",), on_key=True)
 
 
 def _without_settings(plate: Plate, name: str, node: InferenceNode) -> Iterator[GraphMessage]:
     assert node.belief is not None and node.fuse is not None and node.fuse.latent is not None
     kind = node.belief.kind
     for setting in sorted(node.belief.settings.model_fields_set):
-        found = f"{setting} has no effect below the root: a latent node has its parent's hypotheses"
-        yield plate.message(name, found, f"belief: {kind}", key=("belief", kind, setting), on_key=True)
+        fault = f"{setting} has no effect below the root: a latent node has its parent's hypotheses"
+        yield plate.message(name, fault, f"belief: {kind}", key=("belief", kind, setting), on_key=True)
     if kind != "particles" and "draw" in node.fuse.latent.model_fields_set:
-        found = f"draw says how particles are joined, and the belief here is {kind}"
+        fault = f"draw says how particles are joined, and the belief here is {kind}"
         key = ("fuse", "latent", "draw")
-        yield plate.message(name, found, "belief: particles, or no draw", key=key, on_key=True)
+        yield plate.message(name, fault, "belief: particles, or no draw", key=key, on_key=True)
 
 
 def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
@@ -44,11 +44,11 @@ def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.parent is not None or node.fuse is None or node.fuse.latent is None:
             continue
-        given = node.fuse.latent.given
-        for key in sorted({"offset_box", "size_box", *given.written} & given.model_fields_set):
-            found = f"{key} at the root, which is no part of anything"
-            where = ("fuse", "latent", "given", key)
-            yield plate.message(name, found, "a node below the root", key=where, on_key=True)
+        conditional = node.fuse.latent.given
+        for key in sorted({"offset_box", "size_box", *conditional.written} & conditional.model_fields_set):
+            fault = f"{key} at the root, which is no part of anything"
+            path = ("fuse", "latent", "given", key)
+            yield plate.message(name, fault, "a node below the root", key=path, on_key=True)
 
 
 def latent_nodes_move(plate: Plate) -> Iterator[GraphMessage]:
@@ -62,58 +62,58 @@ def latent_nodes_move(plate: Plate) -> Iterator[GraphMessage]:
         if node.motion is None or node.fuse is None or node.fuse.latent is None:
             continue
         if node.motion.random_walk is None:
-            found = f"{node.motion.kind} at a latent node, whose motion is that of a deviation"
-            yield plate.message(name, found, ["random_walk"], key=("motion", node.motion.kind), on_key=True)
+            fault = f"{node.motion.kind} at a latent node, whose motion is that of a deviation"
+            yield plate.message(name, fault, ["random_walk"], key=("motion", node.motion.kind), on_key=True)
             continue
         yield from _walk_in_px(plate, name, node.motion.random_walk, node.fuse.latent)
         if node.belief is not None and node.belief.particles is None:
-            found = f"motion beside belief: {node.belief.kind}, which is made anew in each frame"
-            yield plate.message(name, found, "belief: particles, or none", key=("motion",), on_key=True)
+            fault = f"motion beside belief: {node.belief.kind}, which is made anew in each frame"
+            yield plate.message(name, fault, "belief: particles, or none", key=("motion",), on_key=True)
     for root in plate.roots[:1] if moving else ():
         yield from _states_hold_deviations(plate, root, moving[0])
 
 
 def _walk_in_px(plate: Plate, name: str, walk: Moving, latent: Latent) -> Iterator[GraphMessage]:
-    here = ("motion", "random_walk")
-    usual = type(walk)()
+    path = ("motion", "random_walk")
+    defaults = type(walk)()
     for setting in sorted(walk.model_fields_set - {"sd_px"}):
-        if getattr(walk, setting) == getattr(usual, setting):
+        if getattr(walk, setting) == getattr(defaults, setting):
             continue
-        found = f"{setting} in the motion of a latent node"
-        yield plate.message(name, found, ["sd_px"], key=(*here, setting), on_key=True)
-    given = latent.given
-    if given.written:
-        found = "given by expressions, and a deviation that moves is Gaussian in px"
-        yield plate.message(name, found, "sd_px, or no motion", key=("fuse", "latent", "given"))
+        fault = f"{setting} in the motion of a latent node"
+        yield plate.message(name, fault, ["sd_px"], key=(*path, setting), on_key=True)
+    conditional = latent.given
+    if conditional.written:
+        fault = "given by expressions, and a deviation that moves is Gaussian in px"
+        yield plate.message(name, fault, "sd_px, or no motion", key=("fuse", "latent", "given"))
         return
-    further = [*beyond_position(Noise(sd_box=given.sd_box, sd_log=given.sd_log))]
-    further += ["heavy_tail"] if given.heavy_tail is not None else []
-    if further:
-        found = f"given has {', '.join(further)}, and a deviation that moves is Gaussian in px"
-        yield plate.message(name, found, "sd_px alone, or no motion", key=("fuse", "latent", "given"))
+    extra = [*beyond_position(Noise(sd_box=conditional.sd_box, sd_log=conditional.sd_log))]
+    extra += ["heavy_tail"] if conditional.heavy_tail is not None else []
+    if extra:
+        fault = f"given has {', '.join(extra)}, and a deviation that moves is Gaussian in px"
+        yield plate.message(name, fault, "sd_px alone, or no motion", key=("fuse", "latent", "given"))
     if latent.draw == "kernel":
         key = ("fuse", "latent", "draw")
-        found = "draw beside motion: what moves is not drawn anew"
-        yield plate.message(name, found, "no draw, or no motion", key=key, on_key=True)
+        fault = "draw beside motion: what moves is not drawn anew"
+        yield plate.message(name, fault, "no draw, or no motion", key=key, on_key=True)
     for axis in PixelSd.model_fields:
-        own, limit = getattr(walk.sd_px, axis), getattr(given.sd_px, axis)
-        if (own > 0) != (limit > 0) or own > limit:
-            found = f"sd_px.{axis} is {own:g} a frame, and given's is {limit:g} in the long run"
-            allowed = f"above 0 and at most {limit:g}" if limit > 0 else f"no {axis}, or noise of it in given"
-            key = (*here, "sd_px", *((axis,) if axis in walk.sd_px.model_fields_set else ()))
-            yield plate.message(name, found, allowed, key=key)
+        step, limit = getattr(walk.sd_px, axis), getattr(conditional.sd_px, axis)
+        if (step > 0) != (limit > 0) or step > limit:
+            fault = f"sd_px.{axis} is {step:g} a frame, and given's is {limit:g} in the long run"
+            remedy = f"above 0 and at most {limit:g}" if limit > 0 else f"no {axis}, or noise of it in given"
+            key = (*path, "sd_px", *((axis,) if axis in walk.sd_px.model_fields_set else ()))
+            yield plate.message(name, fault, remedy, key=key)
 
 
 def _states_hold_deviations(plate: Plate, root: str, first: str) -> Iterator[GraphMessage]:
     node, moves = plate.inference[root], f"{first!r} has a motion"
     if node.belief is not None and node.belief.particles is None:
-        found = f"belief: {node.belief.kind}, and {moves} of its own"
-        yield plate.message(root, found, "belief: particles", key=("belief", node.belief.kind), on_key=True)
+        fault = f"belief: {node.belief.kind}, and {moves} of its own"
+        yield plate.message(root, fault, "belief: particles", key=("belief", node.belief.kind), on_key=True)
     elif node.belief is not None and node.belief.settings.proposal.kind != "bootstrap":
         kind = node.belief.settings.proposal.kind
-        found = f"proposal: {kind}, and {moves} of its own"
+        fault = f"proposal: {kind}, and {moves} of its own"
         key = ("belief", "particles", "proposal")
-        yield plate.message(root, found, "proposal: bootstrap", key=key, on_key=True)
+        yield plate.message(root, fault, "proposal: bootstrap", key=key, on_key=True)
 
 
 def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
@@ -126,22 +126,21 @@ def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
             continue
         still = [axis for axis in ("x", "y") if getattr(latent.given.sd_px, axis) == 0]
         if still:
-            found = f"given has no noise in {' and '.join(still)}, and the grid has cells for both x and y"
-            allowed = "sd_px with x and y, or belief: gaussian or particles"
-            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
-        further = beyond_position(latent.given)
-        if further:
-            found = f"a latent node's grid has no cells for {', '.join(further)}"
-            allowed = "sd_px of x and y alone, or belief: gaussian or particles"
-            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
-        for above, noise in _noises_above(plate, name):
+            fault = f"given has no noise in {' and '.join(still)}, and the grid has cells for both x and y"
+            remedy = "sd_px with x and y, or belief: gaussian or particles"
+            yield plate.message(name, fault, remedy, key=("fuse", "latent", "given"))
+        extra = beyond_position(latent.given)
+        if extra:
+            fault = f"a latent node's grid has no cells for {', '.join(extra)}"
+            remedy = "sd_px of x and y alone, or belief: gaussian or particles"
+            yield plate.message(name, fault, remedy, key=("fuse", "latent", "given"))
+        for ancestor, noise in _noises_above(plate, name):
             sized = [part for part in beyond_position(noise) if not part.startswith("sd_box")]
             if sized:
-                found = (
-                    f"the size changes by {', '.join(sized)} of {above!r}, and the grid has no cells for it"
-                )
-                allowed = "a size that rests, or belief: gaussian or particles"
-                yield plate.message(name, found, allowed, key=("belief",))
+                noises = ", ".join(sized)
+                fault = f"the size changes by {noises} of {ancestor!r}, and the grid has no cells for it"
+                remedy = "a size that rests, or belief: gaussian or particles"
+                yield plate.message(name, fault, remedy, key=("belief",))
 
 
 def has_a_state(node: InferenceNode) -> bool:
@@ -162,16 +161,16 @@ def beyond_position(noise: Noise) -> list[str]:
 
 def _noises_above(plate: Plate, name: str) -> Iterator[tuple[str, Noise]]:
     """The nodes above, up to the root, with noise that moves the state: latent ones and the root's motion."""
-    above = plate.inference[name].parent
-    seen: set[str] = set()
-    while above is not None and above in plate.inference and above not in seen:
-        seen.add(above)
-        node = plate.inference[above]
+    ancestor = plate.inference[name].parent
+    visited: set[str] = set()
+    while ancestor is not None and ancestor in plate.inference and ancestor not in visited:
+        visited.add(ancestor)
+        node = plate.inference[ancestor]
         if node.parent is None and node.motion is not None:
-            yield above, node.motion.settings
+            yield ancestor, node.motion.settings
         elif node.fuse is not None and node.fuse.latent is not None:
-            yield above, node.fuse.latent.given
-        above = node.parent
+            yield ancestor, node.fuse.latent.given
+        ancestor = node.parent
 
 
 Form = Literal["one", "kernel", "gaussian", "grid"]
@@ -222,10 +221,10 @@ def is_latent(target: CheckedTarget, node: str) -> bool:
     return fuse is not None and fuse.latent is not None
 
 
-def _is_linear(given: Given) -> bool:
+def _is_linear(conditional: Given) -> bool:
     """True if the state is the parent's box times a matrix, with Gaussian noise in px."""
-    sized = [part for part in beyond_position(given) if not part.startswith("sd_px")]
-    return not given.written and given.heavy_tail is None and not sized
+    sized = [part for part in beyond_position(conditional) if not part.startswith("sd_px")]
+    return not conditional.written and conditional.heavy_tail is None and not sized
 
 
 def _is_measured(target: CheckedTarget, node: str, measuring: Container[str]) -> bool:
@@ -244,27 +243,29 @@ def _is_measured(target: CheckedTarget, node: str, measuring: Container[str]) ->
     return True
 
 
-def _fits_cells(target: CheckedTarget, node: str, given: Given) -> bool:
+def _fits_cells(target: CheckedTarget, node: str, conditional: Given) -> bool:
     """True if a grid over x and y, with one noise for all cells, holds all that is uncertain."""
-    spreads = given.sd_px.x > 0 and given.sd_px.y > 0 and not beyond_position(given)
-    return spreads and all(_keeps_size(target, above) for above in _nodes_above(target, node))
+    spreads = conditional.sd_px.x > 0 and conditional.sd_px.y > 0 and not beyond_position(conditional)
+    return spreads and all(_keeps_size(target, ancestor) for ancestor in _nodes_above(target, node))
 
 
 def _nodes_above(target: CheckedTarget, node: str) -> Iterator[str]:
-    above: str | None = node
-    while above is not None:
-        yield above
-        above = target.parent[above]
+    ancestor: str | None = node
+    while ancestor is not None:
+        yield ancestor
+        ancestor = target.parent[ancestor]
 
 
 def _keeps_size(target: CheckedTarget, node: str) -> bool:
     """True if all boxes of a state have one size, if those above it have."""
-    one = target.inference(node)
+    inference_node = target.inference(node)
     noises: list[object] = []
-    if one.fuse is not None and one.fuse.latent is not None:
-        noises.append(None if one.fuse.latent.given.written else one.fuse.latent.given)
-    if node == target.root and one.motion is not None:
-        noises.append(None if one.motion.box_velocity is not None else one.motion.settings)
+    if inference_node.fuse is not None and inference_node.fuse.latent is not None:
+        noises.append(None if inference_node.fuse.latent.given.written else inference_node.fuse.latent.given)
+    if node == target.root and inference_node.motion is not None:
+        noises.append(
+            None if inference_node.motion.box_velocity is not None else inference_node.motion.settings
+        )
     return all(
         isinstance(noise, Noise) and all(part.startswith("sd_box") for part in beyond_position(noise))
         for noise in noises
@@ -282,8 +283,8 @@ def parents_exist(plate: Plate) -> Iterator[GraphMessage]:
     """Every parent is a node of the same target."""
     for name, node in plate.spec.nodes.items():
         if node.parent is not None and node.parent not in plate.spec.nodes:
-            found = f"unknown parent {node.parent!r}"
-            yield plate.message(name, found, plate.inference, key=("parent",), word=node.parent)
+            fault = f"unknown parent {node.parent!r}"
+            yield plate.message(name, fault, plate.inference, key=("parent",), word=node.parent)
 
 
 def agents_are_leaves(plate: Plate) -> Iterator[GraphMessage]:
@@ -291,8 +292,8 @@ def agents_are_leaves(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.spec.nodes.items():
         if node.parent in plate.agents or node.parent in plate.factors:
             kind = "an agent, and agents" if node.parent in plate.agents else "a factor, and factors"
-            found = f"parent {node.parent!r} is {kind} have no children"
-            yield plate.message(name, found, plate.inference, key=("parent",))
+            fault = f"parent {node.parent!r} is {kind} have no children"
+            yield plate.message(name, fault, plate.inference, key=("parent",))
 
 
 def one_root(plate: Plate) -> Iterator[GraphMessage]:
@@ -301,9 +302,9 @@ def one_root(plate: Plate) -> Iterator[GraphMessage]:
         path = ("targets", plate.name, "nodes")
         yield plate.at.message(path, "no inference node", "one inference node without a parent: the root")
     for name in plate.roots[1:]:
-        found = f"a second node without a parent, after {plate.roots[0]!r}"
-        others = [other for other in plate.inference if other != name]
-        yield plate.message(name, found, f"one root; parent: {others[0]}", on_key=True)
+        fault = f"a second node without a parent, after {plate.roots[0]!r}"
+        candidates = [candidate for candidate in plate.inference if candidate != name]
+        yield plate.message(name, fault, f"one root; parent: {candidates[0]}", on_key=True)
 
 
 def no_cycles(plate: Plate) -> Iterator[GraphMessage]:
@@ -315,8 +316,8 @@ def no_cycles(plate: Plate) -> Iterator[GraphMessage]:
         while name is not None and name in plate.spec.nodes and name not in settled:
             if name in trail:
                 cycle = [*list(trail)[trail[name] :], name]
-                shown = " -> ".join(cycle if len(cycle) <= 12 else [*cycle[:11], "...", name])
-                yield plate.message(name, f"parents in a circle: {shown}", "a tree", key=("parent",))
+                chain = " -> ".join(cycle if len(cycle) <= 12 else [*cycle[:11], "...", name])
+                yield plate.message(name, f"parents in a circle: {chain}", "a tree", key=("parent",))
                 break
             trail[name] = len(trail)
             name = plate.spec.nodes[name].parent
@@ -350,8 +351,8 @@ def fusion_is_chosen(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         children = plate.children[name]
         if node.fuse is None and len(children) >= 2:
-            found = f"key 'fuse' is missing, and there are {len(children)} children"
-            yield plate.message(name, found, ["product", "pool", "latent"])
+            fault = f"key 'fuse' is missing, and there are {len(children)} children"
+            yield plate.message(name, fault, ["product", "pool", "latent"])
 
 
 def root_keys_at_the_root(plate: Plate) -> Iterator[GraphMessage]:
@@ -359,9 +360,9 @@ def root_keys_at_the_root(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         for key in ROOT_ONLY if node.parent is not None else ():
             if getattr(node, key) not in (None, {}) and not (key == "motion" and has_a_state(node)):
-                where = f"only at the root, {plate.roots[0]}" if plate.roots else "only at the root"
-                where += ", or with fuse: latent" if key == "motion" else ""
-                yield plate.message(name, f"key {key!r} below the root", where, key=(key,), on_key=True)
+                remedy = f"only at the root, {plate.roots[0]}" if plate.roots else "only at the root"
+                remedy += ", or with fuse: latent" if key == "motion" else ""
+                yield plate.message(name, f"key {key!r} below the root", remedy, key=(key,), on_key=True)
 
 
 def root_moves(plate: Plate) -> Iterator[GraphMessage]:

@@ -16,7 +16,7 @@ from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, detectors_of_
 from bayesnet_track.observation.plugins import why_absent
 
 
-def modes_are_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def modes_are_joined(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """Targets with modes are in no attachments; those that a mode can hide are in no joins of pixels."""
     for number, join in enumerate(spec.joins):
         for kind in dict.fromkeys(join.between or spec.targets):
@@ -25,19 +25,19 @@ def modes_are_joined(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
                 if not isinstance(node, InferenceNode) or (node.modes is None and node.category is None):
                     continue
                 hides = any(mode.hidden is not None for mode in (node.modes or {}).values())
-                where: KeyPath = ("joins", number)
+                path: KeyPath = ("joins", number)
                 if join.attachment is not None:
-                    found = f"attachment of {kind}, whose node {name} has modes: being carried is a mode, too"
-                    allowed = "kinds without modes"
+                    fault = f"attachment of {kind}, whose node {name} has modes: being carried is a mode, too"
+                    remedy = "kinds without modes"
                     if node.modes is None:
-                        found = (
+                        fault = (
                             f"attachment of {kind}, whose node {name} has a category, as if it were a mode"
                         )
-                        allowed = "kinds without category"
-                    yield at.message((*where, "attachment"), found, allowed, on_key=True)
+                        remedy = "kinds without category"
+                    yield positions.message((*path, "attachment"), fault, remedy, on_key=True)
                 elif hides and join.factor is None:
-                    found = f"a join of {kind}, which a mode can hide: a hidden target has no pixels to share"
-                    yield at.message(where, found, "a join with factor; or modes without hidden")
+                    fault = f"a join of {kind}, which a mode can hide: a hidden target has no pixels to share"
+                    yield positions.message(path, fault, "a join with factor; or modes without hidden")
 
 
 DETECTOR = ("birth", "detector")
@@ -46,13 +46,13 @@ DETECTOR = ("birth", "detector")
 def detectors_are_installed(plate: Plate) -> Iterator[GraphMessage]:
     """Every `birth` names an installed detector, or `detections`; one of another package must be allowed."""
     birth = plate.spec.birth
-    known = {} if birth is None else detectors_of_graphs([birth.detector.detector])
-    if birth is not None and birth.detector.detector not in known:
+    detectors = {} if birth is None else detectors_of_graphs([birth.detector.detector])
+    if birth is not None and birth.detector.detector not in detectors:
         word = birth.detector.detector
         if (absent := why_absent(ENTRY_POINT_GROUP, word)) is not None:
             yield _message(plate, (*DETECTOR, word), f"detector {absent[0]}", absent[1], on_key=True)
             return
-        yield _message(plate, (*DETECTOR, word), f"unknown detector {word!r}", list(known), word)
+        yield _message(plate, (*DETECTOR, word), f"unknown detector {word!r}", list(detectors), word)
 
 
 def parameters_fit_the_detector(plate: Plate) -> Iterator[GraphMessage]:
@@ -84,8 +84,8 @@ def associating_agents_have_births(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if declaration is not None and declaration.reads_detection and plate.spec.birth is None:
-            found = f"{node.agent.cue} without birth, whose detector would give it detections"
-            yield plate.message(name, found, "birth, too", key=("agent",))
+            fault = f"{node.agent.cue} without birth, whose detector would give it detections"
+            yield plate.message(name, fault, "birth, too", key=("agent",))
 
 
 def tracks_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
@@ -97,30 +97,30 @@ def tracks_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
         if node.agent.cue in plate.cues and plate.cues[node.agent.cue].reads_detection
     ]
     is_gaussian = root is not None and root.belief is not None and root.belief.gaussian is not None
-    allowed = "belief: {gaussian: {filter: kalman}}"
+    remedy = "belief: {gaussian: {filter: kalman}}"
     if birth is not None and birth.tentative:
         key = ("birth", "tentative")
         if not reading:
-            found = "tentative without an agent that is given detections"
-            yield _message(plate, key, found, "an agent: detection, too, or no tentative", on_key=True)
+            fault = "tentative without an agent that is given detections"
+            yield _message(plate, key, fault, "an agent: detection, too, or no tentative", on_key=True)
         elif not is_gaussian:
-            yield _message(plate, key, "tentative beside a belief that is not gaussian", allowed, on_key=True)
+            yield _message(plate, key, "tentative beside a belief that is not gaussian", remedy, on_key=True)
     for name in reading:
         if plate.agents[name].agent.parameters.get("re_update") and not is_gaussian:
-            found = "re_update beside a belief that is not gaussian"
-            yield plate.message(name, found, allowed, key=("agent",))
+            fault = "re_update beside a belief that is not gaussian"
+            yield plate.message(name, fault, remedy, key=("agent",))
 
 
 def _message(
     plate: Plate,
     key: KeyPath,
-    found: str,
-    allowed: str | list[str],
+    fault: str,
+    remedy: str | list[str],
     word: str = "",
     on_key: bool = False,
 ) -> GraphMessage:
     path = ("targets", plate.name, *key)
-    return plate.at.message(path, found, allowed, word=word, on_key=on_key or bool(word))
+    return plate.at.message(path, fault, remedy, word=word, on_key=on_key or bool(word))
 
 
 LIFE_CHECKS: tuple[Check, ...] = (
@@ -139,15 +139,15 @@ def existence_has_detections(plate: Plate) -> Iterator[GraphMessage]:
     path = ("targets", plate.name, "existence")
     birth = plate.spec.birth
     if birth is None:
-        allowed = "birth, too, or no such key"
-        yield plate.at.message(path, "existence without birth", allowed, on_key=True)
+        remedy = "birth, too, or no such key"
+        yield plate.at.message(path, "existence without birth", remedy, on_key=True)
     if not _measuring(plate):
-        found = "existence without an agent that measures by detections"
-        yield plate.at.message(path, found, "agent: detection in a node, or no such key", on_key=True)
+        fault = "existence without an agent that measures by detections"
+        yield plate.at.message(path, fault, "agent: detection in a node, or no such key", on_key=True)
     if birth is not None and birth.confirm != Confirm():
         key = ("targets", plate.name, "birth", "confirm")
-        found = "birth.confirm has no effect: existence.confirm says when a target is born"
-        yield plate.at.message(key, found, "one of existence, birth.confirm", on_key=True)
+        fault = "birth.confirm has no effect: existence.confirm says when a target is born"
+        yield plate.at.message(key, fault, "one of existence, birth.confirm", on_key=True)
 
 
 def marginal_association_has_mixtures(plate: Plate) -> Iterator[GraphMessage]:
@@ -156,18 +156,18 @@ def marginal_association_has_mixtures(plate: Plate) -> Iterator[GraphMessage]:
         return
     path = ("targets", plate.name, "associate")
     if plate.spec.existence is None:
-        allowed = "existence, too (existence: {}), or associate: assignment"
-        yield plate.at.message(path, "associate: marginal without existence", allowed)
+        remedy = "existence, too (existence: {}), or associate: assignment"
+        yield plate.at.message(path, "associate: marginal without existence", remedy)
     for name, node in plate.inference.items():
         if node.parent is None and (node.belief is None or node.belief.kind != "gaussian"):
-            found = "associate: marginal with a belief that is not Gaussian"
-            allowed = "belief: {gaussian: {filter: kalman}} at the root, or associate: assignment"
-            yield plate.message(name, found, allowed, key=("belief",) if node.belief else ())
+            fault = "associate: marginal with a belief that is not Gaussian"
+            remedy = "belief: {gaussian: {filter: kalman}} at the root, or associate: assignment"
+            yield plate.message(name, fault, remedy, key=("belief",) if node.belief else ())
     for name in _measuring(plate):
-        above = plate.agents[name].parent
-        if above not in plate.roots and not is_seen(plate.spec, above):
-            found = f"associate: marginal with an agent that measures by detections below {above}"
-            yield plate.message(name, found, f"parent: {plate.roots[0]}", key=("parent",))
+        parent = plate.agents[name].parent
+        if parent not in plate.roots and not is_seen(plate.spec, parent):
+            fault = f"associate: marginal with an agent that measures by detections below {parent}"
+            yield plate.message(name, fault, f"parent: {plate.roots[0]}", key=("parent",))
 
 
 def identity_has_boxes(plate: Plate) -> Iterator[GraphMessage]:
@@ -176,43 +176,47 @@ def identity_has_boxes(plate: Plate) -> Iterator[GraphMessage]:
         return
     path = ("targets", plate.name, "identity")
     if plate.spec.state != "box":
-        found = "identity of a state that has no box in the image"
-        yield plate.at.message(path, found, "state: box, or no such key", on_key=True)
+        fault = "identity of a state that has no box in the image"
+        yield plate.at.message(path, fault, "state: box, or no such key", on_key=True)
     elif not _measuring(plate) or plate.spec.birth is None:
-        found = "identity without an agent that measures by detections"
-        allowed = "agent: detection in a node and birth: {detector: ...}, or no such key"
-        yield plate.at.message(path, found, allowed, on_key=True)
+        fault = "identity without an agent that measures by detections"
+        remedy = "agent: detection in a node and birth: {detector: ...}, or no such key"
+        yield plate.at.message(path, fault, remedy, on_key=True)
 
 
 def lost_by_existence_has_existence(plate: Plate) -> Iterator[GraphMessage]:
     """`lost.existence_below` needs `existence`, lies above `existence.end`, and is the only rule."""
     rule = plate.spec.existence
     for name, node in plate.inference.items():
-        by = None if node.lost is None else node.lost.existence_rule
-        if node.lost is None or by is None:
+        limit = None if node.lost is None else node.lost.existence_rule
+        if node.lost is None or limit is None:
             continue
-        (of, level), key = by, ("lost", f"{by[0]}_below")
+        (measure, level), key = limit, ("lost", f"{limit[0]}_below")
         if rule is None:
-            found = f"lost.{of}_below without existence"
-            yield plate.message(name, found, "existence for the target, or no such key", key=key, on_key=True)
+            fault = f"lost.{measure}_below without existence"
+            yield plate.message(name, fault, "existence for the target, or no such key", key=key, on_key=True)
         elif level <= rule.end:
-            found = f"lost.{of}_below is {level:g}, not above existence.end, {rule.end:g}"
-            yield plate.message(name, found, f"above {rule.end:g}", key=key)
-        if of == "existence_in_box" and plate.spec.state != "box":
-            found = "lost.existence_in_box_below of a state that has no box in the image"
-            yield plate.message(name, found, "existence_below", key=key, on_key=True)
-        others = {"above", "fit_below", "score_below", "existence_below"} & node.lost.model_fields_set
-        others.discard(f"{of}_below")
-        for other in sorted(others):
-            found = f"lost.{other} has no effect: with {of}_below existence alone says what is lost"
-            allowed = f"one of {other}, {of}_below"
-            yield plate.message(name, found, allowed, key=("lost", other), on_key=True)
+            fault = f"lost.{measure}_below is {level:g}, not above existence.end, {rule.end:g}"
+            yield plate.message(name, fault, f"above {rule.end:g}", key=key)
+        if measure == "existence_in_box" and plate.spec.state != "box":
+            fault = "lost.existence_in_box_below of a state that has no box in the image"
+            yield plate.message(name, fault, "existence_below", key=key, on_key=True)
+        rivals = {"above", "fit_below", "score_below", "existence_below"} & node.lost.model_fields_set
+        rivals.discard(f"{measure}_below")
+        for rival in sorted(rivals):
+            fault = f"lost.{rival} has no effect: with {measure}_below existence alone says what is lost"
+            remedy = f"one of {rival}, {measure}_below"
+            yield plate.message(name, fault, remedy, key=("lost", rival), on_key=True)
 
 
 def _measuring(plate: Plate) -> list[str]:
     """The agents that measure by detections."""
     declared = {name: plate.cues.get(node.agent.cue) for name, node in plate.agents.items()}
-    return [name for name, one in declared.items() if one is not None and one.reads_detection]
+    return [
+        name
+        for name, declaration in declared.items()
+        if declaration is not None and declaration.reads_detection
+    ]
 
 
 EXISTENCE_CHECKS: tuple[Check, ...] = (
@@ -227,16 +231,16 @@ GraphCheck = Callable[[GraphSpec, Positions], Iterator[GraphMessage]]
 """One pass over a whole graph: yields every violation."""
 
 
-def joins_name_kinds(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def joins_name_kinds(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """Every kind in a join's `between` is a kind of target of the graph."""
     for number, join in enumerate(spec.joins):
         for place, kind in enumerate(join.between or ()):
             if kind not in spec.targets:
                 path = ("joins", number, "between", place)
-                yield at.message(path, f"no kind of target {kind!r}", list(spec.targets), word=kind)
+                yield positions.message(path, f"no kind of target {kind!r}", list(spec.targets), word=kind)
 
 
-def one_join_for_a_pair(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def one_join_for_a_pair(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """No pair of kinds has two joins: pixels would be accounted for twice."""
     kinds = list(spec.targets)
     for number in range(1, len(spec.joins)):
@@ -244,20 +248,20 @@ def one_join_for_a_pair(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage
             for second in kinds[kinds.index(first) :]:
                 earlier = join_of(spec.joins[:number], first, second)
                 if earlier is not None and spec.joins[number].holds_between(first, second):
-                    found = f"a second join between {first} and {second}"
-                    yield at.message(("joins", number), found, f"one, as in entry {earlier + 1}")
+                    fault = f"a second join between {first} and {second}"
+                    yield positions.message(("joins", number), fault, f"one, as in entry {earlier + 1}")
 
 
-def an_attachment_has_two_kinds(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def an_attachment_has_two_kinds(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """An attachment names who carries, then what is carried: two different kinds."""
     for number, join in enumerate(spec.joins):
         if join.attachment is not None and len(set(join.between or ())) != 2:
             path = ("joins", number, "attachment")
-            found = "attachment without a carrier's and a carried kind"
-            yield at.message(path, found, "between: [carrier, carried]", on_key=True)
+            fault = "attachment without a carrier's and a carried kind"
+            yield positions.message(path, fault, "between: [carrier, carried]", on_key=True)
 
 
-def joined_beliefs_are_particles(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def joined_beliefs_are_particles(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """Targets that are joined hold their beliefs by particles: a joint belief reweights hypotheses."""
     for number, join in enumerate(spec.joins):
         for kind in join.between or tuple(spec.targets):
@@ -266,8 +270,10 @@ def joined_beliefs_are_particles(spec: GraphSpec, at: Positions) -> Iterator[Gra
                 if not isinstance(node, InferenceNode) or node.parent is not None or node.belief is None:
                     continue
                 if node.belief.particles is None:
-                    found = f"a join of {kind}, whose node {name} holds a {node.belief.kind} belief"
-                    yield at.message(("joins", number), found, "kinds whose root has belief: particles")
+                    fault = f"a join of {kind}, whose node {name} holds a {node.belief.kind} belief"
+                    yield positions.message(
+                        ("joins", number), fault, "kinds whose root has belief: particles"
+                    )
 
 
 JOIN_CHECKS: tuple[GraphCheck, ...] = (

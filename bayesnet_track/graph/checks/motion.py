@@ -43,23 +43,23 @@ def _moving(plate: Plate) -> Iterator[tuple[str, KeyPath, Moving]]:
 def size_is_drawn_back_from_somewhere(plate: Plate) -> Iterator[GraphMessage]:
     """`size_reversion` bounds noise of the size in logarithms, and is wider than one step of it."""
     for name, key, settings in _moving(plate):
-        kept = settings.size_reversion
-        if kept is None:
+        reversion = settings.size_reversion
+        if reversion is None:
             continue
-        here = (*key, "size_reversion")
-        limits = {"scale": kept.sd_scale, "aspect": kept.sd_aspect}
+        path = (*key, "size_reversion")
+        limits = {"scale": reversion.sd_scale, "aspect": reversion.sd_aspect}
         if all(limit is None for limit in limits.values()):
-            yield plate.message(name, "size_reversion without an sd", ["sd_scale", "sd_aspect"], key=here)
+            yield plate.message(name, "size_reversion without an sd", ["sd_scale", "sd_aspect"], key=path)
         for side in ("w", "h"):
             if getattr(settings.sd_px, side) > 0:
-                found = f"size_reversion beside sd_px.{side}, whose steps it does not bound"
-                yield plate.message(name, found, "size noise by sd_log alone", key=here, on_key=True)
+                fault = f"size_reversion beside sd_px.{side}, whose steps it does not bound"
+                yield plate.message(name, fault, "size noise by sd_log alone", key=path, on_key=True)
         for part, limit in limits.items():
             step = getattr(settings.sd_log, part)
             if limit is not None and not 0 < step < limit:
-                found = f"sd_{part} is {limit:g}, and the step, sd_log.{part}, is {step:g}"
-                allowed = f"sd_log.{part} above 0 and below sd_{part}"
-                yield plate.message(name, found, allowed, key=(*here, f"sd_{part}"))
+                fault = f"sd_{part} is {limit:g}, and the step, sd_log.{part}, is {step:g}"
+                remedy = f"sd_log.{part} above 0 and below sd_{part}"
+                yield plate.message(name, fault, remedy, key=(*path, f"sd_{part}"))
 
 
 def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
@@ -69,25 +69,25 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
         if belief is not None and belief.grid is not None:
             for word in ("size_reversion", "camera"):
                 if getattr(settings, word) is not None:
-                    found = f"{word} beside a grid, whose cells all move alike"
-                    yield plate.message(name, found, "particles or gaussian", key=(*key, word), on_key=True)
+                    fault = f"{word} beside a grid, whose cells all move alike"
+                    yield plate.message(name, fault, "particles or gaussian", key=(*key, word), on_key=True)
         if settings.relocalize is None:
             continue
-        here, lost = (*key, "relocalize"), plate.inference[name].lost
+        path, lost = (*key, "relocalize"), plate.inference[name].lost
         if settings.relocalize.sudden is not None and (lost is None or lost.found_fit is None):
-            found = "sudden without lost.found_fit, by which it is known how well the target usually fits"
-            yield plate.message(name, found, "both, or none", key=(*here, "sudden"), on_key=True)
+            fault = "sudden without lost.found_fit, by which it is known how well the target usually fits"
+            yield plate.message(name, fault, "both, or none", key=(*path, "sudden"), on_key=True)
         if belief is not None and belief.grid is not None:
-            found = "relocalize beside grid, which cannot jump"
-            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
+            fault = "relocalize beside grid, which cannot jump"
+            yield plate.message(name, fault, "particles or gaussian", key=path, on_key=True)
         elif belief is not None and belief.particles is not None:
             particles = belief.particles
             if not isinstance(particles.size, int):
-                found, allowed = "relocalize beside an adaptive size", "a size that is a number"
-                yield plate.message(name, found, allowed, key=here, on_key=True)
+                fault, remedy = "relocalize beside an adaptive size", "a size that is a number"
+                yield plate.message(name, fault, remedy, key=path, on_key=True)
             if particles.proposal.kind != "bootstrap":
-                found = f"relocalize beside proposal: {particles.proposal.kind}"
-                yield plate.message(name, found, "proposal: bootstrap", key=here, on_key=True)
+                fault = f"relocalize beside proposal: {particles.proposal.kind}"
+                yield plate.message(name, fault, "proposal: bootstrap", key=path, on_key=True)
 
 
 def borders_can_be_met(plate: Plate) -> Iterator[GraphMessage]:
@@ -96,16 +96,16 @@ def borders_can_be_met(plate: Plate) -> Iterator[GraphMessage]:
         belief = node.belief
         if node.motion is None or node.motion.settings.borders is None or belief is None:
             continue
-        here = ("motion", node.motion.kind, "borders")
+        path = ("motion", node.motion.kind, "borders")
         if belief.grid is not None:
-            found = "borders: reflect beside a grid, whose cells all move alike"
-            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
+            fault = "borders: reflect beside a grid, whose cells all move alike"
+            yield plate.message(name, fault, "particles or gaussian", key=path, on_key=True)
         elif belief.gaussian is not None and belief.gaussian.filter == "kalman":
-            found = "borders: reflect beside filter: kalman, which is of linear motion"
-            yield plate.message(name, found, "filter: extended or unscented", key=here, on_key=True)
+            fault = "borders: reflect beside filter: kalman, which is of linear motion"
+            yield plate.message(name, fault, "filter: extended or unscented", key=path, on_key=True)
         elif belief.particles is not None and belief.particles.proposal.kind != "bootstrap":
-            found = f"borders: reflect beside proposal: {belief.particles.proposal.kind}"
-            yield plate.message(name, found, "proposal: bootstrap", key=here, on_key=True)
+            fault = f"borders: reflect beside proposal: {belief.particles.proposal.kind}"
+            yield plate.message(name, fault, "proposal: bootstrap", key=path, on_key=True)
 
 
 def box_velocities_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
@@ -115,12 +115,12 @@ def box_velocities_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
             continue
         belief = plate.inference[name].belief
         if belief is None or belief.gaussian is None:
-            found = f"box_velocity beside {'particles' if belief is None else belief.kind}"
-            yield plate.message(name, found, "belief: {gaussian: {filter: kalman}}", key=key, on_key=True)
-        own = {"sd_px", "start_sd_px", *BoxVelocity.model_fields.keys() - Moving.model_fields.keys()}
-        for word in sorted(settings.model_fields_set - own):
-            found = f"{word} has no effect on box_velocity"
-            yield plate.message(name, found, sorted(own), key=(*key, word), on_key=True)
+            fault = f"box_velocity beside {'particles' if belief is None else belief.kind}"
+            yield plate.message(name, fault, "belief: {gaussian: {filter: kalman}}", key=key, on_key=True)
+        effective = {"sd_px", "start_sd_px", *BoxVelocity.model_fields.keys() - Moving.model_fields.keys()}
+        for word in sorted(settings.model_fields_set - effective):
+            fault = f"{word} has no effect on box_velocity"
+            yield plate.message(name, fault, sorted(effective), key=(*key, word), on_key=True)
 
 
 def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
@@ -128,16 +128,16 @@ def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
     for name, key, settings in _moving(plate):
         if settings.sd_angle_deg == 0:
             continue
-        here = (*key, "sd_angle_deg")
+        path = (*key, "sd_angle_deg")
         belief = plate.inference[name].belief
         if belief is not None and belief.grid is not None:
-            found = "sd_angle_deg beside a grid, which has no cells for angles"
-            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
-        known = [plate.cues[node.agent.cue] for node in plate.agents.values() if node.agent.cue in plate.cues]
-        if not any(cue.reads_angle for cue in known):
+            fault = "sd_angle_deg beside a grid, which has no cells for angles"
+            yield plate.message(name, fault, "particles or gaussian", key=path, on_key=True)
+        cues = [plate.cues[node.agent.cue] for node in plate.agents.values() if node.agent.cue in plate.cues]
+        if not any(cue.reads_angle for cue in cues):
             able = sorted(cue.name for cue in plate.cues.values() if cue.reads_angle)
-            found = "sd_angle_deg, and no agent reads the angle"
-            yield plate.message(name, found, able or "no sd_angle_deg", key=here, on_key=True)
+            fault = "sd_angle_deg, and no agent reads the angle"
+            yield plate.message(name, fault, able or "no sd_angle_deg", key=path, on_key=True)
 
 
 def gaussians_are_looked_for(plate: Plate) -> Iterator[GraphMessage]:
@@ -146,27 +146,27 @@ def gaussians_are_looked_for(plate: Plate) -> Iterator[GraphMessage]:
         belief = plate.inference[name].belief
         if settings.relocalize is None or belief is None or belief.gaussian is None:
             continue
-        here = (*key, "relocalize")
+        path = (*key, "relocalize")
         for word in sorted(settings.relocalize.model_fields_set - {"share", "grow_box"}):
-            found = f"{word} beside gaussian, which has no hypotheses that could look"
-            yield plate.message(name, found, ["share", "grow_box"], key=(*here, word), on_key=True)
+            fault = f"{word} beside gaussian, which has no hypotheses that could look"
+            yield plate.message(name, fault, ["share", "grow_box"], key=(*path, word), on_key=True)
         if plate.inference[name].lost is None:
-            found = "relocalize beside gaussian without lost: only a target that can be lost is looked for"
-            yield plate.message(name, found, "both, or none", key=here, on_key=True)
-        whole = [node for agent, node in plate.agents.items() if not _is_of_a_part(plate, agent)]
-        if not any(declares(plate, node, CueDeclaration.can_search) for node in whole):
-            found = "relocalize beside gaussian, and no agent of the whole says how sure it is anywhere"
-            yield plate.message(name, found, "an agent such as siamese_box", key=here, on_key=True)
+            fault = "relocalize beside gaussian without lost: only a target that can be lost is looked for"
+            yield plate.message(name, fault, "both, or none", key=path, on_key=True)
+        agents = [node for agent, node in plate.agents.items() if not _is_of_a_part(plate, agent)]
+        if not any(declares(plate, node, CueDeclaration.can_search) for node in agents):
+            fault = "relocalize beside gaussian, and no agent of the whole says how sure it is anywhere"
+            yield plate.message(name, fault, "an agent such as siamese_box", key=path, on_key=True)
 
 
 def _is_of_a_part(plate: Plate, agent: str) -> bool:
     """True if a latent node is above it (for a valid tree)."""
-    above: str | None = plate.agents[agent].parent
-    while above is not None:
-        node = plate.inference[above]
+    ancestor: str | None = plate.agents[agent].parent
+    while ancestor is not None:
+        node = plate.inference[ancestor]
         if node.fuse is not None and node.fuse.latent is not None:
             return True
-        above = node.parent
+        ancestor = node.parent
     return False
 
 
@@ -182,29 +182,29 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
             if not driven and getattr(settings.sd_px, axis) + getattr(settings.sd_box, axis) == 0
         ]
         if still:
-            found = f"relocalize without noise of {' and '.join(still)}"
-            yield plate.message(name, found, "noise of x and y", key=(*key, "relocalize"), on_key=True)
+            fault = f"relocalize without noise of {' and '.join(still)}"
+            yield plate.message(name, fault, "noise of x and y", key=(*key, "relocalize"), on_key=True)
         for word in ("above", "usual"):
             if settings.relocalize.grow_box is not None and word in settings.relocalize.model_fields_set:
-                found = f"{word} beside grow_box, which searches only while the target is lost"
-                yield plate.message(name, found, f"no {word}", key=(*key, "relocalize", word), on_key=True)
-        chosen = settings.relocalize.by.detector
-        if chosen is None:
+                fault = f"{word} beside grow_box, which searches only while the target is lost"
+                yield plate.message(name, fault, f"no {word}", key=(*key, "relocalize", word), on_key=True)
+        choice = settings.relocalize.by.detector
+        if choice is None:
             continue
-        known, path = installed_detectors([chosen.detector]), (*key, *_DETECTOR, chosen.detector)
-        if chosen.detector not in known:
-            if (absent := why_absent(ENTRY_POINT_GROUP, chosen.detector)) is not None:
+        detectors, path = installed_detectors([choice.detector]), (*key, *_DETECTOR, choice.detector)
+        if choice.detector not in detectors:
+            if (absent := why_absent(ENTRY_POINT_GROUP, choice.detector)) is not None:
                 yield plate.message(name, f"detector {absent[0]}", absent[1], key=path, on_key=True)
                 continue
-            found = f"unknown detector {chosen.detector!r}"
-            yield plate.message(name, found, list(known), key=path, word=chosen.detector, on_key=True)
+            fault = f"unknown detector {choice.detector!r}"
+            yield plate.message(name, fault, list(detectors), key=path, word=choice.detector, on_key=True)
             continue
-        model = known[chosen.detector].parameters
+        model = detectors[choice.detector].parameters
         try:
-            plugin_parameters(chosen, model)
+            plugin_parameters(choice, model)
         except ValidationError as error:
-            whole = ("targets", plate.name, "nodes", name, *path)
-            yield from explain(error, model, chosen.parameters, plate.at, whole)
+            full_path = ("targets", plate.name, "nodes", name, *path)
+            yield from explain(error, model, choice.parameters, plate.at, full_path)
 
 
 MOTION_CHECKS: tuple[Check, ...] = (
@@ -225,13 +225,13 @@ def fields_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
     """Fields of a motion by expressions have names of their own."""
     for node, path, motion in _formulas(plate):
         for name in motion.own:
-            here = (*path, "fields", name)
+            key = (*path, "fields", name)
             if (name in WORDS and name not in MAY_BE_FIELDS) or name == "carried":
-                found, allowed = f"field {name!r}, which is a word of the language", "another name"
-                yield plate.message(node, found, allowed, key=here, on_key=True)
+                fault, remedy = f"field {name!r}, which is a word of the language", "another name"
+                yield plate.message(node, fault, remedy, key=key, on_key=True)
             elif name in plate.constants:
                 yield plate.message(
-                    node, f"field {name!r}, which is a constant", "another name", key=here, on_key=True
+                    node, f"field {name!r}, which is a constant", "another name", key=key, on_key=True
                 )
 
 
@@ -240,22 +240,22 @@ def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     for node, path, motion in _formulas(plate):
         fields = (*BOX, *motion.own)
         names = (*fields, *FRAME_NAMES, *plate.frame_names, *plate.constants)
-        for what, formulas in _parts(motion):
+        for part, formulas in _parts(motion):
             for name, text in formulas.items():
-                here = (*path, what, name)
+                key = (*path, part, name)
                 if name not in fields:
-                    found = f"{what} of {name!r}, which is no field of the state"
-                    yield plate.message(node, found, fields, key=here, word=name, on_key=True)
+                    fault = f"{part} of {name!r}, which is no field of the state"
+                    yield plate.message(node, fault, fields, key=key, word=name, on_key=True)
                 try:
                     parse(str(text), names)
                 except ExpressionError as error:
-                    message = plate.message(node, error.found, error.allowed, key=here)
+                    message = plate.message(node, error.found, error.allowed, key=key)
                     yield plate.at.inside(with_nearest(message, error.word, error.near), error.at)
-        strange = [one for one in motion.own if one not in VELOCITIES]
+        strange = [field for field in motion.own if field not in VELOCITIES]
         if motion.borders is not None and strange:
-            found = f"borders: reflect beside field {strange[0]!r}, which it cannot turn round"
-            allowed = f"fields {', '.join(VELOCITIES)}, or no borders"
-            yield plate.message(node, found, allowed, key=(*path, "borders"), on_key=True)
+            fault = f"borders: reflect beside field {strange[0]!r}, which it cannot turn round"
+            remedy = f"fields {', '.join(VELOCITIES)}, or no borders"
+            yield plate.message(node, fault, remedy, key=(*path, "borders"), on_key=True)
 
 
 def beliefs_hold_the_formulas(plate: Plate) -> Iterator[GraphMessage]:
@@ -265,8 +265,8 @@ def beliefs_hold_the_formulas(plate: Plate) -> Iterator[GraphMessage]:
         if belief is None:
             continue
         if belief.gaussian is not None and belief.gaussian.filter == "kalman":
-            found = "expressions beside filter: kalman, which is of linear motion"
-            yield plate.message(node, found, "filter: extended or unscented", key=path, on_key=True)
+            fault = "expressions beside filter: kalman, which is of linear motion"
+            yield plate.message(node, fault, "filter: extended or unscented", key=path, on_key=True)
         if belief.grid is not None:
             yield from _fits_grid(plate, (node, path), motion)
 
@@ -278,12 +278,12 @@ def constants_have_particles(plate: Plate) -> Iterator[GraphMessage]:
             continue
         belief, key = plate.inference[node].belief, (*path, "static_discount")
         if belief is not None and belief.particles is None:
-            found = f"static_discount beside {belief.kind}, which keeps a constant's uncertainty by itself"
-            yield plate.message(node, found, "no static_discount, or particles", key=key, on_key=True)
+            fault = f"static_discount beside {belief.kind}, which keeps a constant's uncertainty by itself"
+            yield plate.message(node, fault, "no static_discount, or particles", key=key, on_key=True)
         elif not static_fields(motion, plate.inference[node].start):
-            found = "static_discount, and every field that is uncertain drifts or has noise"
-            allowed = "a field with an sd at the start, no drift and no sd; or no static_discount"
-            yield plate.message(node, found, allowed, key=key, on_key=True)
+            fault = "static_discount, and every field that is uncertain drifts or has noise"
+            remedy = "a field with an sd at the start, no drift and no sd; or no static_discount"
+            yield plate.message(node, fault, remedy, key=key, on_key=True)
 
 
 def static_fields(motion: ByExpressions, starts: Collection[str] = ()) -> list[str]:
@@ -293,8 +293,8 @@ def static_fields(motion: ByExpressions, starts: Collection[str] = ()) -> list[s
     """
     return [
         name
-        for name, own in motion.own.items()
-        if (own.sd > 0 or name in starts)
+        for name, field in motion.own.items()
+        if (field.sd > 0 or name in starts)
         and str(motion.drift.get(name, name)).strip() == name
         and float_of(motion.sd.get(name, 0.0)) == 0.0
     ]
@@ -308,29 +308,29 @@ def float_of(value: float | str) -> float:
         return float("nan")
 
 
-def _fits_grid(plate: Plate, at: tuple[str, KeyPath], motion: ByExpressions) -> Iterator[GraphMessage]:
-    node, path = at
+def _fits_grid(plate: Plate, place: tuple[str, KeyPath], motion: ByExpressions) -> Iterator[GraphMessage]:
+    node, path = place
     if tuple(motion.own) not in ((), ("vx", "vy")):
-        found = f"a grid has no cells for {', '.join(motion.own)}"
-        yield plate.message(node, found, "fields vx, vy, in this order, or none", key=(*path, "fields"))
-    for name, own in motion.own.items():
-        if own.start != 0:
-            here = (*path, "fields", name, "start")
+        fault = f"a grid has no cells for {', '.join(motion.own)}"
+        yield plate.message(node, fault, "fields vx, vy, in this order, or none", key=(*path, "fields"))
+    for name, field in motion.own.items():
+        if field.start != 0:
+            key = (*path, "fields", name, "start")
             yield plate.message(
-                node, f"start of {name} on a grid, whose velocities start around 0", "0", key=here
+                node, f"start of {name} on a grid, whose velocities start around 0", "0", key=key
             )
-    for what, formulas in _parts(motion):
+    for part, formulas in _parts(motion):
         for name, text in formulas.items():
-            here = (*path, what, name)
+            key = (*path, part, name)
             if name in ("w", "h"):
-                found = f"{what} of {name}, and the sizes of a grid's cells do not move by expressions"
-                yield plate.message(node, found, "x, y, vx, vy", key=here, on_key=True)
-            elif what == "sd" and (read := _reads(str(text), (*BOX, *motion.own))):
-                found = f"sd that depends on {read}; on a grid the noise is the same everywhere"
-                yield plate.message(node, found, "numbers, constants, dt, the frame's size", key=here)
+                fault = f"{part} of {name}, and the sizes of a grid's cells do not move by expressions"
+                yield plate.message(node, fault, "x, y, vx, vy", key=key, on_key=True)
+            elif part == "sd" and (read := _reads(str(text), (*BOX, *motion.own))):
+                fault = f"sd that depends on {read}; on a grid the noise is the same everywhere"
+                yield plate.message(node, fault, "numbers, constants, dt, the frame's size", key=key)
 
 
-def attached_motions_are_kinematic(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def attached_motions_are_kinematic(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """Kinds that may be carried have no motion by expressions: being carried sets its velocity."""
     for number, join in enumerate(spec.joins):
         kind = (join.between or ("",))[-1]
@@ -338,24 +338,24 @@ def attached_motions_are_kinematic(spec: GraphSpec, at: Positions) -> Iterator[G
             continue
         for node in spec.targets[kind].nodes.values():
             if isinstance(node, InferenceNode) and node.motion is not None and node.motion.expressions:
-                found = f"attachment of {kind}, whose motion is by expressions"
-                yield at.message(("joins", number, "attachment"), found, "another motion", on_key=True)
+                fault = f"attachment of {kind}, whose motion is by expressions"
+                yield positions.message(("joins", number, "attachment"), fault, "another motion", on_key=True)
 
 
-def factors_of_pairs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def factors_of_pairs_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """A join's factor is an expression of the states of the two kinds, and shares no pixels."""
     for number, join in enumerate(spec.joins):
         path: KeyPath = ("joins", number, "factor")
         if join.factor is None:
             if join.when.overlap == 0:
-                found = "overlap 0, which joins all targets, without a factor"
-                yield at.message(("joins", number, "when", "overlap"), found, "a number above 0")
+                fault = "overlap 0, which joins all targets, without a factor"
+                yield positions.message(("joins", number, "when", "overlap"), fault, "a number above 0")
             continue
-        for other in ("exclusion", "occlusion", "attachment"):
-            if getattr(join, other) is not None:
-                yield at.message(path, f"factor beside {other}", "either of them", on_key=True)
+        for rival in ("exclusion", "occlusion", "attachment"):
+            if getattr(join, rival) is not None:
+                yield positions.message(path, f"factor beside {rival}", "either of them", on_key=True)
         if join.between is None:
-            yield at.message(path, "factor without between", "between: [a, b]", on_key=True)
+            yield positions.message(path, "factor without between", "between: [a, b]", on_key=True)
             continue
         kinds = (join.between[0], join.between[-1])
         if any(kind not in spec.targets for kind in kinds):
@@ -370,9 +370,9 @@ def factors_of_pairs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[Gra
         try:
             parse(join.factor, names)
         except ExpressionError as error:
-            message = at.message(path, error.found, error.allowed)
-            near = nearest(error.word, error.near) if error.word else ""
-            yield at.inside(replace(message, nearest=near), error.at)
+            message = positions.message(path, error.found, error.allowed)
+            suggestion = nearest(error.word, error.near) if error.word else ""
+            yield positions.inside(replace(message, nearest=suggestion), error.at)
 
 
 def _fields_of(spec: GraphSpec, kind: str) -> tuple[str, ...]:
@@ -395,7 +395,9 @@ def _formulas(plate: Plate) -> Iterator[tuple[str, KeyPath, ByExpressions]]:
     """Node, key and expressions of every motion by them, also of those of modes."""
     for name, node in plate.inference.items():
         motions: dict[KeyPath, Motion | None] = {("motion",): node.motion}
-        motions |= {("modes", mode, "motion"): one.motion for mode, one in (node.modes or {}).items()}
+        motions |= {
+            ("modes", mode, "motion"): settings.motion for mode, settings in (node.modes or {}).items()
+        }
         for key, motion in motions.items():
             if motion is not None and motion.expressions is not None:
                 yield name, (*key, "expressions"), motion.expressions

@@ -72,21 +72,21 @@ class Plate:
     @cached_property
     def children(self) -> dict[str, list[str]]:
         """Every node -> the agents and inference nodes that name it as parent, in file order."""
-        found: dict[str, list[str]] = {name: [] for name in self.spec.nodes}
+        children: dict[str, list[str]] = {name: [] for name in self.spec.nodes}
         for name, node in self.spec.nodes.items():
-            if node.parent in found and name not in self.factors:
-                found[node.parent].append(name)
-        return found
+            if node.parent in children and name not in self.factors:
+                children[node.parent].append(name)
+        return children
 
     @cached_property
     def order(self) -> list[str]:
         """Every agent and inference node under a root, parents before children, siblings in file order."""
-        found: list[str] = []
+        order: list[str] = []
         waiting = self.roots[::-1]
         while waiting:
-            found.append(waiting.pop())
-            waiting += self.children[found[-1]][::-1]
-        return found
+            order.append(waiting.pop())
+            waiting += self.children[order[-1]][::-1]
+        return order
 
     @cached_property
     def governor(self) -> dict[str, str | None]:
@@ -94,28 +94,30 @@ class Plate:
         return {name: self._governor(name) for name in self.order if name in self.agents}
 
     def _governor(self, agent: str) -> str | None:
-        above = self.spec.nodes[agent].parent
-        while above is not None:
-            node = self.spec.nodes[above]
+        ancestor = self.spec.nodes[agent].parent
+        while ancestor is not None:
+            node = self.spec.nodes[ancestor]
             adapt = node.adapt if isinstance(node, InferenceNode) else None
             if adapt is not None and (adapt.agents is None or agent in adapt.agents):
-                return above
-            above = node.parent
+                return ancestor
+            ancestor = node.parent
         return None
 
     def below(self, node: str) -> list[str]:
         """The nodes below an inference node, at any depth (for a valid tree)."""
-        found = {node: None}
+        descendants = {node: None}
         for name in self.order:
-            if self.spec.nodes[name].parent in found:
-                found[name] = None
-        return list(found)[1:]
+            if self.spec.nodes[name].parent in descendants:
+                descendants[name] = None
+        return list(descendants)[1:]
 
     def left_to(self, node: str) -> list[str]:
         """The agents below a node that no rule nearer by switches; `adapt.agents` may leave some out."""
-        below = self.below(node)
+        descendants = self.below(node)
         return [
-            agent for agent, governor in self.governor.items() if agent in below and governor not in below
+            agent
+            for agent, governor in self.governor.items()
+            if agent in descendants and governor not in descendants
         ]
 
     def governed(self, node: str) -> list[str]:
@@ -125,8 +127,8 @@ class Plate:
     def message(
         self,
         node: str,
-        found: str,
-        allowed: str | Iterable[str] = "",
+        fault: str,
+        remedy: str | Iterable[str] = "",
         *,
         key: KeyPath = (),
         word: str = "",
@@ -134,7 +136,7 @@ class Plate:
     ) -> GraphMessage:
         """An error at `key` inside `node`."""
         path = ("targets", self.name, "nodes", written_name(node), *key)
-        return self.at.message(path, found, allowed, word=word, on_key=on_key)
+        return self.at.message(path, fault, remedy, word=word, on_key=on_key)
 
 
 Check = Callable[[Plate], Iterator[GraphMessage]]
@@ -212,7 +214,7 @@ def numbers_of(root: InferenceNode) -> dict[str, float]:
 def root_of(target: Target) -> InferenceNode | None:
     """The root of a kind of target; None of one without, which another check refuses."""
     nodes = target.nodes.values()
-    return next((one for one in nodes if isinstance(one, InferenceNode) and one.parent is None), None)
+    return next((node for node in nodes if isinstance(node, InferenceNode) and node.parent is None), None)
 
 
 def numbers_of_kinds(spec: GraphSpec, kinds: Iterable[str]) -> dict[str, float]:
@@ -221,25 +223,27 @@ def numbers_of_kinds(spec: GraphSpec, kinds: Iterable[str]) -> dict[str, float]:
     A mode or a value is left out that has the name of something else, or different numbers in two kinds.
     """
     numbers: dict[str, float] = {}
-    taken = {*WORDS, *spec.constants, *spec.inputs}
+    reserved = {*WORDS, *spec.constants, *spec.inputs}
     for kind in dict.fromkeys(kinds):
         root = root_of(spec.targets[kind])
-        own = {} if root is None else numbers_of(root)
-        taken |= {name for name in own.keys() & numbers.keys() if own[name] != numbers[name]}
-        taken |= set() if root is None else {*moving_fields(root)}
-        numbers |= own
-    free = {name: number for name, number in numbers.items() if name not in taken}
+        root_numbers = {} if root is None else numbers_of(root)
+        reserved |= {
+            name for name in root_numbers.keys() & numbers.keys() if root_numbers[name] != numbers[name]
+        }
+        reserved |= set() if root is None else {*moving_fields(root)}
+        numbers |= root_numbers
+    free = {name: number for name, number in numbers.items() if name not in reserved}
     return {**free, **spec.constants}
 
 
 def names_of_inputs(inputs: Iterable[str]) -> tuple[str, ...]:
     """Names that are the same of all states in a frame: time, inputs, and what they were."""
-    return ("t", *(one for name in inputs for one in (name, f"{name}{BEFORE}")))
+    return ("t", *(variable for name in inputs for variable in (name, f"{name}{BEFORE}")))
 
 
 def moving_fields(root: InferenceNode) -> tuple[str, ...]:
     """Fields of a root's state beside the box, of the motions of all modes."""
     if root.motion is None:
         return ()
-    motions = (root.motion, *(one.motion for one in (root.modes or {}).values() if one.motion is not None))
-    return tuple(dict.fromkeys(name for one in motions for name in fields_of_motion(one)))
+    motions = (root.motion, *(mode.motion for mode in (root.modes or {}).values() if mode.motion is not None))
+    return tuple(dict.fromkeys(name for motion in motions for name in fields_of_motion(motion)))

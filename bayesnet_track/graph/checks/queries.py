@@ -233,29 +233,29 @@ def _corner(cells: list[str]) -> tuple[float, float] | None:
     return (x, y) if math.isfinite(x) and math.isfinite(y) else None
 
 
-def inputs_have_their_own_names(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def inputs_have_their_own_names(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """No input has the name of a word, a constant, or of the value before of another input."""
     for name in spec.inputs:
-        found = ""
+        fault = ""
         if name in WORDS or name == "t":
-            found = f"input {name!r}, which is a word of expressions"
+            fault = f"input {name!r}, which is a word of expressions"
         elif name in spec.constants:
-            found = f"input {name!r}, which is a constant"
+            fault = f"input {name!r}, which is a constant"
         elif name.endswith(BEFORE) and name.removesuffix(BEFORE) in spec.inputs:
-            found = f"input {name!r}, which is the value before of {name.removesuffix(BEFORE)!r}"
-        if found:
-            yield at.message(("inputs", name), found, "another name", on_key=True)
+            fault = f"input {name!r}, which is the value before of {name.removesuffix(BEFORE)!r}"
+        if fault:
+            yield positions.message(("inputs", name), fault, "another name", on_key=True)
 
 
-def inputs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def inputs_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """Every file is there and has the columns."""
-    for name, one in spec.inputs.items():
+    for name, source in spec.inputs.items():
         try:
-            read_timed_columns(one.file, (one.column_of(name),))
+            read_timed_columns(source.file, (source.column_of(name),))
         except ColumnsError as error:
-            found, _, allowed = str(error).partition("; allowed: ")
-            key = "file" if one.column is None or "no column" not in found else "column"
-            yield at.message(("inputs", name, key), found, allowed)
+            fault, _, remedy = str(error).partition("; allowed: ")
+            key = "file" if source.column is None or "no column" not in fault else "column"
+            yield positions.message(("inputs", name, key), fault, remedy)
 
 
 def read_inputs(spec: GraphSpec) -> Mapping[str, TimedInput]:
@@ -266,9 +266,9 @@ def read_inputs(spec: GraphSpec) -> Mapping[str, TimedInput]:
     """
     return {
         name: TimedInput(
-            read_timed_columns(one.file, (one.column_of(name),)), one.column_of(name), one.between
+            read_timed_columns(source.file, (source.column_of(name),)), source.column_of(name), source.between
         )
-        for name, one in spec.inputs.items()
+        for name, source in spec.inputs.items()
     }
 
 

@@ -74,24 +74,24 @@ from bayesnet_track.observation.plugins import given
 
 def noise_is_there(plate: Plate) -> Iterator[GraphMessage]:
     """A random walk has noise, and so has a latent state around its parent's."""
-    allowed = "an sd above 0, such as {sd_px: {x: 20, y: 20}}"
+    remedy = "an sd above 0, such as {sd_px: {x: 20, y: 20}}"
     for name, node in plate.inference.items():
         if (
             node.motion is not None
             and node.motion.random_walk is not None
             and _is_still(node.motion.random_walk)
         ):
-            found = "random_walk without noise: no hypothesis would ever move"
-            yield plate.message(name, found, allowed, key=("motion", "random_walk"))
+            fault = "random_walk without noise: no hypothesis would ever move"
+            yield plate.message(name, fault, remedy, key=("motion", "random_walk"))
         if node.fuse is not None and node.fuse.latent is not None and _is_still(node.fuse.latent.given):
             is_part = node.fuse.latent.given.is_part
-            own = (
+            reason = (
                 "the part would have no state of its own"
                 if is_part
                 else "the latent state would equal its parent's"
             )
-            found = f"given without noise: {own}"
-            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
+            fault = f"given without noise: {reason}"
+            yield plate.message(name, fault, remedy, key=("fuse", "latent", "given"))
 
 
 def _is_still(noise: Noise) -> bool:
@@ -111,13 +111,13 @@ def weights_name_the_children(plate: Plate) -> Iterator[GraphMessage]:
         children = plate.children[name]
         for weighted in weights:
             if weighted not in children:
-                found = f"a weight for {weighted!r}, which is no child of this node"
+                fault = f"a weight for {weighted!r}, which is no child of this node"
                 key = ("fuse", "pool", weighted)
-                yield plate.message(name, found, children, key=key, word=weighted, on_key=True)
+                yield plate.message(name, fault, children, key=key, word=weighted, on_key=True)
         without = [child for child in children if child not in weights]
         if without:
-            found = f"no weight for {', '.join(without[:12])}"
-            yield plate.message(name, found, "a weight for every child, or equal", key=("fuse", "pool"))
+            fault = f"no weight for {', '.join(without[:12])}"
+            yield plate.message(name, fault, "a weight for every child, or equal", key=("fuse", "pool"))
 
 
 def correlations_belong_to_learned_pools(plate: Plate) -> Iterator[GraphMessage]:
@@ -125,23 +125,25 @@ def correlations_belong_to_learned_pools(plate: Plate) -> Iterator[GraphMessage]
     for name, node in plate.inference.items():
         is_learned = node.fuse is not None and node.fuse.pool == "learned"
         if node.correlation is not None and not is_learned:
-            found = "key 'correlation' at a node whose pool is not learned"
-            yield plate.message(name, found, "fuse: {pool: learned}", key=("correlation",), on_key=True)
-        below = [child for child in plate.children[name] if child not in plate.factors]
-        if is_learned and len(below) < 2:
-            found = f"pool is learned, and {below[0]!r} is the only child" if below else "pool has no child"
-            yield plate.message(name, found, "two children or more, or no fuse", key=("fuse", "pool"))
+            fault = "key 'correlation' at a node whose pool is not learned"
+            yield plate.message(name, fault, "fuse: {pool: learned}", key=("correlation",), on_key=True)
+        children = [child for child in plate.children[name] if child not in plate.factors]
+        if is_learned and len(children) < 2:
+            fault = (
+                f"pool is learned, and {children[0]!r} is the only child" if children else "pool has no child"
+            )
+            yield plate.message(name, fault, "two children or more, or no fuse", key=("fuse", "pool"))
 
 
 def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
     """`deactivate.below` is below `activate.above`, and `learn.below` below `lost.above`, in equal units."""
     for name, node in plate.inference.items():
         adapt = node.adapt
-        on = None if adapt is None or adapt.activate is None else adapt.activate.above
-        off = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
-        if on is not None and off is not None:
+        activation = None if adapt is None or adapt.activate is None else adapt.activate.above
+        deactivation = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
+        if activation is not None and deactivation is not None:
             key = ("adapt", "deactivate", "below")
-            yield from _crossing(plate, name, key, off, on, "adapt.activate.above")
+            yield from _crossing(plate, name, key, deactivation, activation, "adapt.activate.above")
         if node.learn is not None and node.parent is None:
             lost = node.lost or Lost()
             if lost.score_below is not None:
@@ -155,18 +157,18 @@ def _crossing(
 ) -> Iterator[GraphMessage]:
     if low.kind == high.kind and low.settings >= high.settings:
         unit = low.kind
-        found = (
+        fault = (
             f"{'.'.join(key)} is {low.settings:.6g} {unit}, not below {high_name}, {high.settings:.6g} {unit}"
         )
-        yield plate.message(name, found, f"below {high.settings:.6g}", key=(*key, unit))
+        yield plate.message(name, fault, f"below {high.settings:.6g}", key=(*key, unit))
 
 
 def someone_is_active(plate: Plate) -> Iterator[GraphMessage]:
     """At least one agent is switched on at the start."""
     if plate.agents and not any(agent.active for agent in plate.agents.values()):
         first = next(iter(plate.agents))
-        found = "no agent is switched on at the start"
-        yield plate.message(first, found, "active: true for at least one agent", key=("active",))
+        fault = "no agent is switched on at the start"
+        yield plate.message(first, fault, "active: true for at least one agent", key=("active",))
 
 
 def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
@@ -179,25 +181,25 @@ def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
         if not agents and adapt.agents is not None:
             continue  # its names are wrong, as another check says
         if not agents:
-            found = "adapt governs no agent: every agent below has rules of its own nearer by"
-            yield plate.message(name, found, key=("adapt",), on_key=True)
+            fault = "adapt governs no agent: every agent below has rules of its own nearer by"
+            yield plate.message(name, fault, key=("adapt",), on_key=True)
         elif adapt.on_call is not None:
             continue
         elif adapt.activate is None and adapt.deactivate is None:
             rules = ["activate", "deactivate", "on_call"]
             yield plate.message(name, "adapt without a rule", rules, key=("adapt",))
         elif adapt.keep > count:
-            found = f"keep is {adapt.keep}, and {count} agents are governed here"
-            yield plate.message(name, found, f"at most {count}", key=("adapt", "keep"))
+            fault = f"keep is {adapt.keep}, and {count} agents are governed here"
+            yield plate.message(name, fault, f"at most {count}", key=("adapt", "keep"))
         elif adapt.deactivate is not None and adapt.keep == count:
-            found = f"deactivate can never fire: keep is {adapt.keep} of {count} agents"
-            allowed = "more agents, a smaller keep, or no such rule"
-            yield plate.message(name, found, allowed, key=("adapt", "deactivate"), on_key=True)
+            fault = f"deactivate can never fire: keep is {adapt.keep} of {count} agents"
+            remedy = "more agents, a smaller keep, or no such rule"
+            yield plate.message(name, fault, remedy, key=("adapt", "deactivate"), on_key=True)
         elif adapt.deactivate is None and not any(plate.agents[agent].adapts for agent in agents):
-            found = "activate can never fire: every agent here is on, and nothing switches one off"
+            fault = "activate can never fire: every agent here is on, and nothing switches one off"
             rules_of_agents = ", ".join(f"{'an' if key[0] in 'aeiou' else 'a'} {key}" for key in AGENT_RULES)
-            allowed = f"a deactivate rule, {rules_of_agents}, active: false, or no such rule"
-            yield plate.message(name, found, allowed, key=("adapt", "activate"), on_key=True)
+            remedy = f"a deactivate rule, {rules_of_agents}, active: false, or no such rule"
+            yield plate.message(name, fault, remedy, key=("adapt", "activate"), on_key=True)
 
 
 def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:
@@ -205,8 +207,8 @@ def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:
     learns = any(plate.inference[root].learn is not None for root in plate.roots)
     for name, agent in plate.agents.items():
         if agent.learn_rate_max is not None and not learns:
-            found = "learn_rate_max has no effect: the root has no 'learn'"
-            yield plate.message(name, found, "learn at the root", key=("learn_rate_max",), on_key=True)
+            fault = "learn_rate_max has no effect: the root has no 'learn'"
+            yield plate.message(name, fault, "learn at the root", key=("learn_rate_max",), on_key=True)
 
 
 VALUE_CHECKS: tuple[Check, ...] = (
@@ -255,46 +257,50 @@ CHECKS_OF_A_SOUND_TREE = (
 
 def check(
     spec: GraphSpec,
-    at: Positions | None = None,
+    positions: Positions | None = None,
     cues: Cues | None = None,
     masks: Mapping[str, Mask] | None = None,
     calibrations: Mapping[str, Calibration] | None = None,
 ) -> CheckedGraph:
     """The graph with its trees resolved and its cues' parameters typed.
 
-    `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given, `masks`
-    images that are known already, by their paths as written, and so `calibrations`.
+    `positions` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given,
+    `masks` images that are known already, by their paths as written, and so `calibrations`.
 
     Raises:
         GraphError: every failure of every check in every target.
         CueError: one of `cues` cannot be used.
     """
-    at = Positions() if at is None else at
+    positions = Positions() if positions is None else positions
     named = cues_named(spec)
-    own = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
-    known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
-    folder = FilePath(at.file).parent
+    passed_cues = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
+    available = passed_cues if isinstance(cues, Mapping) else {**installed_cues(named), **passed_cues}
+    folder = FilePath(positions.file).parent
     images, read = masks_of(spec, folder, masks), calibrations_of(spec, folder, calibrations)
     cameras = {name: read[source.key] for name, source in spec.cameras.items()}
-    around = (at, known, spec.constants, images, tuple(spec.inputs), cameras, spec.cameras)
+    context = (positions, available, spec.constants, images, tuple(spec.inputs), cameras, spec.cameras)
     resolved = {name: per_camera(target, [*cameras]) for name, target in spec.targets.items()}
-    plates = [Plate(name, in_units_of_the_state(target), *around) for name, target in resolved.items()]
+    plates = [Plate(name, in_units_of_the_state(target), *context) for name, target in resolved.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    errors += cameras_can_be_read(spec, at, read)
+    errors += cameras_can_be_read(spec, positions, read)
     of_graphs = (*CONSTANT_CHECKS, *CAMERA_GRAPH_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS)
     for find in (*of_graphs, *QUERY_CHECKS, *INPUT_CHECKS, categories_have_evidence):
-        errors += islice(find(spec, at), MAX_MESSAGES + 1)
-    spec, of_polygons = with_polygons(spec, folder, at)
+        errors += islice(find(spec, positions), MAX_MESSAGES + 1)
+    spec, of_polygons = with_polygons(spec, folder, positions)
     errors += of_polygons
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
-        errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
+        errors.append(
+            positions.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs")
+        )
     if errors:
         raise GraphError([*dict.fromkeys(errors)])  # a node of several cameras says the same for each
-    kept = {name: own[name] for name in sorted(named) if name in own}
-    asked = {name: one for name, one in images.items() if isinstance(one, Mask)}
-    files = {name: one for name, one in read.items() if isinstance(one, Calibration)}
-    return CheckedGraph(spec, {plate.name: _resolve(plate) for plate in plates}, text, kept, asked, files)
+    used_cues = {name: passed_cues[name] for name in sorted(named) if name in passed_cues}
+    used_masks = {name: mask for name, mask in images.items() if isinstance(mask, Mask)}
+    files = {name: calibration for name, calibration in read.items() if isinstance(calibration, Calibration)}
+    return CheckedGraph(
+        spec, {plate.name: _resolve(plate) for plate in plates}, text, used_cues, used_masks, files
+    )
 
 
 def check_graph(
@@ -310,13 +316,13 @@ def check_graph(
     Raises:
         GraphError: everything that is wrong with its form; else every failure of every check.
     """
-    at = Positions()
+    positions = Positions()
     if not isinstance(graph, GraphSpec):
         try:
             graph = GraphSpec.model_validate(graph)
         except ValidationError as error:
-            raise GraphError(explain(error, GraphSpec, graph, at)) from None
-    return check(graph, at, cues, masks, calibrations)
+            raise GraphError(explain(error, GraphSpec, graph, positions)) from None
+    return check(graph, positions, cues, masks, calibrations)
 
 
 def mapped_cues(cues: Cues | None) -> Mapping[str, CueDeclaration]:
@@ -326,7 +332,7 @@ def mapped_cues(cues: Cues | None) -> Mapping[str, CueDeclaration]:
 
 def cues_named(spec: GraphSpec) -> frozenset[str]:
     """The cues of all agents and verifiers of a graph."""
-    return frozenset(chosen.cue for target in spec.targets.values() for _, _, chosen in target.cue_choices())
+    return frozenset(choice.cue for target in spec.targets.values() for _, _, choice in target.cue_choices())
 
 
 def _violations(plate: Plate) -> list[GraphMessage]:

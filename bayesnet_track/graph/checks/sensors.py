@@ -30,7 +30,7 @@ PLACES = 3
 
 def sensors_of(plate: Plate) -> dict[str, Any]:
     """The agents of a plate that are given detections of quantities -> their typed parameters."""
-    found = {}
+    sensors = {}
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if declaration is None or not declaration.reads_detection or declaration.gives is None:
@@ -40,8 +40,8 @@ def sensors_of(plate: Plate) -> dict[str, Any]:
         except ValidationError:
             continue  # said where parameters are checked
         if declaration.gives(parameters):
-            found[name] = parameters
-    return found
+            sensors[name] = parameters
+    return sensors
 
 
 def sensors_share_detections(plate: Plate) -> Iterator[GraphMessage]:
@@ -49,38 +49,38 @@ def sensors_share_detections(plate: Plate) -> Iterator[GraphMessage]:
     sensors, birth = sensors_of(plate), plate.spec.birth
     for name, parameters in sensors.items():
         if plate.spec.existence is None:
-            found = "detections of quantities without existence, which says what a false one is"
+            fault = "detections of quantities without existence, which says what a false one is"
             yield plate.message(
-                name, found, f"existence: {{}} in targets.{plate.name}", key=("agent",), on_key=True
+                name, fault, f"existence: {{}} in targets.{plate.name}", key=("agent",), on_key=True
             )
         if not parameters.within:
             first = next(iter(parameters.sd))
-            found = "detections of quantities without within, which says how dense false ones are"
-            allowed = f"within: {{{first}: [least, largest], ...}}"
-            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
-        above = plate.agents[name].parent
-        if above not in plate.roots or latent_above(plate, above) is not None:
-            found = f"detections of quantities at {above}, which is not the root"
-            yield plate.message(name, found, f"parent: {plate.roots[0]}", key=("parent",))
+            fault = "detections of quantities without within, which says how dense false ones are"
+            remedy = f"within: {{{first}: [least, largest], ...}}"
+            yield plate.message(name, fault, remedy, key=("agent",), on_key=True)
+        parent = plate.agents[name].parent
+        if parent not in plate.roots or latent_above(plate, parent) is not None:
+            fault = f"detections of quantities at {parent}, which is not the root"
+            yield plate.message(name, fault, f"parent: {plate.roots[0]}", key=("parent",))
     if not sensors:
         return
     for name, above_all in plate.inference.items():
         for key in ("modes", "category"):
             if getattr(above_all, key) is not None:
-                found = f"{key} beside detections of quantities, which one Gaussian of each target weighs"
-                allowed = f"no {key}, or detections of boxes"
-                yield plate.message(name, found, allowed, key=(key,), on_key=True)
+                fault = f"{key} beside detections of quantities, which one Gaussian of each target weighs"
+                remedy = f"no {key}, or detections of boxes"
+                yield plate.message(name, fault, remedy, key=(key,), on_key=True)
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if declaration is not None and declaration.reads_detection and name not in sensors:
-            found = f"detections of boxes beside those of quantities, of {next(iter(sensors))}"
-            yield plate.message(name, found, "sd in both, or boxes alone", key=("agent",), on_key=True)
+            fault = f"detections of boxes beside those of quantities, of {next(iter(sensors))}"
+            yield plate.message(name, fault, "sd in both, or boxes alone", key=("agent",), on_key=True)
     if birth is None:
         return
     path = ("targets", plate.name, "birth")
     if birth.detector.detector != GIVEN or birth.detector.parameters:
-        found = f"births by {birth.detector.detector}, and the agents measure detections of quantities"
-        yield plate.at.message((*path, "detector"), found, f"detector: {GIVEN}, without parameters")
+        fault = f"births by {birth.detector.detector}, and the agents measure detections of quantities"
+        yield plate.at.message((*path, "detector"), fault, f"detector: {GIVEN}, without parameters")
     for key, is_usual in {
         "labels": not birth.labels,
         "every": birth.every == 1,
@@ -88,8 +88,8 @@ def sensors_share_detections(plate: Plate) -> Iterator[GraphMessage]:
         "min_score": birth.min_score == 0.0,
     }.items():
         if not is_usual:
-            found = f"birth.{key} has no effect on detections of quantities"
-            yield plate.at.message((*path, key), found, "no such key", on_key=True)
+            fault = f"birth.{key} has no effect on detections of quantities"
+            yield plate.at.message((*path, key), fault, "no such key", on_key=True)
 
 
 def inverses_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
@@ -99,24 +99,24 @@ def inverses_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
         if not node.inverse:
             continue
         if name not in sensors:
-            found = f"inverse of {node.agent.cue}, whose detections are no quantities"
+            fault = f"inverse of {node.agent.cue}, whose detections are no quantities"
             yield plate.message(
-                name, found, "sd in a detection agent, or no inverse", key=("inverse",), on_key=True
+                name, fault, "sd in a detection agent, or no inverse", key=("inverse",), on_key=True
             )
             continue
         state = _state(plate, node)
         needed = ANCHORED if plate.spec.state == "point" else BOX
-        missing = [one for one in needed if one not in node.inverse]
+        missing = [field for field in needed if field not in node.inverse]
         if missing:
-            found = f"inverse without {', '.join(missing)}"
-            allowed = f"an expression of each of {', '.join(needed)}"
-            yield plate.message(name, found, allowed, key=("inverse",), on_key=True)
+            fault = f"inverse without {', '.join(missing)}"
+            remedy = f"an expression of each of {', '.join(needed)}"
+            yield plate.message(name, fault, remedy, key=("inverse",), on_key=True)
         names = (*sensors[name].sd, *plate.constants)
         for written, text in node.inverse.items():
             key = ("inverse", written)
             if written not in state:
-                found = f"inverse of {written!r}, which is no field of the state"
-                yield plate.message(name, found, state, key=key, word=written, on_key=True)
+                fault = f"inverse of {written!r}, which is no field of the state"
+                yield plate.message(name, fault, state, key=key, word=written, on_key=True)
             try:
                 parse(text, names)
             except ExpressionError as error:
@@ -130,16 +130,18 @@ def sensors_can_start_targets(plate: Plate) -> Iterator[GraphMessage]:
     """Without `inverse` one state has the values of a detection; one sensor at least can start targets."""
     sensors = sensors_of(plate)
     wholes = {
-        name: one for name, one in sensors.items() if one.within and _can_be_evaluated(plate, name, one)
+        name: parameters
+        for name, parameters in sensors.items()
+        if parameters.within and _can_be_evaluated(plate, name, parameters)
     }
     starts = any(plate.agents[name].inverse for name in sensors)
     for name, parameters in wholes.items():
         if plate.agents[name].inverse:
             continue
         if plate.spec.state == "box":
-            found = "a detection of quantities has no size, and the state is a box"
-            allowed = "state: point for the target, or inverse: {x: .., y: .., w: .., h: ..}"
-            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+            fault = "a detection of quantities has no size, and the state is a box"
+            remedy = "state: point for the target, or inverse: {x: .., y: .., w: .., h: ..}"
+            yield plate.message(name, fault, remedy, key=("agent",), on_key=True)
             starts = True
             continue
         if len(parameters.sd) < len(ANCHORED):
@@ -148,81 +150,84 @@ def sensors_can_start_targets(plate: Plate) -> Iterator[GraphMessage]:
         starts = starts or len(places) == 1
         if len(places) == 1:
             continue
-        allowed = "inverse: {x: .., y: ..}, expressions of " + ", ".join(parameters.sd)
+        remedy = "inverse: {x: .., y: ..}, expressions of " + ", ".join(parameters.sd)
         if not len(places):
-            found = "measures that have the middle of within at no x, y that was found"
+            fault = "measures that have the middle of within at no x, y that was found"
         else:
-            shown = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in places[:PLACES].tolist())
-            found = f"measures with the same values at several places, such as {shown}"
+            examples = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in places[:PLACES].tolist())
+            fault = f"measures with the same values at several places, such as {examples}"
         yield plate.message(
-            name, found, allowed, key=("measures",) if plate.agents[name].measures else ("agent",)
+            name, fault, remedy, key=("measures",) if plate.agents[name].measures else ("agent",)
         )
         starts = True
     if wholes and not starts:
         first = next(iter(wholes))
-        found = "no sensor that can start a target: each measures less than a place"
-        allowed = "a sensor of two quantities, or inverse of one"
-        yield plate.message(first, found, allowed, key=("agent",), on_key=True)
+        fault = "no sensor that can start a target: each measures less than a place"
+        remedy = "a sensor of two quantities, or inverse of one"
+        yield plate.message(first, fault, remedy, key=("agent",), on_key=True)
 
 
 def _can_be_evaluated(plate: Plate, name: str, parameters: Any) -> bool:
     node = plate.agents[name]
     try:
-        terms = [parse(node.measures[one], names_at(plate, node.parent)) for one in node.measures]
+        terms = [parse(node.measures[quantity], names_at(plate, node.parent)) for quantity in node.measures]
     except ExpressionError:
         return False
     state = _state(plate, node)
-    known = all(one in node.measures or one in state for one in parameters.sd)
+    covered = all(quantity in node.measures or quantity in state for quantity in parameters.sd)
     of_frames = {*FRAME_NAMES, *plate.frame_names}
-    return known and not any(one in of_frames for term in terms for one in names_in(term))
+    return covered and not any(word in of_frames for term in terms for word in names_in(term))
 
 
 def _state(plate: Plate, node: AgentNode) -> tuple[str, ...]:
     """The fields of the state at the agent's parent."""
     names = names_at(plate, node.parent)
-    return tuple(one for one in names if one not in (*FRAME_NAMES, *plate.frame_names, *plate.constants))
+    return tuple(name for name in names if name not in (*FRAME_NAMES, *plate.frame_names, *plate.constants))
 
 
 def _places(plate: Plate, name: str, parameters: Any) -> Floats:
     """(S, 2) the x, y at which the quantities have the middle of `within`."""
-    middle = np.array([sum(parameters.within[one]) / 2 for one in parameters.sd])
+    middle = np.array([sum(parameters.within[quantity]) / 2 for quantity in parameters.sd])
     function, less = _function(plate, name, parameters)
     return solutions(function, less, middle, np.array([*parameters.sd.values()]) ** 2)
 
 
 def _function(plate: Plate, name: str, parameters: Any) -> tuple[Any, Less]:
     node = plate.agents[name]
-    terms = [parse(node.measures[one]) if one in node.measures else Variable(one) for one in parameters.sd]
-    others = _others(plate, node)
+    terms = [
+        parse(node.measures[quantity]) if quantity in node.measures else Variable(quantity)
+        for quantity in parameters.sd
+    ]
+    other_fields = _other_fields(plate, node)
 
     def function(places: Floats) -> Floats:
-        names = {**plate.constants, **others, "x": places[:, 0], "y": places[:, 1]}
+        names = {**plate.constants, **other_fields, "x": places[:, 0], "y": places[:, 1]}
         return np.stack([np.broadcast_to(values_of(term, names), (len(places),)) for term in terms], axis=1)
 
     return function, shorter_way(np.array([period_of(term, plate.constants) for term in terms]))
 
 
-def _others(plate: Plate, node: AgentNode) -> Mapping[str, float]:
+def _other_fields(plate: Plate, node: AgentNode) -> Mapping[str, float]:
     """The other fields of a state that starts."""
     root = plate.inference[plate.roots[0]]
     fields = {} if root.motion is None or root.motion.expressions is None else root.motion.expressions.own
-    starts = {name: float(one.start) for name, one in fields.items()}
+    starts = {name: float(field.start) for name, field in fields.items()}
     return {name: starts.get(name, 1.0 if name in BOX else 0.0) for name in _state(plate, node)}
 
 
 def read_inverses(plate: Plate) -> dict[str, Inverse]:
-    """How a target starts with a detection of each sensor, of a plate that passed the checks."""
-    found = {}
+    """Start of a target with a detection of each sensor, of a plate that passed the checks."""
+    inverses = {}
     for name, parameters in sensors_of(plate).items():
         terms: dict[str, Term] = {field: parse(text) for field, text in plate.agents[name].inverse.items()}
-        used = {one for term in terms.values() for one in names_in(term)}
-        constants = {one: value for one, value in plate.constants.items() if one in used}
+        words = {word for term in terms.values() for word in names_in(term)}
+        constants = {constant: value for constant, value in plate.constants.items() if constant in words}
         anchor = None
         if not terms and len(parameters.sd) >= len(ANCHORED):
             (place,) = _places(plate, name, parameters)
             anchor = Anchor(place, _function(plate, name, parameters)[0](place[None])[0])
-        found[name] = Inverse(terms, constants, anchor)
-    return found
+        inverses[name] = Inverse(terms, constants, anchor)
+    return inverses
 
 
 def points_have_no_size(plate: Plate) -> Iterator[GraphMessage]:
@@ -237,33 +242,33 @@ def points_have_no_size(plate: Plate) -> Iterator[GraphMessage]:
             and declaration is not None
             and (declaration.gives is None or declaration.reads_detection)
         ):
-            found = f"{node.agent.cue}, which is about a box, beside state: point"
-            allowed = "agents of quantities: detection with sd, readings; or state: box"
-            yield plate.message(name, found, allowed, key=("agent",), on_key=True)
+            fault = f"{node.agent.cue}, which is about a box, beside state: point"
+            remedy = "agents of quantities: detection with sd, readings; or state: box"
+            yield plate.message(name, fault, remedy, key=("agent",), on_key=True)
     if plate.agents and not sensors:
         path = ("targets", plate.name, "state")
-        found = "state: point without an agent that is given detections, with which a point starts"
-        yield plate.at.message(path, found, "an agent detection with sd, or state: box")
-    for name, above in plate.inference.items():
-        if above.parent is not None:
+        fault = "state: point without an agent that is given detections, with which a point starts"
+        yield plate.at.message(path, fault, "an agent detection with sd, or state: box")
+    for name, inference_node in plate.inference.items():
+        if inference_node.parent is not None:
             continue
-        if "ud_fields" in above.model_fields_set and set(above.ud_fields) - set(ANCHORED):
-            found = "ud_fields of a size, which a point does not have"
-            yield plate.message(name, found, "x, y", key=("ud_fields",), on_key=True)
-        lost, motion = above.lost, above.motion
+        if "ud_fields" in inference_node.model_fields_set and set(inference_node.ud_fields) - set(ANCHORED):
+            fault = "ud_fields of a size, which a point does not have"
+            yield plate.message(name, fault, "x, y", key=("ud_fields",), on_key=True)
+        lost, motion = inference_node.lost, inference_node.motion
         if (
             lost is not None
             and lost.existence_rule is None
             and lost.score_below is None
             and lost.above.kind == "ud_box"
         ):
-            found = "lost.above in boxes, and the state is a point"
+            fault = "lost.above in boxes, and the state is a point"
             yield plate.message(
-                name, found, "existence_below, or above: {ud_px2: ..}", key=("lost",), on_key=True
+                name, fault, "existence_below, or above: {ud_px2: ..}", key=("lost",), on_key=True
             )
-        if above.belief is not None and above.belief.grid is not None:
-            found = "a grid, whose cells lie on the frame, and the state is a point"
-            yield plate.message(name, found, "gaussian or particles", key=("belief",), on_key=True)
+        if inference_node.belief is not None and inference_node.belief.grid is not None:
+            fault = "a grid, whose cells lie on the frame, and the state is a point"
+            yield plate.message(name, fault, "gaussian or particles", key=("belief",), on_key=True)
         if motion is not None:
             yield from _points_move(plate, name, motion)
 
@@ -276,18 +281,18 @@ def _points_move(plate: Plate, name: str, motion: Any) -> Iterator[GraphMessage]
         )
         return
     if not settings.is_plain or settings.borders is not None:
-        found = "a motion that depends on the frame or on a size, and the state is a point"
-        yield plate.message(name, found, "noise and kinematics alone", key=("motion", kind), on_key=True)
+        fault = "a motion that depends on the frame or on a size, and the state is a point"
+        yield plate.message(name, fault, "noise and kinematics alone", key=("motion", kind), on_key=True)
     if motion.expressions is not None:
-        wrong = [one for one in (*settings.drift, *settings.sd) if one in ("w", "h")]
+        wrong = [field for field in (*settings.drift, *settings.sd) if field in ("w", "h")]
         if wrong:
-            found = f"a motion of {wrong[0]}, which a point does not have"
-            yield plate.message(name, found, "x, y and fields of its own", key=("motion", kind), on_key=True)
+            fault = f"a motion of {wrong[0]}, which a point does not have"
+            yield plate.message(name, fault, "x, y and fields of its own", key=("motion", kind), on_key=True)
         return
     sized = settings.sd_px.w or settings.sd_px.h or "sd_box" in settings.model_fields_set
     if sized or "sd_log" in settings.model_fields_set:
-        found = "noise of a size, which a point does not have"
-        yield plate.message(name, found, "sd_px: {x: .., y: ..}", key=("motion", kind), on_key=True)
+        fault = "noise of a size, which a point does not have"
+        yield plate.message(name, fault, "sd_px: {x: .., y: ..}", key=("motion", kind), on_key=True)
 
 
 def sensors_fit(plate: Plate) -> Iterator[GraphMessage]:

@@ -62,21 +62,21 @@ def _renamed(node: Node, camera: str, copies: Mapping[str, Sequence[str]]) -> No
     def known_as(name: str) -> list[str]:
         if name not in copies:
             return [name]
-        return [_copy_name(name, one) for one in ((camera,) if camera else copies[name])]
+        return [_copy_name(name, copy_camera) for copy_camera in ((camera,) if camera else copies[name])]
 
-    changed: dict[str, object] = {}
+    update: dict[str, object] = {}
     if node.parent is not None and node.parent in copies:
-        changed["parent"] = _copy_name(node.parent, camera)
+        update["parent"] = _copy_name(node.parent, camera)
     if isinstance(node, InferenceNode):
         if isinstance(node.camera, tuple):
-            changed |= {"camera": camera, "parent": node.parent}
+            update |= {"camera": camera, "parent": node.parent}
         if node.adapt is not None and node.adapt.agents is not None:
-            agents = tuple(one for name in node.adapt.agents for one in known_as(name))
-            changed["adapt"] = node.adapt.model_copy(update={"agents": agents})
+            agents = tuple(copy for name in node.adapt.agents for copy in known_as(name))
+            update["adapt"] = node.adapt.model_copy(update={"agents": agents})
         if node.fuse is not None and isinstance(node.fuse.pool, Mapping):
-            shares = {one: share for name, share in node.fuse.pool.items() for one in known_as(name)}
-            changed["fuse"] = without_remembered(node.fuse.model_copy(update={"pool": shares}))
-    return node.model_copy(update=changed)
+            shares = {copy: share for name, share in node.fuse.pool.items() for copy in known_as(name)}
+            update["fuse"] = without_remembered(node.fuse.model_copy(update={"pool": shares}))
+    return node.model_copy(update=update)
 
 
 Chosen = TypeVar("Chosen", bound=Choice)
@@ -89,7 +89,7 @@ def without_remembered(choice: Chosen) -> Chosen:
     return choice
 
 
-def lists_name_cameras(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def lists_name_cameras(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """A list of cameras has each camera of the graph once at most, and no other."""
     for plate, target in spec.targets.items():
         for name, node in target.nodes.items():
@@ -98,52 +98,56 @@ def lists_name_cameras(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]
             path = ("targets", plate, "nodes", name, "camera")
             for number, camera in enumerate(node.camera):
                 if camera not in spec.cameras:
-                    allowed = [*spec.cameras] or f"cameras: {{{camera}: {{calibration: ..}}}}"
-                    yield at.message((*path, number), f"unknown camera {camera!r}", allowed, word=camera)
+                    remedy = [*spec.cameras] or f"cameras: {{{camera}: {{calibration: ..}}}}"
+                    yield positions.message(
+                        (*path, number), f"unknown camera {camera!r}", remedy, word=camera
+                    )
                 elif camera in node.camera[:number]:
-                    found = f"camera {camera!r} twice: its evidence would count twice"
-                    yield at.message((*path, number), found, "each camera once")
+                    fault = f"camera {camera!r} twice: its evidence would count twice"
+                    yield positions.message((*path, number), fault, "each camera once")
 
 
-def cameras_are_different(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def cameras_are_different(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """No two cameras have the same calibration: one stream under two names would count twice."""
     nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
-    used = {name for node in nodes if isinstance(node, InferenceNode) for name in node.seen_by}
+    viewed = {name for node in nodes if isinstance(node, InferenceNode) for name in node.seen_by}
     first: dict[str, str] = {}
     for name, source in spec.cameras.items():
-        other = first.setdefault(source.key, name) if name in used else name
-        if other != name:
-            found = f"the calibration of {other!r} at camera {name!r}: its evidence would count twice"
-            yield at.message(("cameras", name, "calibration"), found, "the calibration of another camera")
+        earlier = first.setdefault(source.key, name) if name in viewed else name
+        if earlier != name:
+            fault = f"the calibration of {earlier!r} at camera {name!r}: its evidence would count twice"
+            yield positions.message(
+                ("cameras", name, "calibration"), fault, "the calibration of another camera"
+            )
 
 
 def several_cameras_have_detections(plate: Plate) -> Iterator[GraphMessage]:
-    """Where several cameras see a graph's targets, what they see is given: detections of each."""
+    """Detections of each camera are given where several cameras see a graph's targets."""
     if len(plate.cameras) < 2 or not plate.spec.is_ground:
         return
-    several = ", ".join(plate.cameras)
+    names = ", ".join(plate.cameras)
     birth = plate.spec.birth
     if birth is None:
-        found = f"a target that several cameras see ({several}) without birth: a start box is of one image"
-        allowed = f"birth: {{detector: {GIVEN}}}"
-        yield plate.at.message(("targets", plate.name), found, allowed, on_key=True)
+        fault = f"a target that several cameras see ({names}) without birth: a start box is of one image"
+        remedy = f"birth: {{detector: {GIVEN}}}"
+        yield plate.at.message(("targets", plate.name), fault, remedy, on_key=True)
     elif birth.detector.detector != GIVEN:
         path = ("targets", plate.name, "birth", "detector")
-        found = f"births by {birth.detector.detector} beside several cameras ({several})"
-        yield plate.at.message(path, found, f"{GIVEN}: those of each camera are given")
+        fault = f"births by {birth.detector.detector} beside several cameras ({names})"
+        yield plate.at.message(path, fault, f"{GIVEN}: those of each camera are given")
     for name, node in plate.inference.items():
         if node.fuse is not None and node.fuse.latent is not None and camera_above(plate.spec, name):
-            found = f"fuse: latent below one of several cameras ({several})"
-            yield plate.message(name, found, ["product", "pool"], key=("fuse", "latent"), on_key=True)
+            fault = f"fuse: latent below one of several cameras ({names})"
+            yield plate.message(name, fault, ["product", "pool"], key=("fuse", "latent"), on_key=True)
 
 
-def first_clock_is_that_of_the_run(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+def first_clock_is_that_of_the_run(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
     """The first camera has no clock to learn: all others are compared with it."""
     first = next(iter(spec.cameras), None)
     if first is not None and spec.cameras[first].clock is not None:
-        found = f"clock of {first!r}, the first camera, whose clock is that of the run"
-        allowed = "clock at the other cameras; the first one is the reference"
-        yield at.message(("cameras", first, "clock"), found, allowed, on_key=True)
+        fault = f"clock of {first!r}, the first camera, whose clock is that of the run"
+        remedy = "clock at the other cameras; the first one is the reference"
+        yield positions.message(("cameras", first, "clock"), fault, remedy, on_key=True)
 
 
 def clocks_can_be_learnt(plate: Plate) -> Iterator[GraphMessage]:
@@ -154,13 +158,13 @@ def clocks_can_be_learnt(plate: Plate) -> Iterator[GraphMessage]:
     for name in plate.roots:
         node = plate.inference[name]
         if node.motion is not None and node.motion.kind != "constant_velocity":
-            found = f"{node.motion.kind} beside the clock of {late[0]}, which shows by velocities"
+            fault = f"{node.motion.kind} beside the clock of {late[0]}, which shows by velocities"
             yield plate.message(
-                name, found, "constant_velocity", key=("motion", node.motion.kind), on_key=True
+                name, fault, "constant_velocity", key=("motion", node.motion.kind), on_key=True
             )
         if node.belief is None or node.belief.gaussian is None:
-            found = f"a belief by particles beside the clock of {late[0]}, which all targets share"
-            yield plate.message(name, found, "belief: {gaussian: ..}, or no clock", key=("belief",))
+            fault = f"a belief by particles beside the clock of {late[0]}, which all targets share"
+            yield plate.message(name, fault, "belief: {gaussian: ..}, or no clock", key=("belief",))
 
 
 def _has_clock(plate: Plate, camera: str) -> bool:

@@ -32,29 +32,31 @@ def distribution_of(term: Term) -> str:
 def parameters_of(term: Term, names: Names, size: int) -> Floats:
     """(K, size) the parameters of a distribution, or (1, size) the value."""
     terms = term.arguments[1:] if isinstance(term, Call) and distribution_of(term) else (term,)
-    return np.stack([np.broadcast_to(values_of(one, names), (size,)) for one in terms]).astype(np.float64)
+    return np.stack([np.broadcast_to(values_of(argument, names), (size,)) for argument in terms]).astype(
+        np.float64
+    )
 
 
 def is_proper(function: str, parameters: Floats) -> NDArray[np.bool_]:
     """(N,) whether a distribution with these parameters (K, N), or the value, exists."""
-    known = np.isfinite(parameters).min(axis=0)
+    finite = np.isfinite(parameters).min(axis=0)
     if function == "":
-        return np.asarray(known)
+        return np.asarray(finite)
     if function == "uniform":
-        return np.asarray(known & (parameters[1] > parameters[0]))
+        return np.asarray(finite & (parameters[1] > parameters[0]))
     if function == "truncated_normal":
-        return np.asarray(known & (parameters[1] > 0) & (parameters[3] > parameters[2]))
+        return np.asarray(finite & (parameters[1] > 0) & (parameters[3] > parameters[2]))
     first = 0 if function in ("gamma", "exponential") else 1
-    return np.asarray(known & (parameters[first:] > 0).min(axis=0))
+    return np.asarray(finite & (parameters[first:] > 0).min(axis=0))
 
 
 def draw(function: str, parameters: Floats, rng: np.random.Generator) -> Floats:
     """(N,) one value for each column of parameters (K, N); NaN where there is no distribution."""
     if function == "":
         return np.asarray(parameters[0])
-    known = is_proper(function, parameters)
-    drawn = _DRAWS[function](rng, *np.where(known, parameters, _SOUND[function][:, None]))
-    return np.where(known, drawn, np.nan)
+    proper = is_proper(function, parameters)
+    values = _DRAWS[function](rng, *np.where(proper, parameters, _SOUND[function][:, None]))
+    return np.where(proper, values, np.nan)
 
 
 def median(function: str, parameters: Floats) -> Floats:
@@ -73,16 +75,16 @@ def moments(function: str, parameters: Floats) -> tuple[Floats, Floats]:
         return parameters[0], np.zeros_like(parameters[0])
     with np.errstate(all="ignore"):
         mean, variance = _MOMENTS[function](*parameters)
-    known = is_proper(function, parameters)
-    return np.where(known, mean, np.nan), np.where(known, variance, np.nan)
+    proper = is_proper(function, parameters)
+    return np.where(proper, mean, np.nan), np.where(proper, variance, np.nan)
 
 
 def _draw_truncated(rng: np.random.Generator, mean: Floats, sd: Floats, low: Floats, high: Floats) -> Floats:
     # Imported here: most graphs have no such distribution.
     from scipy.stats import truncnorm
 
-    drawn = truncnorm.ppf(rng.random(mean.shape), (low - mean) / sd, (high - mean) / sd)
-    return np.asarray(np.clip(mean + sd * drawn, low, high))
+    quantiles = truncnorm.ppf(rng.random(mean.shape), (low - mean) / sd, (high - mean) / sd)
+    return np.asarray(np.clip(mean + sd * quantiles, low, high))
 
 
 _DRAWS: Mapping[str, Callable[..., Floats]] = {
@@ -132,8 +134,8 @@ def _lognormal_moments(mean: Floats, sd: Floats) -> tuple[Floats, Floats]:
 def _truncated_moments(mean: Floats, sd: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     from scipy.stats import truncnorm
 
-    known = (sd > 0) & (high > low)
-    a, b = np.where(known, (low - mean) / sd, 0.0), np.where(known, (high - mean) / sd, 1.0)
+    proper = (sd > 0) & (high > low)
+    a, b = np.where(proper, (low - mean) / sd, 0.0), np.where(proper, (high - mean) / sd, 1.0)
     centre, variance = truncnorm.stats(a, b, moments="mv")
     return mean + sd * centre, sd**2 * variance
 
@@ -178,7 +180,7 @@ def period_of(term: Term, constants: Mapping[str, float]) -> float:
         return math.inf
     if term.function == "atan2":
         return 2.0 * math.pi
-    periods = [period_of(one, constants) for one in term.arguments]
+    periods = [period_of(argument, constants) for argument in term.arguments]
     if term.function in ("neg", "+", "-"):
         return min(periods)
     if term.function in ("*", "/") and min(periods) < math.inf:

@@ -70,8 +70,8 @@ def _value(term: Term, names: Mapping[str, Value]) -> Value:
         if term.function in _LOG_DENSITIES:
             return np.exp(_log_density(term, names))
         if term.function == MASK:
-            return names[MASK](*[_value(one, names) for one in term.arguments])
-        return _OPERATIONS[term.function](*[_value(one, names) for one in term.arguments])
+            return names[MASK](*[_value(argument, names) for argument in term.arguments])
+        return _OPERATIONS[term.function](*[_value(argument, names) for argument in term.arguments])
     return np.float64(math.pi) if term.name == "pi" else np.asarray(names[term.name], dtype=np.float64)
 
 
@@ -100,13 +100,13 @@ def _has_density(term: Term) -> bool:
 
 
 def _product(term: Call, names: Mapping[str, Value]) -> Signed:
-    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments)
-    return sign * other_sign, log + other
+    (sign, log), (other_sign, other_log) = (_signed_log(argument, names) for argument in term.arguments)
+    return sign * other_sign, log + other_log
 
 
 def _quotient(term: Call, names: Mapping[str, Value]) -> Signed:
-    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments)
-    return sign * np.where(other_sign == 0, 1.0, other_sign), log - other
+    (sign, log), (other_sign, other_log) = (_signed_log(argument, names) for argument in term.arguments)
+    return sign * np.where(other_sign == 0, 1.0, other_sign), log - other_log
 
 
 def _power(term: Call, names: Mapping[str, Value]) -> Signed:
@@ -116,12 +116,12 @@ def _power(term: Call, names: Mapping[str, Value]) -> Signed:
 
 
 def _sum(term: Call, names: Mapping[str, Value]) -> Signed:
-    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments)
+    (sign, log), (other_sign, other_log) = (_signed_log(argument, names) for argument in term.arguments)
     if term.function == "-":
         other_sign = -other_sign
-    top = np.maximum(log, other)
+    top = np.maximum(log, other_log)
     base = np.where(np.isfinite(top), top, 0.0)
-    total = sign * np.exp(log - base) + other_sign * np.exp(other - base)
+    total = sign * np.exp(log - base) + other_sign * np.exp(other_log - base)
     return np.sign(total), base + np.log(np.abs(total))
 
 
@@ -130,23 +130,23 @@ def _negative(term: Call, names: Mapping[str, Value]) -> Signed:
     return -sign, log
 
 
-def _chosen(term: Call, names: Mapping[str, Value]) -> Signed:
+def _conditional(term: Call, names: Mapping[str, Value]) -> Signed:
     condition = _value(term.arguments[0], names)
-    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments[1:])
-    return np.where(condition != 0, sign, other_sign), np.where(condition != 0, log, other)
+    (sign, log), (other_sign, other_log) = (_signed_log(argument, names) for argument in term.arguments[1:])
+    return np.where(condition != 0, sign, other_sign), np.where(condition != 0, log, other_log)
 
 
 def _extreme(term: Call, names: Mapping[str, Value]) -> Signed:
-    best: Value = -1.0 if term.function == "min" else 1.0
+    direction: Value = -1.0 if term.function == "min" else 1.0
 
-    def better(one: Signed, other: Signed) -> Signed:
+    def better(first: Signed, second: Signed) -> Signed:
         # Of two negative values the larger one has the smaller logarithm.
-        gap = np.where(one[0] == other[0], (other[1] - one[1]) * other[0], other[0] - one[0])
-        takes = gap * best > 0
-        log = np.where(takes, other[1], one[1])
-        return np.where(takes, other[0], one[0]), np.where(np.isnan(one[1] + other[1]), np.nan, log)
+        gap = np.where(first[0] == second[0], (second[1] - first[1]) * second[0], second[0] - first[0])
+        takes = gap * direction > 0
+        log = np.where(takes, second[1], first[1])
+        return np.where(takes, second[0], first[0]), np.where(np.isnan(first[1] + second[1]), np.nan, log)
 
-    return reduce(better, [_signed_log(one, names) for one in term.arguments])
+    return reduce(better, [_signed_log(argument, names) for argument in term.arguments])
 
 
 _IN_LOGARITHMS: Mapping[str, Callable[[Call, Mapping[str, Value]], Signed]] = {
@@ -156,7 +156,7 @@ _IN_LOGARITHMS: Mapping[str, Callable[[Call, Mapping[str, Value]], Signed]] = {
     "+": _sum,
     "-": _sum,
     "neg": _negative,
-    "where": _chosen,
+    "where": _conditional,
     "min": _extreme,
     "max": _extreme,
 }
@@ -166,7 +166,7 @@ _IN_LOGARITHMS: Mapping[str, Callable[[Call, Mapping[str, Value]], Signed]] = {
 
 
 def _log_density(term: Call, names: Mapping[str, Value]) -> Value:
-    return _LOG_DENSITIES[term.function](*[_value(one, names) for one in term.arguments])
+    return _LOG_DENSITIES[term.function](*[_value(argument, names) for argument in term.arguments])
 
 
 def _log_normal(value: Value, mean: Value, sd: Value) -> Value:
@@ -184,32 +184,32 @@ def _log_student(value: Value, mean: Value, scale: Value, degrees: Value) -> Val
 
 
 def _log_uniform(value: Value, low: Value, high: Value) -> Value:
-    inside = (value >= low) & (value <= high)
-    log = np.where(inside, -np.log(high - low), -np.inf)
+    in_range = (value >= low) & (value <= high)
+    log = np.where(in_range, -np.log(high - low), -np.inf)
     return np.where(high > low, log, np.nan)
 
 
 def _log_logistic(value: Value, mean: Value, scale: Value) -> Value:
-    away = np.abs(value - mean) / scale
-    return -away - np.log(scale) - 2.0 * np.log1p(np.exp(-away))
+    distance = np.abs(value - mean) / scale
+    return -distance - np.log(scale) - 2.0 * np.log1p(np.exp(-distance))
 
 
 def _log_lognormal(value: Value, mean: Value, sd: Value) -> Value:
     log = np.log(np.where(value > 0, value, 1.0))
-    return np.where(value > 0, _log_normal(log, mean, sd) - log, _outside(value, (mean, sd), sd > 0))
+    return np.where(value > 0, _log_normal(log, mean, sd) - log, _log_zero(value, (mean, sd), sd > 0))
 
 
 def _log_gamma(value: Value, shape: Value, scale: Value) -> Value:
     # Imported here: most graphs have no such density.
     from scipy.special import gammaln, xlogy
 
-    known = (shape > 0) & (scale > 0)
+    proper = (shape > 0) & (scale > 0)
     log = xlogy(shape - 1.0, value / scale) - value / scale - gammaln(shape) - np.log(scale)
-    return np.where((value >= 0) & known, log, _outside(value, (shape, scale), known))
+    return np.where((value >= 0) & proper, log, _log_zero(value, (shape, scale), proper))
 
 
 def _log_exponential(value: Value, scale: Value) -> Value:
-    return np.where(value >= 0, -value / scale - np.log(scale), _outside(value, (scale,), scale > 0))
+    return np.where(value >= 0, -value / scale - np.log(scale), _log_zero(value, (scale,), scale > 0))
 
 
 def _log_truncated(value: Value, mean: Value, sd: Value, low: Value, high: Value) -> Value:
@@ -217,16 +217,16 @@ def _log_truncated(value: Value, mean: Value, sd: Value, low: Value, high: Value
 
     a, b = (low - mean) / sd, (high - mean) / sd
     upper = a > 0  # in the tail whose probabilities are small, so that their difference is exact
-    near, far = np.where(upper, -a, b), np.where(upper, -b, a)
-    log_mass = log_ndtr(near) + np.log1p(-np.exp(log_ndtr(far) - log_ndtr(near)))
-    known = (sd > 0) & (high > low)
-    inside = (value >= low) & (value <= high) & known
-    return np.where(inside, _log_normal(value, mean, sd) - log_mass, _outside(value, (mean, sd), known))
+    near_end, far_end = np.where(upper, -a, b), np.where(upper, -b, a)
+    log_mass = log_ndtr(near_end) + np.log1p(-np.exp(log_ndtr(far_end) - log_ndtr(near_end)))
+    proper = (sd > 0) & (high > low)
+    in_range = (value >= low) & (value <= high) & proper
+    return np.where(in_range, _log_normal(value, mean, sd) - log_mass, _log_zero(value, (mean, sd), proper))
 
 
-def _outside(value: Value, parameters: tuple[Value, ...], known: Value) -> Value:
+def _log_zero(value: Value, parameters: tuple[Value, ...], proper: Value) -> Value:
     """-inf, or NaN where the value or a parameter is none."""
-    sound = known & ~np.isnan(sum((value, *parameters), 0.0))
+    sound = proper & ~np.isnan(sum((value, *parameters), 0.0))
     return np.where(sound, -np.inf, np.nan)
 
 
@@ -260,12 +260,12 @@ _LOG_DENSITIES: Mapping[str, Callable[..., Value]] = {
 # ------------------------------------------------------------------------------------ operations
 
 
-def _both(one: Value, other: Value) -> Value:
-    return np.minimum(one != 0, other != 0) * 1.0
+def _conjunction(first: Value, second: Value) -> Value:
+    return np.minimum(first != 0, second != 0) * 1.0
 
 
-def _either(one: Value, other: Value) -> Value:
-    return np.maximum(one != 0, other != 0) * 1.0
+def _disjunction(first: Value, second: Value) -> Value:
+    return np.maximum(first != 0, second != 0) * 1.0
 
 
 _OPERATIONS: Mapping[str, Callable[..., Value]] = {
@@ -275,19 +275,19 @@ _OPERATIONS: Mapping[str, Callable[..., Value]] = {
     "/": np.divide,
     "**": np.float_power,
     "neg": np.negative,
-    "<": lambda one, other: (one < other) * 1.0,
-    "<=": lambda one, other: (one <= other) * 1.0,
-    ">": lambda one, other: (one > other) * 1.0,
-    ">=": lambda one, other: (one >= other) * 1.0,
-    "==": lambda one, other: (one == other) * 1.0,
-    "!=": lambda one, other: (one != other) * 1.0,
-    "and": _both,
-    "or": _either,
-    "not": lambda one: (one == 0) * 1.0,
-    "where": lambda condition, one, other: np.where(condition != 0, one, other),
+    "<": lambda first, second: (first < second) * 1.0,
+    "<=": lambda first, second: (first <= second) * 1.0,
+    ">": lambda first, second: (first > second) * 1.0,
+    ">=": lambda first, second: (first >= second) * 1.0,
+    "==": lambda first, second: (first == second) * 1.0,
+    "!=": lambda first, second: (first != second) * 1.0,
+    "and": _conjunction,
+    "or": _disjunction,
+    "not": lambda value: (value == 0) * 1.0,
+    "where": lambda condition, first, second: np.where(condition != 0, first, second),
     "min": lambda *all_of: reduce(np.minimum, all_of),
     "max": lambda *all_of: reduce(np.maximum, all_of),
-    "clip": lambda one, low, high: np.minimum(np.maximum(one, low), high),
+    "clip": lambda value, low, high: np.minimum(np.maximum(value, low), high),
     "abs": np.abs,
     "exp": np.exp,
     "log": np.log,

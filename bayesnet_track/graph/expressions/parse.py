@@ -66,8 +66,8 @@ def parse(
         ExpressionError: what is wrong with it, and at which character.
     """
     if len(text) > MAX_CHARACTERS:
-        found, allowed = f"an expression of {len(text)} characters", f"at most {MAX_CHARACTERS} characters"
-        raise ExpressionError(found, allowed, MAX_CHARACTERS)
+        fault, remedy = f"an expression of {len(text)} characters", f"at most {MAX_CHARACTERS} characters"
+        raise ExpressionError(fault, remedy, MAX_CHARACTERS)
     if not error:
         return _Parser(_tokens(text), names, mask, 1 if draws else 0).whole()
     term = _Parser(_tokens(text), names, mask, 2).whole()
@@ -87,23 +87,23 @@ _END = "the end"
 
 
 def _tokens(text: str) -> list[_Token]:
-    found: list[_Token] = []
+    tokens: list[_Token] = []
     for match in _TOKEN.finditer(text):
         kind = str(match.lastgroup)
-        at = match.start(kind)
+        start = match.start(kind)
         if kind in ("joined", "dotted"):
             kind = "number" if kind == "joined" else "word"
-            at = match.start(kind)
-            if after := match[match.lastgroup or ""]:
-                raise ExpressionError(f"{match[kind] + after!r}", _SIGNS, at)
+            start = match.start(kind)
+            if suffix := match[match.lastgroup or ""]:
+                raise ExpressionError(f"{match[kind] + suffix!r}", _SIGNS, start)
         if kind == "wrong":
-            raise ExpressionError(f"character {match[kind]!r}", _SIGNS, at)
+            raise ExpressionError(f"character {match[kind]!r}", _SIGNS, start)
         if kind == "number" and sum(map(str.isdigit, match[kind])) > MAX_DIGITS:
             raise ExpressionError(
-                f"a number of {len(match[kind])} characters", f"at most {MAX_DIGITS} digits", at
+                f"a number of {len(match[kind])} characters", f"at most {MAX_DIGITS} digits", start
             )
-        found.append(_Token(kind, match[kind], at))
-    return [*found, _Token("end", _END, len(text.rstrip()))]
+        tokens.append(_Token(kind, match[kind], start))
+    return [*tokens, _Token("end", _END, len(text.rstrip()))]
 
 
 @dataclass
@@ -133,8 +133,8 @@ class _Parser:
             raise self.error(self.next, "an operation, or the end of the expression")
         first = self.tokens[0]
         if self.omitted and first.text in DENSITIES and (term.at, self.is_one_call()) != (first.at, True):
-            found = f"{first.text} inside an expression"
-            raise ExpressionError(found, "one distribution, or a value without any", first.at)
+            fault = f"{first.text} inside an expression"
+            raise ExpressionError(fault, "one distribution, or a value without any", first.at)
         return term
 
     def is_one_call(self) -> bool:
@@ -146,14 +146,14 @@ class _Parser:
                 return self.tokens[number].kind == "end"
         return False
 
-    def term(self, least: int) -> Term:
-        """A term whose operations bind at least as tightly as `least`."""
+    def term(self, min_binding: int) -> Term:
+        """A term whose operations bind at least as tightly as `min_binding`."""
         self.depth += 1
         if self.depth > MAX_NESTING:
-            found, allowed = f"nested deeper than {MAX_NESTING} levels", f"at most {MAX_NESTING} levels"
-            raise ExpressionError(found, allowed, self.next.at)
+            fault, remedy = f"nested deeper than {MAX_NESTING} levels", f"at most {MAX_NESTING} levels"
+            raise ExpressionError(fault, remedy, self.next.at)
         left = self.first()
-        while self.next.text in BINARY and BINARY[self.next.text] >= least:
+        while self.next.text in BINARY and BINARY[self.next.text] >= min_binding:
             sign = self.take()
             binding = BINARY[sign.text]
             # Only powers group from the right; what stands under one may have a sign of its own.
@@ -176,16 +176,16 @@ class _Parser:
     def first(self) -> Term:
         token = self.take()
         if token.text in PREFIX:
-            inside = self.term(PREFIX[token.text])
+            inner = self.term(PREFIX[token.text])
             if token.text == "+":
-                return inside
-            return self.counted(Call(NEGATIVE if token.text == "-" else token.text, (inside,), token.at))
+                return inner
+            return self.counted(Call(NEGATIVE if token.text == "-" else token.text, (inner,), token.at))
         if token.kind == "number":
             return self.counted(Number(_finite(token), token.at))
         if token.text == "(":
-            inside = self.term(0)
+            inner = self.term(0)
             self.close("an operation or ')'")
-            return inside
+            return inner
         if token.kind == "word" and token.text not in BINARY:
             return self.call(token) if self.next.text == "(" else self.variable(token)
         raise self.error(token, "a number, a name, or '('")
@@ -202,12 +202,12 @@ class _Parser:
 
     def call(self, token: _Token) -> Term:
         if token.text not in FUNCTIONS:
-            found = f"unknown function {token.text!r}"
-            known = tuple(name for name in FUNCTIONS if self.mask or name != MASK)
-            raise ExpressionError(found, ", ".join(known), token.at, token.text, known)
+            fault = f"unknown function {token.text!r}"
+            functions = tuple(name for name in FUNCTIONS if self.mask or name != MASK)
+            raise ExpressionError(fault, ", ".join(functions), token.at, token.text, functions)
         if token.text == MASK and not self.mask:
-            allowed = "in a factor that has a mask: {parent: ..., mask: FILE, factor: ...}"
-            raise ExpressionError("mask without an image", allowed, token.at)
+            remedy = "in a factor that has a mask: {parent: ..., mask: FILE, factor: ...}"
+            raise ExpressionError("mask without an image", remedy, token.at)
         self.take()
         arguments: list[Term] = []
         while self.next.text != ")" or arguments:
@@ -219,22 +219,22 @@ class _Parser:
         function = FUNCTIONS[token.text]
         is_drawn = self.omitted > 0 and token is self.tokens[0] and token.text in DENSITIES
         if is_drawn and self.omitted == 2 and token.text not in AROUND_0:
-            found = f"{token.text}, which is no error around 0"
-            raise ExpressionError(found, f"an sd, or one of {', '.join(AROUND_0)}", token.at)
+            fault = f"{token.text}, which is no error around 0"
+            raise ExpressionError(fault, f"an sd, or one of {', '.join(AROUND_0)}", token.at)
         if is_drawn:
             function = Function(function.parameters[self.omitted :], function.meaning)
         if not function.takes(len(arguments)):
-            found = f"{token.text} with {len(arguments)} argument{'' if len(arguments) == 1 else 's'}"
-            raise ExpressionError(found, token.text + function.form, token.at)
+            fault = f"{token.text} with {len(arguments)} argument{'' if len(arguments) == 1 else 's'}"
+            raise ExpressionError(fault, token.text + function.form, token.at)
         if is_drawn:
             left_out: tuple[Term, ...] = (Variable(DRAWN, token.at), Number(0.0, token.at))
             arguments[:0] = left_out[: self.omitted]
         return self.counted(Call(token.text, tuple(arguments), token.at))
 
-    def close(self, allowed: str) -> None:
+    def close(self, remedy: str) -> None:
         token = self.take()
         if token.text != ")":
-            raise self.error(token, allowed)
+            raise self.error(token, remedy)
 
     def operation(self, sign: _Token, left: Term, right: Term) -> Term:
         return self.counted(Call(sign.text, (left, right), sign.at))
@@ -242,13 +242,13 @@ class _Parser:
     def counted(self, term: Term) -> Term:
         self.terms += 1
         if self.terms > MAX_TERMS:
-            found = f"more than {MAX_TERMS} numbers, names and operations"
-            raise ExpressionError(found, f"at most {MAX_TERMS}", term.at)
+            fault = f"more than {MAX_TERMS} numbers, names and operations"
+            raise ExpressionError(fault, f"at most {MAX_TERMS}", term.at)
         return term
 
-    def error(self, token: _Token, allowed: str) -> ExpressionError:
-        found = _END if token.kind == "end" else repr(token.text)
-        return ExpressionError(f"{found} where the expression goes on", allowed, token.at)
+    def error(self, token: _Token, remedy: str) -> ExpressionError:
+        fragment = _END if token.kind == "end" else repr(token.text)
+        return ExpressionError(f"{fragment} where the expression goes on", remedy, token.at)
 
 
 def _finite(token: _Token) -> float:
@@ -293,7 +293,7 @@ def text_of(term: Term) -> str:
         return _number(term.value)
     if not isinstance(term, Call):
         return term.name
-    parts = [_bracketed(text_of(inside), need) for inside, need in _needs(term)]
+    parts = [_bracketed(text_of(argument), need) for argument, need in _needs(term)]
     match term.function:
         case "neg":
             return f"-{parts[0]}"
@@ -315,30 +315,30 @@ def latex_of(term: Term) -> str:
         return _latex_number(term.value)
     if not isinstance(term, Call):
         return _latex_name(term.name)
-    inside = [latex_of(one) for one in term.arguments]
+    arguments = [latex_of(argument) for argument in term.arguments]
     match term.function:
         case "/":
-            return rf"\frac{{{inside[0]}}}{{{inside[1]}}}"
+            return rf"\frac{{{arguments[0]}}}{{{arguments[1]}}}"
         case "sqrt":
-            return rf"\sqrt{{{inside[0]}}}"
+            return rf"\sqrt{{{arguments[0]}}}"
         case "abs":
-            return rf"\left|{inside[0]}\right|"
+            return rf"\left|{arguments[0]}\right|"
         case "where":
-            rows = rf"{inside[1]} & \text{{if }} {inside[0]} \\ {inside[2]} & \text{{else}}"
+            rows = rf"{arguments[1]} & \text{{if }} {arguments[0]} \\ {arguments[2]} & \text{{else}}"
             return rf"\begin{{cases}} {rows} \end{{cases}}"
         case function if function in DENSITIES:
             name = _LATEX_DENSITIES[function]
-            return rf"{name}\left({inside[0]};\, {_commas(inside[1:])}\right)"
+            return rf"{name}\left({arguments[0]};\, {_commas(arguments[1:])}\right)"
         case function if function not in BINARY and function not in ("neg", "not"):
             name = _LATEX_FUNCTIONS.get(function, rf"\mathrm{{{function}}}")
-            return rf"{name}\left({_commas(inside)}\right)"
+            return rf"{name}\left({_commas(arguments)}\right)"
     return _latex_operation(term)
 
 
 def _latex_operation(term: Call) -> str:
     parts = [
-        rf"\left({latex_of(one)}\right)" if needed and _is_open(one, term) else latex_of(one)
-        for one, needed in _needs(term)
+        rf"\left({latex_of(argument)}\right)" if needed and _is_open(argument, term) else latex_of(argument)
+        for argument, needed in _needs(term)
     ]
     if term.function == "**":
         return f"{parts[0]}^{{{latex_of(term.arguments[1])}}}"
@@ -349,22 +349,22 @@ def _latex_operation(term: Call) -> str:
     return _LATEX_SIGNS.get(term.function, f" {term.function} ").join(parts)
 
 
-def _is_open(inside: Term, outside: Call) -> bool:
+def _is_open(inner: Term, outer: Call) -> bool:
     """A fraction shows by itself where it ends, except below a power."""
-    return not (isinstance(inside, Call) and inside.function == "/") or outside.function == "**"
+    return not (isinstance(inner, Call) and inner.function == "/") or outer.function == "**"
 
 
 def _needs(term: Call) -> list[tuple[Term, bool]]:
     """The arguments of an operation, each with whether it needs brackets."""
     if term.function not in BINARY:
-        least = NEGATIVE_BINDS if term.function == NEGATIVE else PREFIX.get(term.function, 0)
-        return [(one, _binding(one) < least) for one in term.arguments]
-    own = BINARY[term.function]
+        min_binding = NEGATIVE_BINDS if term.function == NEGATIVE else PREFIX.get(term.function, 0)
+        return [(argument, _binding(argument) < min_binding) for argument in term.arguments]
+    binding = BINARY[term.function]
     left, right = term.arguments
-    if own == POWER:
+    if binding == POWER:
         return [(left, _binding(left) < ATOM), (right, _binding(right) < SIGN)]
-    strict = own + 1 if own == COMPARE else own
-    return [(left, _binding(left) < strict), (right, _binding(right) <= own)]
+    strict = binding + 1 if binding == COMPARE else binding
+    return [(left, _binding(left) < strict), (right, _binding(right) <= binding)]
 
 
 NEGATIVE_BINDS = SIGN
@@ -388,8 +388,8 @@ def _commas(parts: list[str]) -> str:
 
 
 def _number(value: float) -> str:
-    whole = value.is_integer() and value < 1e15
-    return str(int(value)) if whole else repr(value)
+    is_whole = value.is_integer() and value < 1e15
+    return str(int(value)) if is_whole else repr(value)
 
 
 def _latex_number(value: float) -> str:
@@ -400,6 +400,6 @@ def _latex_number(value: float) -> str:
 def _latex_name(name: str) -> str:
     if name in _LATEX_NAMES:
         return _LATEX_NAMES[name]
-    before, dot, own = name.rpartition(".")
-    own = own if len(own) == 1 else rf"\mathit{{{own.replace('_', chr(92) + '_')}}}"
-    return rf"{own}_{{\mathrm{{{before}}}}}" if dot else own
+    prefix, dot, symbol = name.rpartition(".")
+    symbol = symbol if len(symbol) == 1 else rf"\mathit{{{symbol.replace('_', chr(92) + '_')}}}"
+    return rf"{symbol}_{{\mathrm{{{prefix}}}}}" if dot else symbol

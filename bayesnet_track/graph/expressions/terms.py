@@ -23,9 +23,11 @@ class ExpressionError(ValueError):
         near: the names that are allowed there.
     """
 
-    def __init__(self, found: str, allowed: str, at: int, word: str = "", near: tuple[str, ...] = ()) -> None:
-        super().__init__(f"character {at + 1}: {found}; allowed: {allowed}")
-        self.found, self.allowed, self.at, self.word, self.near = found, allowed, at, word, near
+    def __init__(
+        self, fault: str, remedy: str, index: int, word: str = "", candidates: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__(f"character {index + 1}: {fault}; allowed: {remedy}")
+        self.found, self.allowed, self.at, self.word, self.near = fault, remedy, index, word, candidates
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,13 @@ Term = Number | Variable | Call
 def walk(term: Term) -> Iterator[Term]:
     """The term and all inside it, each before its arguments."""
     yield term
-    for inside in term.arguments if isinstance(term, Call) else ():
-        yield from walk(inside)
+    for argument in term.arguments if isinstance(term, Call) else ():
+        yield from walk(argument)
 
 
 def names_in(term: Term) -> list[str]:
     """The names that a term reads, each once, in the order of the text."""
-    return list(dict.fromkeys(one.name for one in walk(term) if isinstance(one, Variable)))
+    return list(dict.fromkeys(part.name for part in walk(term) if isinstance(part, Variable)))
 
 
 OR, AND, NOT, COMPARE, SUM, PRODUCT, SIGN, POWER, ATOM = range(9)

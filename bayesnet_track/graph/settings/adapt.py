@@ -105,7 +105,7 @@ class Deactivate(Model):
 
 
 class Information(Model):
-    """How the information that agents contributed is remembered, and how much an untried agent is favoured.
+    """Memory of the information that agents contributed, and the bonus of an untried agent.
 
     An agent's contribution is KL(belief || belief without it), nats. Frames count
     exp(-age / memory_frames). An agent is expected to contribute its mean plus
@@ -137,7 +137,7 @@ class OnCall(Model):
 
 
 class Adapt(Model):
-    """When agents below an inference node are switched on and off, or run."""
+    """Rules that switch agents below an inference node on and off, or let them run."""
 
     activate: Activate | None = Field(default=None, description="when agents are switched on")
     deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")

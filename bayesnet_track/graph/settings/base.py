@@ -63,7 +63,7 @@ class Choice(Model):
 
 
 class PluginChoice(Model):
-    """What a plug-in is called, and its parameters, not yet checked against the plug-in.
+    """Name of a plug-in and its parameters, not yet checked against the plug-in.
 
     Written as the bare name or as one key with the parameters. The field `WORD` of a kind of plug-in holds
     the name.

@@ -75,7 +75,7 @@ Odd = Annotated[Whole, Field(ge=3, le=63, json_schema_extra={"not": {"multipleOf
 
 
 class Reset(Model):
-    """What happens when a frame's evidence is not feasible under the predicted belief.
+    """Reset of the belief in a frame whose evidence is not feasible under the prediction.
 
     gamma = E L under the prediction / mean L over a region U (General Distribution Filter, eq. 5). Its value
     depends on U, and so does a suitable threshold: 1 for the belief's own bounding box; for the whole image
@@ -275,7 +275,7 @@ class NormalSize(Model):
 
 
 class LikelihoodSize(Model):
-    """As many hypotheses as it takes for their likelihoods to add up to a threshold."""
+    """Enough hypotheses for their likelihoods to add up to a threshold."""
 
     threshold: Positive = Field(description="sum of likelihoods; a perfect match counts 1")
 

@@ -84,12 +84,12 @@ class CameraSource(Model):
 
     @property
     def key(self) -> str:
-        """What says which camera of which file this is."""
+        """Name of the camera and its file: ``FILE``, or ``FILE#NAME``."""
         return self.calibration if self.name is None else f"{self.calibration}#{self.name}"
 
 
 class Size(Model):
-    """How large targets are, before one is seen."""
+    """Size of targets before one is seen."""
 
     mean: Positive = Field(description="m")
     sd: Positive = Field(description="m")

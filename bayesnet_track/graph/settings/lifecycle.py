@@ -170,7 +170,7 @@ class Death(Model):
 
 
 class Reidentify(Model):
-    """When a detection is taken for a target that is lost, or whose net has ended.
+    """Conditions under which a detection is taken for a target that is lost, or whose net has ended.
 
     P(it is k) = o_k / (1 + sum o), the 1 standing for a new target, o_k = g p_k(x, y) A r_k: g = exp(-t /
     frames) for t frames since k was last well seen, A the frame's area, p_k = g N(where its motion leads it)
@@ -249,7 +249,7 @@ class Exclusion(Model):
 
 
 class Occlusion(Model):
-    """Which target is in front is a variable with two values that persists over frames.
+    """The order in depth of two targets: a variable with two values that persists over frames.
 
     The box of the target behind gives evidence by its visible share only. The rest counts with its `level`,
     the evidence that the target had in frames in which it was visible: being hidden is better than matching
@@ -280,7 +280,7 @@ class Attachment(Model):
 
 
 class Together(Model):
-    """When two nets are joined, and when they part.
+    """Conditions under which two nets are joined, and part.
 
     The overlap of two beliefs is that of their reaches, as a share of the smaller one: a reach is the mean
     box, widened by one sd of the centre on each side.
@@ -296,7 +296,7 @@ class Together(Model):
 
 
 class Join(Model):
-    """How targets of these kinds depend on each other while they are near.
+    """Dependence of targets of these kinds on each other while they are near.
 
     Example::
 
@@ -364,7 +364,7 @@ def join_of(joins: tuple[Join, ...], first: str, second: str) -> int | None:
 
 
 class Identity(Model):
-    """Who is who gets a probability: targets that come close may part under each other's names.
+    """Probability of who is who: targets that come close may part under each other's names.
 
     From when two targets expect each other's detections until they have been apart for `settle` frames, every
     assignment of detections to them is kept with its probability, for up to four targets at once. Further

@@ -30,7 +30,7 @@ class Probes(Model):
 
 
 class LookedFor(Choice):
-    """How the places to search are chosen; weights correct for the choice, so it changes no probability."""
+    """Choice of the places to search; weights correct for the choice, so it changes no probability."""
 
     uniform: Empty | None = Field(default=None, description="evenly over the frame")
     agents: Probes | None = Field(
@@ -250,7 +250,7 @@ class ConstantVelocity(OnGround):
 
 
 class DampedVelocity(ConstantVelocity):
-    """As constant velocity, the velocity decaying by `damping` per frame interval.
+    """Constant velocity that decays by `damping` per frame interval.
 
     Damped velocity of the tracking chapter, eq. 3.91 corrected.
     """
@@ -337,7 +337,7 @@ class ByExpressions(Model):
     @property
     def own(self) -> dict[str, OwnField]:
         """The fields beside x, y, w, h."""
-        return {name: one for name, one in self.fields.items() if name not in ("x", "y", "w", "h")}
+        return {name: field for name, field in self.fields.items() if name not in ("x", "y", "w", "h")}
 
     @property
     def start_texts(self) -> dict[str, str]:
@@ -375,7 +375,7 @@ class BoxVelocity(Moving):
 
 
 class Motion(Choice):
-    """How the target moves between frames."""
+    """Motion of the target between frames."""
 
     random_walk: RandomWalk | None = Field(default=None, description="position and size drift")
     constant_velocity: ConstantVelocity | None = Field(default=None, description="the velocity drifts")

@@ -33,7 +33,7 @@ from bayesnet_track.graph.settings.scores import Alarm, Distractors, Guarantee, 
 
 
 class Belief(Choice):
-    """How the belief is represented."""
+    """Representation of the belief."""
 
     particles: Particles | None = Field(default=None, description="a weighted set of hypotheses")
     gaussian: Gaussian | None = Field(
@@ -58,7 +58,7 @@ class Nearest(Model):
 
 
 class Estimate(Choice):
-    """Which single box represents the belief in the outputs."""
+    """The single box that represents the belief in the outputs."""
 
     map: Empty | None = Field(
         default=None, description="maximum a posteriori hypothesis, prior density included"
@@ -77,14 +77,14 @@ class Estimate(Choice):
 
 
 class OffsetBox(Model):
-    """Where a part's centre lies in its parent's box, from the parent's centre."""
+    """Place of a part's centre in its parent's box, from the parent's centre."""
 
     x: Number = Field(default=0.0, description="to the right, in widths of the parent's box")
     y: Number = Field(default=0.0, description="downward, in heights of the parent's box")
 
 
 class SizeBox(Model):
-    """How large a part is, relative to its parent's box."""
+    """Size of a part, relative to its parent's box."""
 
     w: Positive = Field(default=1.0, description="its width, in widths of the parent's box")
     h: Positive = Field(default=1.0, description="its height, in heights of the parent's box")
@@ -129,8 +129,8 @@ class Given(Noise):
     @property
     def written(self) -> dict[str, str]:
         """Field of the own box -> the expression of its distribution or value; empty without any."""
-        found = {name: getattr(self, name) for name in ("x", "y", "w", "h")}
-        return {name: str(text) for name, text in found.items() if text is not None}
+        texts = {name: getattr(self, name) for name in ("x", "y", "w", "h")}
+        return {name: str(text) for name, text in texts.items() if text is not None}
 
     @property
     def is_part(self) -> bool:
@@ -183,7 +183,7 @@ Correlation = Annotated[Number, Field(ge=0, le=1)]
 
 
 class Fuse(Choice):
-    """How an inference node joins its children's likelihoods."""
+    """Combination of the children's likelihoods at an inference node."""
 
     product: Empty | None = Field(default=None, description="children independent given this node")
     pool: (

@@ -166,8 +166,10 @@ class Query(Model):
         """The query in the unit of a state on the ground."""
         if self.crosses is None:
             return self
-        own = HYSTERESIS_M if self.crosses.hysteresis is None else self.crosses.hysteresis
-        return self.model_copy(update={"crosses": self.crosses.model_copy(update={"hysteresis_px": own})})
+        hysteresis = HYSTERESIS_M if self.crosses.hysteresis is None else self.crosses.hysteresis
+        return self.model_copy(
+            update={"crosses": self.crosses.model_copy(update={"hysteresis_px": hysteresis})}
+        )
 
     def columns(self, name: str) -> tuple[str, ...]:
         """Columns of its numbers of one target, of a query of this name; none of a pair."""

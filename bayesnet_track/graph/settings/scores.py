@@ -93,7 +93,7 @@ class Logistic(Model):
     @cached_property
     def coefficients(self) -> Mapping[str, float]:
         """Feature -> its coefficient; those of verifiers by their names, an agent's as `confidence.agent`."""
-        verifiers = {name: one.coefficient for name, one in self.verifiers.items()}
+        verifiers = {name: verifier.coefficient for name, verifier in self.verifiers.items()}
         confidence = {confidence_feature(agent): slope for agent, slope in self.confidence.items()}
         return {name: getattr(self, name) for name in FEATURES} | confidence | verifiers
 
@@ -112,7 +112,7 @@ FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size", "borde
 
 
 class Score(Choice):
-    """How the score of a frame is computed."""
+    """Computation of a frame's score."""
 
     logistic: Logistic | None = Field(default=None, description="a logistic function of a few features")
 

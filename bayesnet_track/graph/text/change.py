@@ -57,17 +57,19 @@ def change_graph(
     try:
         return check_graph(data if adaptation else always_on(data), None, masks, calibrations)
     except GraphError as error:
-        raise GraphError([replace(one, file=to_caller("--set", "changes")) for one in error.errors]) from None
+        raise GraphError(
+            [replace(message, file=to_caller("--set", "changes")) for message in error.errors]
+        ) from None
 
 
 def always_on(data: Mapping[str, Any]) -> dict[str, Any]:
     """The graph with every agent on from the start and nothing that switches it."""
-    changed = deepcopy(dict(data))
-    for target in changed["targets"].values():
+    graph = deepcopy(dict(data))
+    for target in graph["targets"].values():
         for node in target["nodes"].values():
             for key in ADAPTATION[node_kind(node)]:
                 node.pop(key, None)
-    return changed
+    return graph
 
 
 def resolve(data: Mapping[str, Any], path: Keys) -> Keys:
@@ -80,21 +82,21 @@ def resolve(data: Mapping[str, Any], path: Keys) -> Keys:
     >>> resolve(tree, ("ball", "fuse"))
     ('targets', 'ball', 'nodes', 'ball', 'fuse')
     """
-    places = [(*before, *path) for before in _prefixes(data)]
+    places = [(*prefix, *path) for prefix in _prefixes(data)]
     depth = {place: _depth(data, place) - (len(place) - len(path)) for place in places}
-    known = [place for place in places if depth[place] > 0]
-    if not known:
-        names = list(dict.fromkeys(key for before in _prefixes(data) for key in _at(data, before)))
-        near = next(_deeper(data, path[0]), ()) or (nearest(path[0], names),)
+    matching = [place for place in places if depth[place] > 0]
+    if not matching:
+        names = list(dict.fromkeys(key for prefix in _prefixes(data) for key in _mapping_at(data, prefix)))
+        suggestion = next(_deeper(data, path[0]), ()) or (nearest(path[0], names),)
         example = "; a path begins with one of them, as in NODE.belief.particles.size=1000"
         raise ChangeError(
             f"{'.'.join(path)}: nothing is called {shown_name(path[0])}; there are {listed(names)}"
-            + (f"; nearest: {'.'.join((*near, *path[1:]))}" if near[0] else example)
+            + (f"; nearest: {'.'.join((*suggestion, *path[1:]))}" if suggestion[0] else example)
         )
-    best = max(depth[place] for place in known)
-    deepest = [place for place in known if depth[place] == best]
+    max_depth = max(depth[place] for place in matching)
+    deepest = [place for place in matching if depth[place] == max_depth]
     # A plate and its root often share a name: a node is meant, unless a plate alone may have the key.
-    if len(deepest) > 1 and best == 1 and len(path) > 1:
+    if len(deepest) > 1 and max_depth == 1 and len(path) > 1:
         plates = [place for place in deepest if len(place) == len(path) + 1]
         nodes = [place for place in deepest if place not in plates]
         deepest = plates if path[1] in _plate_keys() and plates else nodes or deepest
@@ -118,7 +120,7 @@ def _prefixes(data: Mapping[str, Any]) -> Iterator[Keys]:
         yield ("targets", plate, "nodes")
 
 
-def _at(data: Any, keys: Keys) -> Mapping[str, Any]:
+def _mapping_at(data: Any, keys: Keys) -> Mapping[str, Any]:
     for key in keys:
         data = data[key]
     return data if isinstance(data, Mapping) else {}
@@ -132,11 +134,11 @@ def _deeper(data: Mapping[str, Any], name: str) -> Iterator[Keys]:
         for node, content in target.get("nodes", {}).items()
     ]
     while waiting:
-        path, here = waiting.pop(0)
-        if isinstance(here, Mapping):
-            if name in here:
+        path, part = waiting.pop(0)
+        if isinstance(part, Mapping):
+            if name in part:
                 yield (*path, name)
-            waiting += [((*path, str(key)), inside) for key, inside in here.items()]
+            waiting += [((*path, str(key)), child) for key, child in part.items()]
 
 
 def _depth(data: Any, keys: Keys) -> int:
@@ -154,8 +156,8 @@ def _with(data: Any, keys: Keys, value: Any) -> Any:
         return value
     if isinstance(data, str) and data == keys[0]:
         data = {}
-    inside = dict(data) if isinstance(data, Mapping) else {}
-    return {**inside, keys[0]: _with(inside.get(keys[0]), keys[1:], value)}
+    mapping = dict(data) if isinstance(data, Mapping) else {}
+    return {**mapping, keys[0]: _with(mapping.get(keys[0]), keys[1:], value)}
 
 
 def _value(path: str, text: str) -> Any:
@@ -193,18 +195,18 @@ def set_value(text: str, path: tuple[str, ...], value: Any, comment: str = "") -
     if not isinstance(holder, yaml.MappingNode):
         raise KeyError(path)
     written = flow_text(value)
-    found = {key.value: (key, inside) for key, inside in holder.value}
-    if path[-1] in found:
-        key, inside = found[path[-1]]
-        end = _end(text, inside)
-        text = f"{text[: inside.start_mark.index]}{written}{text[end:]}"
+    entries = {key.value: (key, node) for key, node in holder.value}
+    if path[-1] in entries:
+        key, node = entries[path[-1]]
+        end = _end(text, node)
+        text = f"{text[: node.start_mark.index]}{written}{text[end:]}"
         if _begins(text, key):
             line = key.start_mark.line
     elif holder.flow_style:
-        close = holder.end_mark.index - 1
-        body = text[:close].rstrip()
+        closing = holder.end_mark.index - 1
+        body = text[:closing].rstrip()
         joint = " " if body.endswith(",") else ", " if holder.value else ""
-        text = f"{body}{joint}{path[-1]}: {written}{text[close:]}"
+        text = f"{body}{joint}{path[-1]}: {written}{text[closing:]}"
     else:
         first = holder.value[0][0].start_mark
         end = _end(text, holder.value[-1][1])
@@ -216,9 +218,9 @@ def set_value(text: str, path: tuple[str, ...], value: Any, comment: str = "") -
 
 def _entry(holder: Any, name: str) -> tuple[Any, Any]:
     if isinstance(holder, yaml.MappingNode):
-        for key, inside in holder.value:
+        for key, node in holder.value:
             if key.value == name:
-                return key, inside
+                return key, node
     raise KeyError(name)
 
 
@@ -231,15 +233,15 @@ def _begins(text: str, key: Any) -> bool:
 def _end(text: str, node: Any) -> int:
     """End of a value: a block collection's mark lies behind the comments that follow it."""
     while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
-        last = node.value[-1]
-        node = last[1] if isinstance(last, tuple) else last
+        last_child = node.value[-1]
+        node = last_child[1] if isinstance(last_child, tuple) else last_child
     end: int = node.end_mark.index
     return len(text[:end].rstrip()) if isinstance(node, yaml.ScalarNode) and node.style in ("|", ">") else end
 
 
 def _line_end(text: str, index: int) -> int:
-    found = text.find("\n", index)
-    return len(text) if found < 0 else found
+    newline = text.find("\n", index)
+    return len(text) if newline < 0 else newline
 
 
 def _comment(text: str, line: int, comment: str) -> str:
@@ -248,5 +250,5 @@ def _comment(text: str, line: int, comment: str) -> str:
     begin = line
     while begin > 0 and lines[begin - 1].lstrip().startswith(MARK):
         begin -= 1
-    said = [f"{indent}{MARK}{part}" for part in comment.split("\n")] if comment else []
-    return "\n".join([*lines[:begin], *said, *lines[line:]])
+    comment_lines = [f"{indent}{MARK}{part}" for part in comment.split("\n")] if comment else []
+    return "\n".join([*lines[:begin], *comment_lines, *lines[line:]])

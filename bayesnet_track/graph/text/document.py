@@ -103,22 +103,22 @@ def _decode(source: str | bytes, file: str) -> str:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         good = content[: error.start].decode("utf-8")
-        found = f"byte 0x{content[error.start]:02x} that is not UTF-8"
-        raise _error(file, *_line_and_column(good), found, "text in UTF-8") from None
+        fault = f"byte 0x{content[error.start]:02x} that is not UTF-8"
+        raise _error(file, *_line_and_column(good), fault, "text in UTF-8") from None
     text = text.removeprefix("\ufeff")
     if refused := _REFUSED_CHARACTER.search(text):
-        found = f"character U+{ord(refused[0]):04X}"
-        raise _error(file, *_line_and_column(text[: refused.start()]), found, "printable characters")
+        fault = f"character U+{ord(refused[0]):04X}"
+        raise _error(file, *_line_and_column(text[: refused.start()]), fault, "printable characters")
     return text
 
 
-def _line_and_column(before: str) -> tuple[int, int]:
-    lines = re.split("\r\n|\r|\n", before.removeprefix("\ufeff"))
+def _line_and_column(text: str) -> tuple[int, int]:
+    lines = re.split("\r\n|\r|\n", text.removeprefix("\ufeff"))
     return len(lines), len(lines[-1]) + 1
 
 
-def _error(file: str, line: int, column: int, found: str, allowed: str = "") -> GraphError:
-    return GraphError([GraphMessage(file, line, column, (), "graph", found, allowed)])
+def _error(file: str, line: int, column: int, fault: str, remedy: str = "") -> GraphError:
+    return GraphError([GraphMessage(file, line, column, (), "graph", fault, remedy)])
 
 
 class _Events(Reader, Scanner, Parser):
@@ -177,23 +177,25 @@ class _Building:
             value = self._single(_Events(text))
         except _TooMuch as limit:
             mark: Any
-            mark, found, allowed = limit.args
-            raise GraphError([*self.errors, self._at(mark, (), found, allowed)]) from None
+            mark, fault, remedy = limit.args
+            raise GraphError([*self.errors, self._message_at(mark, (), fault, remedy)]) from None
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             began = error.context_mark
             opened = f" from line {began.line + 1}" if began is not None and began.line != mark.line else ""
-            said = " ".join(
+            problem = " ".join(
                 filter(None, (f"{error.context}{opened}" if error.context else "", error.problem))
             )
-            raise GraphError([*self.errors, self._at(mark, (), f"not YAML: {said[:300]}")]) from None
+            raise GraphError(
+                [*self.errors, self._message_at(mark, (), f"not YAML: {problem[:300]}")]
+            ) from None
         if self.errors:
             raise GraphError(self.errors)
         return Document(value, Positions(self.file, self.keys, self.values, self.texts))
 
     def _single(self, events: Any) -> Any:
         value = None
-        seen = 0
+        count = 0
         while True:
             event = events.get_event()
             if isinstance(event, StreamEndEvent):
@@ -201,12 +203,12 @@ class _Building:
             if isinstance(event, (StreamStartEvent, DocumentEndEvent)):
                 continue
             if isinstance(event, DocumentStartEvent):
-                seen += 1
-                if seen > 1:
+                count += 1
+                if count > 1:
                     raise _TooMuch(event.start_mark, "a second document", "one document per file")
                 continue
             value = self._value(events, event, (), 1)
-        if seen == 0 or value is None:
+        if count == 0 or value is None:
             self.values.setdefault((), (1, 1))
             self.errors.append(
                 GraphMessage(
@@ -237,7 +239,7 @@ class _Building:
         return items
 
     def _mapping(self, events: Any, path: KeyPath, depth: int) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        mapping: dict[str, Any] = {}
         while not isinstance(event := events.get_event(), MappingEndEvent):
             if not isinstance(event, ScalarEvent):
                 self._admit(event, path, depth)
@@ -247,27 +249,27 @@ class _Building:
                 continue
             self._admit(event, path, depth)
             key = event.value
-            inside = (*path, key)
+            key_path = (*path, key)
             if key == "<<" and event.implicit[0]:
-                self._refuse(event, inside, "a merge key", "every key written out")
-            elif key in found:
-                first, _ = self.keys[inside]
+                self._refuse(event, key_path, "a merge key", "every key written out")
+            elif key in mapping:
+                first, _ = self.keys[key_path]
                 self._refuse(
-                    event, inside, f"key {shown(key)} again, first in line {first}", "every key once"
+                    event, key_path, f"key {shown(key)} again, first in line {first}", "every key once"
                 )
             else:
-                self.keys[inside] = _place(event)
-                found[key] = self._value(events, events.get_event(), inside, depth + 1)
+                self.keys[key_path] = _place(event)
+                mapping[key] = self._value(events, events.get_event(), key_path, depth + 1)
                 continue
-            self._skip(events, events.get_event(), inside, depth + 1)
-        return found
+            self._skip(events, events.get_event(), key_path, depth + 1)
+        return mapping
 
     def _skip(self, events: Any, event: Event, path: KeyPath, depth: int) -> None:
         """Consumes a node whose data is not wanted; the limits hold in it too."""
-        kept = self.keys, self.values
+        positions = self.keys, self.values
         self.keys, self.values = {}, {}
         self._value(events, event, path, depth)
-        self.keys, self.values = kept
+        self.keys, self.values = positions
 
     def _admit(self, event: Event, path: KeyPath, depth: int) -> None:
         """Counts a node; refuses tags, anchors and aliases; stops at the limits."""
@@ -289,8 +291,8 @@ class _Building:
     def _scalar(self, event: ScalarEvent, path: KeyPath) -> Any:
         text = event.value
         if len(text) > MAX_SCALAR:
-            found, allowed = f"a value of {len(text)} characters", f"at most {MAX_SCALAR} characters"
-            self._refuse(event, path, found, allowed)
+            fault, remedy = f"a value of {len(text)} characters", f"at most {MAX_SCALAR} characters"
+            self._refuse(event, path, fault, remedy)
             return None
         quotes = 0 if event.style is None else 1
         if _length(event) == len(text) + 2 * quotes:
@@ -303,9 +305,9 @@ class _Building:
             return None
         return value
 
-    def _refuse(self, event: Event, path: KeyPath, found: str, allowed: str) -> None:
-        self.errors.append(self._at(event.start_mark, path, found, allowed))
+    def _refuse(self, event: Event, path: KeyPath, fault: str, remedy: str) -> None:
+        self.errors.append(self._message_at(event.start_mark, path, fault, remedy))
 
-    def _at(self, mark: Any, path: KeyPath, found: str, allowed: str = "") -> GraphMessage:
+    def _message_at(self, mark: Any, path: KeyPath, fault: str, remedy: str = "") -> GraphMessage:
         placed = Positions(self.file, {}, {path: (mark.line + 1, mark.column + 1)})
-        return placed.message(path, found, allowed)
+        return placed.message(path, fault, remedy)

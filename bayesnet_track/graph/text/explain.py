@@ -33,29 +33,29 @@ MAX_EXPLAINED = 4 * MAX_MESSAGES
 
 
 def explain(
-    error: ValidationError, model: type[BaseModel], data: Any, at: Positions, prefix: KeyPath = ()
+    error: ValidationError, model: type[BaseModel], data: Any, positions: Positions, prefix: KeyPath = ()
 ) -> list[GraphMessage]:
     """The messages for what pydantic found wrong in `data`, a value of `model` at the path `prefix`."""
     messages: dict[tuple[KeyPath, str], GraphMessage] = {}
-    for one in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
-        steps = _walk(one["loc"], model, data)
-        if one["type"] == "extra_forbidden" and _follows(steps):
+    for details in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
+        steps = _walk(details["loc"], model, data)
+        if details["type"] == "extra_forbidden" and _follows(steps):
             continue
-        message = _explain(one["type"], one["msg"], steps, at, prefix)
+        message = _explain(details["type"], details["msg"], steps, positions, prefix)
         messages.setdefault((message.path, message.found), message)
     return list(messages.values())
 
 
 def _follows(steps: list[_Step]) -> bool:
     """True if a key is unknown only because `nodes` is missing above it, or the key that makes an agent."""
-    *_, around, last = steps
-    kind = around.shape.only if around.shape is not None else None
+    *_, enclosing, innermost = steps
+    kind = enclosing.shape.only if enclosing.shape is not None else None
     if kind is InferenceNode:
-        return last.key in _meant(around.value).model_fields
+        return innermost.key in _meant(enclosing.value).model_fields
     return (
         kind is Target
-        and "nodes" not in around.value
-        and (is_like_node(around.value) or is_like_node(last.value))
+        and "nodes" not in enclosing.value
+        and (is_like_node(enclosing.value) or is_like_node(innermost.value))
     )
 
 
@@ -101,7 +101,7 @@ def _walk(location: tuple[str | int, ...], model: type[BaseModel], data: Any) ->
                 return steps
             steps[-1] = replace(steps[-1], shape=shape_of(member))
             continue
-        steps.append(_Step(part, _inside(shape.only, part), _value_inside(steps[-1].value, part)))
+        steps.append(_Step(part, _shape_inside(shape.only, part), _value_inside(steps[-1].value, part)))
     return steps
 
 
@@ -115,53 +115,59 @@ def _value_inside(data: Any, part: str | int) -> Any:
     return None
 
 
-def _inside(kind: Any, part: str | int) -> Shape | None:
+def _shape_inside(kind: Any, part: str | int) -> Shape | None:
     if isinstance(kind, type) and issubclass(kind, PluginChoice):
         return None
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        found = kind.model_fields.get(str(part))
-        return None if found is None else shape_of(found.annotation, found.metadata)
+        field = kind.model_fields.get(str(part))
+        return None if field is None else shape_of(field.annotation, field.metadata)
     arguments = get_args(kind)
     if get_origin(kind) in (tuple, list):
         return shape_of(arguments[0])
     return shape_of(arguments[1]) if len(arguments) == 2 else None
 
 
-def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: KeyPath) -> GraphMessage:
-    last, parent = steps[-1], steps[max(len(steps) - 2, 0)]
+def _explain(
+    kind: str, reason: str, steps: list[_Step], positions: Positions, prefix: KeyPath
+) -> GraphMessage:
+    innermost, parent = steps[-1], steps[max(len(steps) - 2, 0)]
     path = prefix + tuple(step.key for step in steps[1:] if step.key is not None and not step.is_key)
     owner = parent.shape.only if parent.shape is not None else None
     name = _name_of(path)
-    if last.is_key:
+    if innermost.is_key:
         bad = path[-1] if path else ""
-        return at.message(path, f"name {shown(bad)}", expects(Name), on_key=True)
+        return positions.message(path, f"name {shown(bad)}", expects(Name), on_key=True)
     if kind == "extra_forbidden":
-        return _unknown_key(str(last.key), owner, parent, path, at)
+        return _unknown_key(str(innermost.key), owner, parent, path, positions)
     if kind == "missing":
-        message = at.message(path[:-1], f"key {name!r} is missing", _allowed(steps))
+        message = positions.message(path[:-1], f"key {name!r} is missing", _valid_values(steps))
         if owner is not Target or name != "nodes":
             return message
         return replace(message, allowed="nodes by name, indented below it", hint=_without_nodes(parent.value))
     if isinstance(owner, type) and issubclass(owner, PluginChoice):
         if kind == "value_error":
-            found, allowed = "parameters that are not plain data", "words, finite numbers, lists and mappings"
+            fault, remedy = "parameters that are not plain data", "words, finite numbers, lists and mappings"
         else:
-            found = "parameters that are not a mapping"
-            allowed = f"a mapping of parameters, or the {owner.WORD} alone"
-        return at.message(path[:-1], found, allowed)
-    if isinstance(last.value, (list, tuple)) and name == "parent":
-        found = (
-            f"two parents ({listed(last.value)})"
-            if len(last.value) == 2
-            else f"parent is {shown(last.value)}"
+            fault = "parameters that are not a mapping"
+            remedy = f"a mapping of parameters, or the {owner.WORD} alone"
+        return positions.message(path[:-1], fault, remedy)
+    if isinstance(innermost.value, (list, tuple)) and name == "parent":
+        fault = (
+            f"two parents ({listed(innermost.value)})"
+            if len(innermost.value) == 2
+            else f"parent is {shown(innermost.value)}"
         )
-        return at.message(path, found, "one parent, so that evidence reaches a node by one path only")
-    if isinstance(last.shape.only if last.shape else None, type) and kind == "value_error":
-        return _bad_choice(last, name, said, path, at)
-    allowed = "at least one" if kind == "too_short" else _allowed(steps)
-    found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
-    word = last.value if isinstance(last.value, str) else ""
-    return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
+        return positions.message(path, fault, "one parent, so that evidence reaches a node by one path only")
+    if isinstance(innermost.shape.only if innermost.shape else None, type) and kind == "value_error":
+        return _bad_choice(innermost, name, reason, path, positions)
+    remedy = "at least one" if kind == "too_short" else _valid_values(steps)
+    fault = (
+        f"{name} is {shown(innermost.value)}" if innermost.value not in ({}, [], ()) else f"{name} is empty"
+    )
+    word = innermost.value if isinstance(innermost.value, str) else ""
+    return positions.message(
+        path, fault, remedy or _reason(reason), word=word, candidates=_words(innermost.shape)
+    )
 
 
 def _without_nodes(target: Any) -> str:
@@ -172,52 +178,56 @@ def _without_nodes(target: Any) -> str:
     return A_NODE if is_like_node(target) else ""
 
 
-def _allowed(steps: list[_Step]) -> str:
+def _valid_values(steps: list[_Step]) -> str:
     """Valid values of the last step: for a parent, the inference nodes of the target."""
-    last = steps[-1]
-    if last.shape is None:
+    innermost = steps[-1]
+    if innermost.shape is None:
         return ""
-    if last.key == "parent" and len(steps) > 2 and isinstance(steps[-3].value, Mapping):
+    if innermost.key == "parent" and len(steps) > 2 and isinstance(steps[-3].value, Mapping):
         nodes = steps[-3].value.items()
-        above = [name for name, node in nodes if node_kind(node) == "inference" and name != steps[-2].key]
-        return listed(above) or "the name of an inference node"
-    return expects(*_parts(last.shape))
+        candidates = [
+            name for name, node in nodes if node_kind(node) == "inference" and name != steps[-2].key
+        ]
+        return listed(candidates) or "the name of an inference node"
+    return expects(*_parts(innermost.shape))
 
 
-def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, at: Positions) -> GraphMessage:
+def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, positions: Positions) -> GraphMessage:
     owner = _meant(parent.value) if owner is InferenceNode else owner
     fields = list(owner.model_fields) if isinstance(owner, type) and issubclass(owner, BaseModel) else []
-    near = [*fields, *MARKED] if owner is InferenceNode else fields
-    found = f"unknown key {shown(word)}"
+    candidates = [*fields, *MARKED] if owner is InferenceNode else fields
+    fault = f"unknown key {shown(word)}"
     if isinstance(owner, type) and issubclass(owner, Choice):
         choice = str(path[-2]) if len(path) > 1 else "choice"
         if isinstance(parent.value, str):
             path = path[:-1]
-        found = f"unknown {shown_name(choice)} {shown(word)}"
+        fault = f"unknown {shown_name(choice)} {shown(word)}"
     elif owner in NODES:
-        found += f" of {NODES[owner]} node"
-    message = at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
+        fault += f" of {NODES[owner]} node"
+    message = positions.message(
+        path, fault, fields or "no settings", word=word, candidates=candidates, on_key=True
+    )
     hint = _misplaced(word, parent.value, owner) if fields else ""
     return replace(message, nearest="", hint=hint) if hint else message
 
 
-def _misplaced(word: str, around: Any, model: type[BaseModel]) -> str:
-    """Place where an unknown key of `around`, a value of `model`, belongs: below `nodes` or a key beside it.
+def _misplaced(word: str, mapping: Any, model: type[BaseModel]) -> str:
+    """Place where an unknown key of `mapping`, a value of `model`, belongs: below `nodes` or a key beside it.
 
     Empty where nothing says so.
     """
-    if not isinstance(around, Mapping) or word not in around:
+    if not isinstance(mapping, Mapping) or word not in mapping:
         return ""
-    if issubclass(model, (GraphSpec, Target)) and is_like_node(around[word]):
+    if issubclass(model, (GraphSpec, Target)) and is_like_node(mapping[word]):
         return A_NODE
     if issubclass(model, Target) and word in GraphSpec.model_fields:
         return f"`{word}` stands beside `targets:`, not inside a target"
-    names = list(around)
-    before = names.index(word)
+    names = list(mapping)
+    index = names.index(word)
     # A key that stands too far left follows what it belongs to.
-    for name in (*reversed(names[:before]), *names[before:]):
-        inside = {} if around[name] is None else around[name]
-        if isinstance(inside, Mapping) and word not in inside and word in _keys_below(model, name):
+    for name in (*reversed(names[:index]), *names[index:]):
+        content = {} if mapping[name] is None else mapping[name]
+        if isinstance(content, Mapping) and word not in content and word in _keys_below(model, name):
             return f"`{word}` is a key of `{name}`: indent it under `{name}:`"
     return ""
 
@@ -235,16 +245,18 @@ def _keys_below(model: type[BaseModel], name: str) -> set[str]:
     }
 
 
-def _bad_choice(last: _Step, name: str, said: str, path: KeyPath, at: Positions) -> GraphMessage:
-    kind: Any = last.shape.only if last.shape is not None else None
-    if not issubclass(kind, (Choice, PluginChoice)) or not isinstance(last.value, Mapping):
-        return at.message(path, f"{name} is {shown(last.value)}", _said(said))
-    given = listed(last.value)
-    found = f"{name} names {given}" if len(last.value) else f"{name} is empty"
+def _bad_choice(
+    innermost: _Step, name: str, reason: str, path: KeyPath, positions: Positions
+) -> GraphMessage:
+    kind: Any = innermost.shape.only if innermost.shape is not None else None
+    if not issubclass(kind, (Choice, PluginChoice)) or not isinstance(innermost.value, Mapping):
+        return positions.message(path, f"{name} is {shown(innermost.value)}", _reason(reason))
+    names = listed(innermost.value)
+    fault = f"{name} names {names}" if len(innermost.value) else f"{name} is empty"
     if issubclass(kind, PluginChoice):
-        one = len(last.value) == 1
-        return at.message(path, found, _said(said) if one else f"exactly one {kind.WORD}")
-    return at.message(path, found, f"exactly one of {', '.join(kind.model_fields)}")
+        is_single = len(innermost.value) == 1
+        return positions.message(path, fault, _reason(reason) if is_single else f"exactly one {kind.WORD}")
+    return positions.message(path, fault, f"exactly one of {', '.join(kind.model_fields)}")
 
 
 def _name_of(path: KeyPath) -> str:
@@ -266,19 +278,21 @@ def _parts(shape: Shape) -> tuple[Any, tuple[Any, ...]]:
 
 def _words(shape: Shape | None) -> list[str]:
     kinds = shape.kinds if shape is not None else ()
-    found: list[str] = []
+    words: list[str] = []
     for kind in kinds:
         bare = shape_of(kind).only
         if get_origin(bare) is Literal:
-            found += [str(word) for word in get_args(bare)]
+            words += [str(word) for word in get_args(bare)]
         elif isinstance(bare, type) and issubclass(bare, Choice):
-            found += list(bare.model_fields)
-    return found
+            words += list(bare.model_fields)
+    return words
 
 
-def _said(said: str) -> str:
+def _reason(reason: str) -> str:
     return (
-        said.removeprefix("Value error, ").removeprefix("Assertion failed, ").removeprefix("Input should be ")
+        reason.removeprefix("Value error, ")
+        .removeprefix("Assertion failed, ")
+        .removeprefix("Input should be ")
     )
 
 
@@ -296,9 +310,9 @@ def describe_error(error: GraphError) -> str:
     """The messages of an error, each with what stands in the file at its place, where that can be read."""
     texts = {message.file: _lines(message.file) for message in error.errors}
     parts = [part for message in error.errors[:MOST_SHOWN] for part in _describe(message, texts)]
-    left = len(error.errors) - MOST_SHOWN
-    if error.more or left > 0:
-        how_many = "more errors" if error.more else f"{left} more"
+    omitted = len(error.errors) - MOST_SHOWN
+    if error.more or omitted > 0:
+        how_many = "more errors" if error.more else f"{omitted} more"
         parts.append(f"{error.errors[0].file}: and {how_many}")
     return "\n".join(parts)
 
@@ -315,9 +329,9 @@ def _describe(message: GraphMessage, texts: Mapping[str, list[str]]) -> list[str
 def _excerpt(line: str, number: int, column: int) -> list[str]:
     """The line with its number, and a caret below the column; a tab is as wide as one space."""
     begin = max(0, column - WIDTH // 2) if len(line) > WIDTH else 0
-    shown = line.replace("\t", " ")[begin : begin + WIDTH]
+    excerpt = line.replace("\t", " ")[begin : begin + WIDTH]
     head = f"  {number} | "
-    return [f"{head}{shown}".rstrip(), f"{' ' * (len(head) - 2)}| {' ' * (column - 1 - begin)}^"]
+    return [f"{head}{excerpt}".rstrip(), f"{' ' * (len(head) - 2)}| {' ' * (column - 1 - begin)}^"]
 
 
 def _lines(file: str) -> list[str]:

@@ -59,10 +59,10 @@ class Product:
 
 @dataclass(frozen=True)
 class Integral:
-    """The integral of p(own | given) times `inner` over the node's own state."""
+    """The integral of p(latent | parent) times `inner` over the node's own state."""
 
-    own: str
-    given: str
+    latent: str
+    parent: str
     inner: Factor
 
 
@@ -79,25 +79,28 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
     """The factorisation as text, one equation a line; agents outside `active` are named as left out."""
     factor = factor_of(target, active)
     root = text_state(target.root)
-    moving = [(own, above) for own, above, _ in latent_nodes(target) if moves(target, own)]
-    whole = ", ".join([root, *(text_state(own) for own, _ in moving)])
-    before = ", ".join(f"{state}-1" for state in whole.split(", "))
-    predicted = f"p({whole} | e_1:t-1)"
-    said = "" if factor is None else f" · {_text(factor, inside=False)}"
-    steps = [_text_step(own, above) for own, above in moving]
+    moving = [(latent, parent) for latent, parent, _ in latent_nodes(target) if moves(target, latent)]
+    joint = ", ".join([root, *(text_state(latent) for latent, _ in moving)])
+    previous = ", ".join(f"{state}-1" for state in joint.split(", "))
+    predicted = f"p({joint} | e_1:t-1)"
+    likelihood = "" if factor is None else f" · {_text(factor, nested=False)}"
+    steps = [_text_step(latent, parent) for latent, parent in moving]
     lines = [
-        f"p({whole} | e_1:t) ∝ {predicted}{said}",
-        f"{predicted} = ∫ p({whole} | {before}) p({before} | e_1:t-1) d {before}",
-        *([f"p({whole} | {before}) = {' · '.join([f'p({root} | {root}-1)', *steps])}"] if steps else ()),
+        f"p({joint} | e_1:t) ∝ {predicted}{likelihood}",
+        f"{predicted} = ∫ p({joint} | {previous}) p({previous} | e_1:t-1) d {previous}",
+        *([f"p({joint} | {previous}) = {' · '.join([f'p({root} | {root}-1)', *steps])}"] if steps else ()),
         f"p({root} | {root}-1): {_motion(target.inference(target.root).motion)}",
         *motion_lines(target),
         *mode_lines(target, _motion),
     ]
-    for name, given, law_of in latent_nodes(target):
-        lines.append(_law(target, name, given, law_of))
+    for name, parent, law_of in latent_nodes(target):
+        lines.append(_law(target, name, parent, law_of))
         if name in target.givens:
             lines += given_lines(target.givens[name], text_state(name))
-    lines += [f"{name}({text_state(at)}) = {_expression(one)}" for name, at, one in _weights(target)]
+    lines += [
+        f"{name}({text_state(state)}) = {_expression(expression)}"
+        for name, state, expression in _weights(target)
+    ]
     lines += _measured_lines(target)
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
@@ -114,25 +117,25 @@ def _measured_lines(target: CheckedTarget) -> Iterator[str]:
 def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) -> str:
     """The factorisation as LaTeX (amsmath's `align*`); agents outside `active` are named in a comment."""
     factor = factor_of(target, active)
-    states = [target.root, *(own for own, _, _ in latent_nodes(target) if moves(target, own))]
-    root, before = (", ".join(_latex_state(one, time) for one in states) for time in ("t", "t-1"))
+    states = [target.root, *(latent for latent, _, _ in latent_nodes(target) if moves(target, latent))]
+    root, previous = (", ".join(_latex_state(state, time) for state in states) for time in ("t", "t-1"))
     predicted = rf"p({root} \mid e_{{1:t-1}})"
-    said = "" if factor is None else rf" \, {_latex(factor, inside=False)}"
+    likelihood = "" if factor is None else rf" \, {_latex(factor, nested=False)}"
     lines = [
         r"\begin{align*}",
-        rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
-        rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
+        rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{likelihood} \\",
+        rf"{predicted} &= \int p({root} \mid {previous}) \, p({previous} \mid e_{{1:t-1}}) \, d{previous}",
     ]
-    rows = [*latex_motion_lines(target), *_latex_mode_lines(target, root, before)]
+    rows = [*latex_motion_lines(target), *_latex_mode_lines(target, root, previous)]
     comments = [f"% {line}" for line in mode_lines(target, _motion)]
-    for name, given, law_of in latent_nodes(target):
+    for name, parent, law_of in latent_nodes(target):
         if name in target.givens:
             rows += latex_given_lines(target.givens[name], _latex_state(name))
         else:
-            comments.append(f"% {_law(target, name, given, law_of)}")
+            comments.append(f"% {_law(target, name, parent, law_of)}")
     rows += [
-        rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}"
-        for name, at, one in _weights(target)
+        rf"{_latex_weight(name, state)} &= {latex_of(expression.term)}{_latex_constants(expression)}"
+        for name, state, expression in _weights(target)
     ]
     for row in (*rows, *_measured_latex_lines(target)):
         lines[-1] += r" \\"
@@ -142,24 +145,24 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
     return "\n".join([*lines, f"% left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
 
-def _latex_mode_lines(target: CheckedTarget, now: str, before: str) -> list[str]:
+def _latex_mode_lines(target: CheckedTarget, state: str, previous: str) -> list[str]:
     """The joint prediction of state and mode, and how modes follow, as rows of `align*`; none without modes.
 
-    `now` and `before` are the root's state in this frame and the last. Rows and columns of the matrix are in
-    the order of the graph.
+    `state` and `previous` are the root's state in this frame and the last. Rows and columns of the matrix
+    are in the order of the graph.
     """
     modes = target.inference(target.root).modes
     if modes is None:
         return []
-    kernel = rf"p({now} \mid {before}, m_{{t}}) \, p({before}, m_{{t-1}} \mid e_{{1:t-1}})"
-    predicted = rf"p({now}, m_{{t}} \mid e_{{1:t-1}})"
+    kernel = rf"p({state} \mid {previous}, m_{{t}}) \, p({previous}, m_{{t-1}} \mid e_{{1:t-1}})"
+    predicted = rf"p({state}, m_{{t}} \mid e_{{1:t-1}})"
     chain = r"P(m_{t} \mid m_{t-1})"
     rows = r" \\ ".join(" & ".join(f"{value:.3g}" for value in row) for row in _matrix(modes))
     matrix = rf"\begin{{pmatrix}} {rows} \end{{pmatrix}}"
     by_steps = next(iter(modes.values())).next is not None
     power = rf"{matrix}^{{\Delta t}}" if by_steps else rf"\exp\left(\Delta t \, {matrix}\right)"
     return [
-        rf"{predicted} &= \sum_{{m_{{t-1}}}} {chain} \int {kernel} \, d{before}",
+        rf"{predicted} &= \sum_{{m_{{t-1}}}} {chain} \int {kernel} \, d{previous}",
         rf"{chain} &= \left[{power}\right]_{{m_{{t-1}}, m_{{t}}}}",
     ]
 
@@ -169,11 +172,13 @@ def _matrix(modes: Mapping[str, Mode]) -> list[list[float]]:
     rows = []
     for name, mode in modes.items():
         if mode.next is not None:
-            rows.append([mode.next.get(other, 0.0) for other in modes])
+            rows.append([mode.next.get(successor, 0.0) for successor in modes])
             continue
-        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
+        follow = mode.then or dict.fromkeys((successor for successor in modes if successor != name), 1.0)
         rate, total = 1.0 / (mode.mean_frames or 1.0), sum(follow.values())
-        rows.append([-rate if other == name else rate * follow.get(other, 0.0) / total for other in modes])
+        rows.append(
+            [-rate if successor == name else rate * follow.get(successor, 0.0) / total for successor in modes]
+        )
     return rows
 
 
@@ -181,30 +186,30 @@ def _measured_latex_lines(target: CheckedTarget) -> Iterator[str]:
     """The same as rows of amsmath's `align*`, without the ends of lines."""
     for agent, functions in target.measures.items():
         for quantity, term in functions.terms.items():
-            left = latex_of(Variable(f"{agent}.{quantity}"))
-            yield rf"{left} &= {latex_of(term)} + \varepsilon"
+            left_side = latex_of(Variable(f"{agent}.{quantity}"))
+            yield rf"{left_side} &= {latex_of(term)} + \varepsilon"
         yield from (f"{latex_of(Variable(name))} &= {value:g}" for name, value in functions.constants.items())
 
 
-def _law(target: CheckedTarget, name: str, given: str, law_of: Given) -> str:
+def _law(target: CheckedTarget, name: str, parent: str, law_of: Given) -> str:
     """The law of a latent state given the one above, in words."""
     law = f"Gaussian{_place(law_of)}, {noise(law_of)}"
     if name not in target.givens and moves(target, name):
         walk = target.inference(name).motion
         assert walk is not None
-        return f"{_text_step(name, given)}: {law} in the long run, {noise(walk.settings)} a frame"
-    said = "by expressions" if name in target.givens else law
-    return f"p({text_state(name)} | {text_state(given)}): {said}{_describe_held(target, name)}"
+        return f"{_text_step(name, parent)}: {law} in the long run, {noise(walk.settings)} a frame"
+    distribution = "by expressions" if name in target.givens else law
+    return f"p({text_state(name)} | {text_state(parent)}): {distribution}{_describe_held(target, name)}"
 
 
-def _place(given: Given) -> str:
+def _place(law: Given) -> str:
     """Place of a part in its parent's box."""
-    if not given.is_part:
+    if not law.is_part:
         return ""
-    at, size = given.offset_box or OffsetBox(), given.size_box or SizeBox()
+    offset, size = law.offset_box or OffsetBox(), law.size_box or SizeBox()
     x, y = (
         name if share == 0 else f"{name} {'-' if share < 0 else '+'} {abs(share):g} {side}"
-        for name, share, side in (("x", at.x, "w"), ("y", at.y, "h"))
+        for name, share, side in (("x", offset.x, "w"), ("y", offset.y, "h"))
     )
     return f" around ({x}, {y}), {size.w:g} w by {size.h:g} h"
 
@@ -217,10 +222,10 @@ def _describe_held(target: CheckedTarget, state: str) -> str:
     return "; its likelihood a Gaussian" if belief.gaussian is not None else "; its likelihood on a grid"
 
 
-def _text_step(own: str, above: str) -> str:
+def _text_step(node: str, parent: str) -> str:
     """Motion of a state that is remembered."""
-    state, given = text_state(own), text_state(above)
-    return f"p({state} | {given}, {state}-1, {given}-1)"
+    state, parent_state = text_state(node), text_state(parent)
+    return f"p({state} | {parent_state}, {state}-1, {parent_state}-1)"
 
 
 def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> Factor | None:
@@ -228,11 +233,13 @@ def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> F
         return Likelihood(name, state) if name in active else None
     node = target.inference(name)
     latent = node.fuse is not None and node.fuse.latent is not None
-    own = own_state(target, name) if latent else state
-    said = [(child, _factor(target, child, own, active)) for child in target.children[name]]
-    speaking: list[tuple[str, Factor]] = [(child, factor) for child, factor in said if factor is not None]
+    inner_state = own_state(target, name) if latent else state
+    child_factors = [(child, _factor(target, child, inner_state, active)) for child in target.children[name]]
+    speaking: list[tuple[str, Factor]] = [
+        (child, factor) for child, factor in child_factors if factor is not None
+    ]
     factors = [child for child, factor in target.factors.items() if factor.parent == name]
-    speaking += [(child, Weight(child, own)) for child in factors]
+    speaking += [(child, Weight(child, inner_state)) for child in factors]
     if not speaking:
         return None
     weights = dict.fromkeys((child for child, _ in speaking), 1.0)
@@ -240,67 +247,67 @@ def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> F
         pooled = [child for child in weights if child not in factors]
         weights |= pool_exponents(node.fuse.shares(pooled), target.correlation(name))
     product = Product(tuple((factor, weights[child]) for child, factor in speaking))
-    alone = len(speaking) == 1
-    inner: Factor = speaking[0][1] if alone else product
-    return Integral(own, state, inner) if latent and not moves(target, own) else inner
+    is_single = len(speaking) == 1
+    inner: Factor = speaking[0][1] if is_single else product
+    return Integral(inner_state, state, inner) if latent and not moves(target, inner_state) else inner
 
 
-def _text(factor: Factor, inside: bool) -> str:
+def _text(factor: Factor, nested: bool) -> str:
     match factor:
         case Likelihood(agent, state):
             return f"p(e_{agent} | {text_state(state)})"
         case Weight(name, state):
             return f"{name}({text_state(state)})"
-        case Integral(own, given, inner):
-            state = text_state(own)
-            kernel = f"p({state} | {text_state(given)})"
-            return f"[∫ {kernel} · {_text(inner, inside=False)} d {state}]"
+        case Integral(latent, parent, inner):
+            state = text_state(latent)
+            kernel = f"p({state} | {text_state(parent)})"
+            return f"[∫ {kernel} · {_text(inner, nested=False)} d {state}]"
         case Product(factors):
-            parts = (_text(one, inside=True) + _text_power(weight) for one, weight in factors)
+            parts = (_text(part, nested=True) + _text_power(weight) for part, weight in factors)
             text = " · ".join(parts)
-            return f"[{text}]" if inside else text
+            return f"[{text}]" if nested else text
 
 
-def _latex(factor: Factor, inside: bool) -> str:
+def _latex(factor: Factor, nested: bool) -> str:
     match factor:
         case Likelihood(agent, state):
             return rf"p(e_{{\mathrm{{{escape(agent)}}}}} \mid {_latex_state(state)})"
         case Weight(name, state):
             return _latex_weight(name, state)
-        case Integral(own, given, inner):
-            state = _latex_state(own)
-            kernel = rf"p({state} \mid {_latex_state(given)})"
-            return rf"\left[\int {kernel} \, {_latex(inner, inside=False)} \, d{state}\right]"
+        case Integral(latent, parent, inner):
+            state = _latex_state(latent)
+            kernel = rf"p({state} \mid {_latex_state(parent)})"
+            return rf"\left[\int {kernel} \, {_latex(inner, nested=False)} \, d{state}\right]"
         case Product(factors):
-            parts = (_latex(one, inside=True) + _latex_power(weight) for one, weight in factors)
+            parts = (_latex(part, nested=True) + _latex_power(weight) for part, weight in factors)
             text = r" \, ".join(parts)
-            return rf"\left[{text}\right]" if inside else text
+            return rf"\left[{text}\right]" if nested else text
 
 
 def _fraction(weight: float) -> Fraction | None:
-    near = Fraction(weight).limit_denominator(20)
-    return near if abs(float(near) - weight) < 1e-9 else None
+    fraction = Fraction(weight).limit_denominator(20)
+    return fraction if abs(float(fraction) - weight) < 1e-9 else None
 
 
 def _text_power(weight: float) -> str:
     if weight == 1.0:
         return ""
-    near = _fraction(weight)
-    if near == Fraction(1, 2):
+    fraction = _fraction(weight)
+    if fraction == Fraction(1, 2):
         return "^½"
-    return f"^({near})" if near is not None else f"^{weight:.3g}"
+    return f"^({fraction})" if fraction is not None else f"^{weight:.3g}"
 
 
 def _latex_power(weight: float) -> str:
     if weight == 1.0:
         return ""
-    near = _fraction(weight)
-    return f"^{{{near if near is not None else format(weight, '.3g')}}}"
+    fraction = _fraction(weight)
+    return f"^{{{fraction if fraction is not None else format(weight, '.3g')}}}"
 
 
 def _weights(target: CheckedTarget) -> list[tuple[str, str, Expression]]:
     """Each factor, the state that it is about, and its expression."""
-    found = []
+    weights = []
     for name, factor in target.factors.items():
         node: str | None = factor.parent
         while node is not None:
@@ -308,8 +315,8 @@ def _weights(target: CheckedTarget) -> list[tuple[str, str, Expression]]:
             if fuse is not None and fuse.latent is not None:
                 break
             node = target.parent[node]
-        found.append((name, target.root if node is None else own_state(target, node), factor))
-    return found
+        weights.append((name, target.root if node is None else own_state(target, node), factor))
+    return weights
 
 
 def _expression(factor: Expression) -> str:
@@ -337,25 +344,25 @@ def _motion(motion: Motion | None) -> str:
     if motion.expressions is not None:
         return "by expressions" + (", reflected at the borders" if motion.expressions.borders else "")
     settings = motion.settings
-    further = [
+    parts = [
         f"sd {field} {sd:g} {unit}"
         for field, unit in (("velocity", "px/frame"), ("acceleration", "px/frame²"))
         if (sd := getattr(settings, f"sd_{field}_px", 0.0)) > 0
     ]
-    further += (
+    parts += (
         [] if settings.inflate is None else [f"up to {settings.inflate.max_factor:g} times that while unsure"]
     )
-    further += [] if settings.size_reversion is None else ["around the first size"]
-    further += [] if settings.camera is None else ["with the camera"]
-    further += [] if settings.borders is None else ["reflected at the borders"]
+    parts += [] if settings.size_reversion is None else ["around the first size"]
+    parts += [] if settings.camera is None else ["with the camera"]
+    parts += [] if settings.borders is None else ["reflected at the borders"]
     if settings.relocalize is not None:
         jump = settings.relocalize
         when = "unsure" if jump.grow_box is None else f"lost, {jump.grow_box:g} sides farther each frame"
-        further.append(f"anywhere with probability {jump.share:g} while {when}")
+        parts.append(f"anywhere with probability {jump.share:g} while {when}")
         if jump.sudden is not None:
             pans = " and the picture pans" if jump.sudden.pan_box > 0 else ""
-            further.append(f"up to {jump.sudden.reach_box:g} sides away where nothing fits{pans}")
-    return ", ".join(filter(None, (motion.kind.replace("_", " "), noise(settings), *further)))
+            parts.append(f"up to {jump.sudden.reach_box:g} sides away where nothing fits{pans}")
+    return ", ".join(filter(None, (motion.kind.replace("_", " "), noise(settings), *parts)))
 
 
 def _list_left_out(target: CheckedTarget, active: Iterable[str] | None) -> list[str]:
@@ -370,8 +377,8 @@ def join_text(join: Join) -> str:
     """Joint belief of a pair while its nets are joined, one equation a line."""
     first, second = _states(join)
     together = f"{first}_t, {second}_t"
-    near = f"while the beliefs of {first} and {second} overlap by {join.when.overlap:g} or more:"
-    lines = [near if join.when.overlap else f"of every {first} and {second}:"]
+    condition = f"while the beliefs of {first} and {second} overlap by {join.when.overlap:g} or more:"
+    lines = [condition if join.when.overlap else f"of every {first} and {second}:"]
     if join.factor is not None:
         lines.append(f"p({together} | e_1:t) ∝ p({first}_t | e_1:t) · p({second}_t | e_1:t) · f({together})")
         lines.append(f"f(a, b) = {text_of(parse(join.factor))}")
@@ -385,10 +392,11 @@ def join_text(join: Join) -> str:
         lines.append(f"p(o_t): {_order(join)}")
         lines += ["c: overlap as a share of the smaller box"] if join.nats else []
     if join.attachment is not None:
-        one = join.attachment
+        attachment = join.attachment
         lines.append(
-            f"p({second}_t | {second}_t-1, {first}_t): with {first}, sd {one.sd_px:g} px, while it is "
-            f"carried (picked up with probability {one.start:g} a frame, stays carried with {one.stay:g})"
+            f"p({second}_t | {second}_t-1, {first}_t): with {first}, sd {attachment.sd_px:g} px, while it is "
+            f"carried (picked up with probability {attachment.start:g} a frame, stays carried with "
+            f"{attachment.stay:g})"
         )
     return "\n".join(lines)
 
@@ -397,13 +405,13 @@ def join_latex(join: Join) -> str:
     """The same as LaTeX (amsmath's `align*`), what is said in words as comments."""
     comments = [f"% {line}" for line in join_text(join).split("\n")]
     if join.factor is not None:
-        one, other = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
-        each = r" \, ".join(rf"p({name} \mid e_{{1:t}})" for name in (one, other))
+        first, second = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
+        each = r" \, ".join(rf"p({name} \mid e_{{1:t}})" for name in (first, second))
         return "\n".join(
             [
                 comments[0],
                 r"\begin{align*}",
-                rf"p({one}, {other} \mid e_{{1:t}}) &\propto {each} \, f({one}, {other}) \\",
+                rf"p({first}, {second} \mid e_{{1:t}}) &\propto {each} \, f({first}, {second}) \\",
                 rf"f(a, b) &= {latex_of(parse(join.factor))}",
                 r"\end{align*}",
             ]
@@ -413,7 +421,7 @@ def join_latex(join: Join) -> str:
     first, second = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
     pixels = [rf"p(S_{k} \mid {first}, {second}, o_t)" for k in (1, 2)]
     against = rf" \, e^{{-{join.nats:g} \, c({first}, {second})}}" if join.nats else ""
-    priors = r" \, ".join(rf"p({one} \mid e_{{1:t-1}})" for one in (first, second))
+    priors = r" \, ".join(rf"p({state} \mid e_{{1:t-1}})" for state in (first, second))
     return "\n".join(
         [
             comments[0],

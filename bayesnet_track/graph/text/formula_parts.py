@@ -25,18 +25,18 @@ def escape(name: str) -> str:
 def latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Given]]:
     """Each latent state, the state that it is drawn around, and its noise."""
     states: dict[str, str] = {}
-    found: list[tuple[str, str, Given]] = []
+    nodes: list[tuple[str, str, Given]] = []
     for name in target.order:
         if name not in target.children:
             continue
         parent = target.parent[name]
-        above = target.root if parent is None else states[parent]
+        parent_state = target.root if parent is None else states[parent]
         fuse = target.inference(name).fuse
         latent = fuse.latent if fuse is not None else None
-        states[name] = above if latent is None else own_state(target, name)
+        states[name] = parent_state if latent is None else own_state(target, name)
         if latent is not None:
-            found.append((states[name], above, latent.given))
-    return found
+            nodes.append((states[name], parent_state, latent.given))
+    return nodes
 
 
 def own_state(target: CheckedTarget, name: str) -> str:
@@ -56,34 +56,35 @@ def noise(noise: Noise) -> str:
         ("√(wh)", noise.sd_box),
         ("log", noise.sd_log),
     )
-    said = [
+    terms = [
         f"{field} {getattr(part, field):g} {unit}"
         for unit, part in parts
         for field in type(part).model_fields
         if getattr(part, field) > 0
     ]
-    return "sd " + ", ".join(said) if said else ""
+    return "sd " + ", ".join(terms) if terms else ""
 
 
-def given_lines(given: Conditional, state: str) -> Iterator[str]:
+def given_lines(conditional: Conditional, state: str) -> Iterator[str]:
     """A line a field: ``x of head_t ~ normal(parent.x, 5)``."""
-    for name, term in given.fields.items():
-        drawn = _distribution(term)
-        yield f"{name} of {state} {'=' if drawn is None else '~'} {text_of(term if drawn is None else drawn)}"
-    yield from (f"{name} = {value:g}" for name, value in given.constants.items())
+    for name, term in conditional.fields.items():
+        distribution = _distribution(term)
+        sign, right_side = ("=", term) if distribution is None else ("~", distribution)
+        yield f"{name} of {state} {sign} {text_of(right_side)}"
+    yield from (f"{name} = {value:g}" for name, value in conditional.constants.items())
 
 
-def latex_given_lines(given: Conditional, state: str) -> Iterator[str]:
+def latex_given_lines(conditional: Conditional, state: str) -> Iterator[str]:
     """The same in LaTeX, one line of `align*` each, without its end."""
-    for name, term in given.fields.items():
-        drawn = _distribution(term)
-        sign, shown = ("=", latex_of(term)) if drawn is None else (r"\sim", _latex(drawn))
-        yield rf"{name}({state}) &{sign} {shown}"
+    for name, term in conditional.fields.items():
+        distribution = _distribution(term)
+        sign, right_side = ("=", latex_of(term)) if distribution is None else (r"\sim", _latex(distribution))
+        yield rf"{name}({state}) &{sign} {right_side}"
 
 
-def _latex(drawn: Call) -> str:
+def _latex(distribution: Call) -> str:
     """A distribution, whose first parameter is no value: with a comma behind it."""
-    return latex_of(drawn).replace(r";\,", r",\,", 1)
+    return latex_of(distribution).replace(r";\,", r",\,", 1)
 
 
 def _distribution(term: Term) -> Call | None:
@@ -95,27 +96,27 @@ def _distribution(term: Term) -> Call | None:
 
 def motion_lines(target: CheckedTarget) -> list[str]:
     """`x_t = x + vx * dt + noise of sd 2 · √dt`, for each field that moves; none for another motion."""
-    found = [_moved(*equation) for equation in _equations(target.inference(target.root).motion)]
-    return [*found, *(f"{name} = {value:g}" for name, value in _constants(target))]
+    equations = [_equation_text(*equation) for equation in _equations(target.inference(target.root).motion)]
+    return [*equations, *(f"{name} = {value:g}" for name, value in _constants(target))]
 
 
-def _moved(name: str, mean: Term, sd: Term | None) -> str:
+def _equation_text(name: str, mean: Term, sd: Term | None) -> str:
     noise = "" if sd is None else f" + noise of sd {_bracketed(sd)} · √dt"
     return f"{name}_t = {text_of(mean)}{noise}"
 
 
 def latex_motion_lines(target: CheckedTarget) -> list[str]:
     """The same as rows of amsmath's `align*`, without the ends of lines."""
-    found = []
+    rows = []
     for name, mean, sd in _equations(target.inference(target.root).motion):
-        left = latex_of(Variable(name)) + "_{t}"
+        left_side = latex_of(Variable(name)) + "_{t}"
         if sd is None:
-            found.append(rf"{left} &= {latex_of(mean)}")
+            rows.append(rf"{left_side} &= {latex_of(mean)}")
         else:
             variance = rf"\left({latex_of(sd)}\right)^{{2}} \, \Delta t"
-            found.append(rf"{left} &\sim \mathcal{{N}}\left({latex_of(mean)},\, {variance}\right)")
+            rows.append(rf"{left_side} &\sim \mathcal{{N}}\left({latex_of(mean)},\, {variance}\right)")
     constants = (rf"{latex_of(Variable(name))} &= {value:g}" for name, value in _constants(target))
-    return [*found, *constants]
+    return [*rows, *constants]
 
 
 def _equations(motion: Motion | None) -> Iterator[tuple[str, Term, Term | None]]:
@@ -132,8 +133,8 @@ def _constants(target: CheckedTarget) -> list[tuple[str, float]]:
     root = target.inference(target.root)
     motions = (root.motion, *(mode.motion for mode in (root.modes or {}).values()))
     equations = (equation for motion in motions for equation in _equations(motion))
-    used = {name for _, mean, sd in equations for term in (mean, sd) if term for name in names_in(term)}
-    return [(name, value) for name, value in target.constants.items() if name in used]
+    names = {name for _, mean, sd in equations for term in (mean, sd) if term for name in names_in(term)}
+    return [(name, value) for name, value in target.constants.items() if name in names]
 
 
 def _bracketed(sd: Term) -> str:
@@ -146,25 +147,27 @@ def mode_lines(target: CheckedTarget, describe: Callable[[Motion], str]) -> list
         target.inference(target.root).modes or {},
         target.inference(target.root).category or {},
     )
-    lines = [f"mode {name}: {', '.join(_said(modes, name, describe))}" for name in modes]
-    for name, one in categories.items():
-        prior = one.prior or dict.fromkeys(one.values, 1.0 / len(one.values))
-        lines.append(f"{name}: {', '.join(f'{value} {prior[value]:.3g}' for value in one.values)}, and stays")
+    lines = [f"mode {name}: {', '.join(_describe_mode(modes, name, describe))}" for name in modes]
+    for name, category in categories.items():
+        prior = category.prior or dict.fromkeys(category.values, 1.0 / len(category.values))
+        lines.append(
+            f"{name}: {', '.join(f'{value} {prior[value]:.3g}' for value in category.values)}, and stays"
+        )
     return lines
 
 
-def _said(modes: Mapping[str, Mode], name: str, describe: Callable[[Motion], str]) -> list[str]:
+def _describe_mode(modes: Mapping[str, Mode], name: str, describe: Callable[[Motion], str]) -> list[str]:
     mode = modes[name]
-    said = ["moves so" if mode.motion is None else describe(mode.motion)]
-    said += [_moved(*equation) for equation in _equations(mode.motion)]
+    parts = ["moves so" if mode.motion is None else describe(mode.motion)]
+    parts += [_equation_text(*equation) for equation in _equations(mode.motion)]
     if mode.next is not None:
-        said.append(f"next {_shares(mode.next)}")
+        parts.append(f"next {_shares(mode.next)}")
     else:
-        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
-        said += [f"{mode.mean_frames:g} frames on average", f"then {_shares(follow)}"]
+        follow = mode.then or dict.fromkeys((successor for successor in modes if successor != name), 1.0)
+        parts += [f"{mode.mean_frames:g} frames on average", f"then {_shares(follow)}"]
     if mode.hidden is not None:
-        said.append(f"hidden: every agent says {mode.hidden.likelihood:g}")
-    return said
+        parts.append(f"hidden: every agent says {mode.hidden.likelihood:g}")
+    return parts
 
 
 def _shares(row: Mapping[str, float]) -> str:

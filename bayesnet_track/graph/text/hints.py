@@ -131,21 +131,21 @@ def hint_of(message: GraphMessage) -> str:
         return message.hint
     text = f"{message.found}; allowed: {message.allowed}"
     for pattern, words in (*RULES, *OTHER_FORMS):
-        found = re.search(pattern, text)
-        if found:
-            return words(found, message)
+        match = re.search(pattern, text)
+        if match:
+            return words(match, message)
     return ""
 
 
-def _nested(found: re.Match[str], _: GraphMessage) -> str:
+def _nested(match: re.Match[str], _: GraphMessage) -> str:
     """A number where a mapping is needed: the mapping's first key takes it."""
-    return f"write {found['key']}: {{{found['first']}: {found['value']}}}"
+    return f"write {match['key']}: {{{match['first']}: {match['value']}}}"
 
 
 def _parent(_: re.Match[str], message: GraphMessage) -> str:
-    above = "NODE" if message.allowed.startswith("the name") else message.allowed.partition(",")[0]
+    parent = "NODE" if message.allowed.startswith("the name") else message.allowed.partition(",")[0]
     return (
-        f"an agent scores the hypotheses of the node above it; name that node, as in parent: {above}; "
+        f"an agent scores the hypotheses of the node above it; name that node, as in parent: {parent}; "
         "a root has no agent"
     )
 
@@ -154,25 +154,25 @@ def _own_cue(_: re.Match[str], message: GraphMessage) -> str:
     """A name that is like no installed cue's is no slip of the pen."""
     if message.nearest:
         return ""
-    own, other = setting("--cue-file", "FILE", "[FILE]"), setting("--allow-plugins", "NAME", "['NAME']")
-    return f"a cue of your own is given as {own}, one of another package as {other}"
+    cue_file, plugin = setting("--cue-file", "FILE", "[FILE]"), setting("--allow-plugins", "NAME", "['NAME']")
+    return f"a cue of your own is given as {cue_file}, one of another package as {plugin}"
 
 
-def _opened(what: str, or_else: str = "") -> Callable[[re.Match[str], GraphMessage], str]:
-    def say(found: re.Match[str], message: GraphMessage) -> str:
-        line = found.groupdict().get("line") or message.line
-        return f"{what} in line {line} is not closed{or_else}"
+def _opened(construct: str, or_else: str = "") -> Callable[[re.Match[str], GraphMessage], str]:
+    def say(match: re.Match[str], message: GraphMessage) -> str:
+        line = match.groupdict().get("line") or message.line
+        return f"{construct} in line {line} is not closed{or_else}"
 
     return say
 
 
-def _colon(found: re.Match[str], message: GraphMessage) -> str:
-    line = found["line"] or message.line
+def _colon(match: re.Match[str], message: GraphMessage) -> str:
+    line = match["line"] or message.line
     return f"in line {line}, a key is followed by a colon and a space, as in bayesnet: 1"
 
 
 def _always(text: str) -> Callable[[re.Match[str], GraphMessage], str]:
-    return lambda found, message: text
+    return lambda match, message: text
 
 
 _COMMA = ", or a comma is missing"
@@ -203,7 +203,7 @@ RULES: Sequence[Rule] = (
     ),
     (
         r"^(?P<key>\w+):(?P<value>[\d.]+) is empty",
-        lambda found, _: f"a space follows the colon: {found['key']}: {found['value']}",
+        lambda match, _: f"a space follows the colon: {match['key']}: {match['value']}",
     ),
     (
         rf"^unknown belief '(?:{'|'.join(_FILTERS)})'",
@@ -227,9 +227,9 @@ RULES: Sequence[Rule] = (
 OTHER_FORMS: Sequence[Rule] = (
     (
         r"^(?P<key>\w+) is '(?P<text>[a-z_]+\(.*\))'; allowed: a number$",
-        lambda found, _: (
-            f"an unknown constant is a field of a motion by expressions, fields: {{{found['key']}: {{}}}}, "
-            f'with a start prior beside the motion, start: {{{found["key"]}: "{found["text"]}"}}'
+        lambda match, _: (
+            f"an unknown constant is a field of a motion by expressions, fields: {{{match['key']}: {{}}}}, "
+            f'with a start prior beside the motion, start: {{{match["key"]}: "{match["text"]}"}}'
         ),
     ),
     (

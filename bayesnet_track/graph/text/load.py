@@ -47,7 +47,7 @@ def errors_behind(
     What may follow from a guess is left out: what concerns the same node, what stands below a guessed key, or
     any node of a type of target from which one was taken out.
     """
-    value, found, newest = deepcopy(value), list[GraphMessage](), list(first)
+    value, messages, newest = deepcopy(value), list[GraphMessage](), list(first)
     touched = set[KeyPath]()
     for _ in range(ROUNDS):
         touched |= {place for message in reversed(newest) for place in _mend(value, message)}
@@ -56,13 +56,13 @@ def errors_behind(
         except CueError:
             break
         except GraphError as error:
-            newest = [one for one in error.errors if not _follows(one, touched)]
+            newest = [message for message in error.errors if not _follows(message, touched)]
         else:
             break
         if not newest:
             break
-        found += newest
-    return found
+        messages += newest
+    return messages
 
 
 def _follows(message: GraphMessage, touched: set[KeyPath]) -> bool:
@@ -81,28 +81,28 @@ def _mend(value: Any, message: GraphMessage) -> list[KeyPath]:
     node = path[:NODE]
     if not path:
         return [()]
-    inside, key, word = _at(value, path[:-1]), path[-1], message.nearest
+    holder, key, word = _value_at(value, path[:-1]), path[-1], message.nearest
     # What makes a node a child, or a child of another one, concerns the whole tree.
     concerned = [path[:2], ("joins",)] if TREE & {*path[NODE:]} else [node]
-    if word and isinstance(inside, dict) and repr(key) in message.found and word not in inside:
-        inside[word] = inside.pop(key)
+    if word and isinstance(holder, dict) and repr(key) in message.found and word not in holder:
+        holder[word] = holder.pop(key)
         return [(*path[:-1], word)] if message.found.startswith("unknown key") else concerned
-    if word and isinstance(inside[key], str) and repr(inside[key]) in message.found:
-        inside[key] = word
+    if word and isinstance(holder[key], str) and repr(holder[key]) in message.found:
+        holder[key] = word
         return [] if key == "fuse" else concerned
     if len(node) == NODE and message.found.startswith("key 'parent'"):
         roots = [
             name
-            for name, one in _at(value, node[:-1]).items()
-            if isinstance(one, dict) and not {"agent", "parent"} & one.keys()
+            for name, sibling in _value_at(value, node[:-1]).items()
+            if isinstance(sibling, dict) and not {"agent", "parent"} & sibling.keys()
         ]
         if len(roots) == 1:
-            _at(value, node)["parent"] = roots[0]
+            _value_at(value, node)["parent"] = roots[0]
             return [path[:2], ("joins",)]
     if len(path) > NODE and key != "parent" and "missing" not in message.found:
-        del inside[key]
+        del holder[key]
         return concerned
-    del _at(value, node[:-1])[node[-1]]
+    del _value_at(value, node[:-1])[node[-1]]
     # A node that stands outside all targets may belong to any of them.
     return [()] if message.hint and len(path) < 3 else [path[:2], ("joins",)]
 
@@ -117,7 +117,7 @@ def _written(value: Any, path: KeyPath) -> KeyPath:
     return path
 
 
-def _at(value: Any, path: KeyPath) -> Any:
+def _value_at(value: Any, path: KeyPath) -> Any:
     for key in path:
         value = value[key]
     return value
@@ -162,8 +162,8 @@ def bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
             content: bytes = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        found = f"cannot be read: {reason}"
-        raise GraphError([GraphMessage(file, 1, 1, (), "graph", found, nearest=_beside(path))]) from None
+        fault = f"cannot be read: {reason}"
+        raise GraphError([GraphMessage(file, 1, 1, (), "graph", fault, nearest=_beside(path))]) from None
     return content
 
 
@@ -172,10 +172,10 @@ def _beside(path: Path | Traversable) -> str:
     if not isinstance(path, Path):
         return ""
     try:
-        near = nearest(path.name, [one.name for one in path.parent.glob("*.y*ml")])
+        suggestion = nearest(path.name, [sibling.name for sibling in path.parent.glob("*.y*ml")])
     except OSError:  # a folder that cannot be read, or whose name is too long
         return ""
-    return str(path.parent / near) if near else ""
+    return str(path.parent / suggestion) if suggestion else ""
 
 
 def _only_in_python(document: Document) -> Iterator[GraphMessage]:
@@ -187,26 +187,26 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
         if value is None:
             yield document.at.message(path, f"{shown_name(name)} is empty", "a value, or no such key")
         elif len(path) == 4 and isinstance(value, dict) and "factor" in value:
-            for key in (key for key, inside in value.items() if inside is None):
-                found, allowed = "factor is cut at a comma", "quotes around the expression"
-                yield document.at.message((*path, key), found, allowed, on_key=True)
+            for key in (key for key, content in value.items() if content is None):
+                fault, remedy = "factor is cut at a comma", "quotes around the expression"
+                yield document.at.message((*path, key), fault, remedy, on_key=True)
         elif len(path) == 2 and path[0] == "queries" and isinstance(value, dict) and None in value.values():
-            for key in (key for key, inside in value.items() if inside is None):
-                found, allowed = "expression is cut at a comma", "quotes around the expression"
-                yield document.at.message((*path, key), found, allowed, on_key=True)
+            for key in (key for key, content in value.items() if content is None):
+                fault, remedy = "expression is cut at a comma", "quotes around the expression"
+                yield document.at.message((*path, key), fault, remedy, on_key=True)
         elif isinstance(value, dict) and (cut := _cut_at_a_comma(value)):
-            found, allowed = f"{cut} is cut at a comma", "quotes around the expression"
-            yield document.at.message((*path, cut), found, allowed)
+            fault, remedy = f"{cut} is cut at a comma", "quotes around the expression"
+            yield document.at.message((*path, cut), fault, remedy)
         elif name == "agent" and len(path) == 5 and isinstance(value, dict):
             if "cue" in value:
                 yield document.at.message(
                     (*path, "cue"), "unknown cue 'cue'", "a cue, or one cue with its parameters", on_key=True
                 )
-            for cue, inside in value.items():
-                for key, one in inside.items() if isinstance(inside, dict) else ():
-                    if isinstance(one, dict) and (cut := _cut_at_a_comma(one)):
-                        found, allowed = f"{cut} is cut at a comma", "quotes around the expression"
-                        yield document.at.message((*path, cue, key, cut), found, allowed)
+            for cue, content in value.items():
+                for key, parameter in content.items() if isinstance(content, dict) else ():
+                    if isinstance(parameter, dict) and (cut := _cut_at_a_comma(parameter)):
+                        fault, remedy = f"{cut} is cut at a comma", "quotes around the expression"
+                        yield document.at.message((*path, cue, key, cut), fault, remedy)
         elif name == "detector" and len(path) == 4 and isinstance(value, dict) and "detector" in value:
             yield document.at.message(
                 (*path, "detector"),
@@ -215,16 +215,16 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
                 on_key=True,
             )
         elif isinstance(value, dict):
-            waiting += [((*path, key), inside) for key, inside in value.items()]
+            waiting += [((*path, key), content) for key, content in value.items()]
         elif isinstance(value, list):
-            waiting += [((*path, index), inside) for index, inside in enumerate(value)]
+            waiting += [((*path, index), content) for index, content in enumerate(value)]
 
 
 def _cut_at_a_comma(value: Mapping[str, Any]) -> str:
     """The key whose text opens a bracket that the next keys, without values, close; empty where none is."""
-    for key, after in pairwise(value):
+    for key, next_key in pairwise(value):
         text = value[key]
-        if value[after] is None and isinstance(text, str) and text.count("(") > text.count(")"):
+        if value[next_key] is None and isinstance(text, str) and text.count("(") > text.count(")"):
             return str(key)
     return ""
 
@@ -243,16 +243,16 @@ def load_graph(
         CueError: one of `cues` cannot be used.
     """
     if isinstance(graph, CheckedGraph):
-        own = mapped_cues(cues)
-        known: dict[str, CueDeclaration] = {**graph.declarations, **own}
-        return check(graph.spec, None, known, graph.masks, graph.calibrations) if own else graph
+        passed_cues = mapped_cues(cues)
+        available: dict[str, CueDeclaration] = {**graph.declarations, **passed_cues}
+        return check(graph.spec, None, available, graph.masks, graph.calibrations) if passed_cues else graph
     if isinstance(graph, GraphSpec | Mapping):
         return check_graph(graph, cues)
     if isinstance(graph, str) and not any(mark in graph for mark in "./\\"):
         if graph not in graph_names():
             raise GraphError([_no_such_graph(graph)])
-        spec, at = read_graph(find_graph(graph))
-        return check(spec, at, cues)
+        spec, positions = read_graph(find_graph(graph))
+        return check(spec, positions, cues)
     return _load_file(Path(graph), cues)
 
 
@@ -273,7 +273,7 @@ def _load_file(path: Path, cues: Cues | None) -> CheckedGraph:
 
 def _no_such_graph(name: str) -> GraphMessage:
     names = graph_names()
-    allowed = f"{', '.join(names)}, or a path to a file"
+    remedy = f"{', '.join(names)}, or a path to a file"
     return GraphMessage(
-        name, 1, 1, (), "graph", "no installed graph of this name", allowed, nearest(name, names)
+        name, 1, 1, (), "graph", "no installed graph of this name", remedy, nearest(name, names)
     )

@@ -47,10 +47,10 @@ class GraphMessage:
         """``file:line:column: node: found; allowed: ...; nearest: ...``."""
         file = self.file if self.file.isprintable() else repr(self.file)
         if self.line is None:
-            where = f"{file}:{'.'.join(map(str, self.path)) or 'graph'}"
+            place = f"{file}:{'.'.join(map(str, self.path)) or 'graph'}"
         else:
-            where = f"{file}:{self.line}:{self.column}"
-        text = f"{where}: {self.node}: {self.found}"
+            place = f"{file}:{self.line}:{self.column}"
+        text = f"{place}: {self.node}: {self.found}"
         if self.allowed:
             text += f"; allowed: {self.allowed}"
         if self.nearest:
@@ -110,19 +110,19 @@ class Positions:
     def message(
         self,
         path: KeyPath,
-        found: str,
-        allowed: str | Iterable[str] = "",
+        fault: str,
+        remedy: str | Iterable[str] = "",
         *,
         word: str = "",
-        near: Iterable[str] | None = None,
+        candidates: Iterable[str] | None = None,
         on_key: bool = False,
     ) -> GraphMessage:
         """An error at the value (or key) at `path`, or at the nearest enclosing value that was written.
 
-        `allowed` is a text or the allowed names; `word` is compared with `near` (or these names).
+        `remedy` is a text or the allowed names; `word` is compared with `candidates` (or these names).
         """
-        names = [] if isinstance(allowed, str) else list(allowed)
-        text = allowed if isinstance(allowed, str) else listed(names)
+        names = [] if isinstance(remedy, str) else list(remedy)
+        text = remedy if isinstance(remedy, str) else listed(names)
         line, column = self._place(path, on_key)
         return GraphMessage(
             self.file,
@@ -130,9 +130,9 @@ class Positions:
             column,
             path,
             node_of(path),
-            found,
+            fault,
             text,
-            nearest(word, names if near is None else near) if word else "",
+            nearest(word, names if candidates is None else candidates) if word else "",
         )
 
     def _place(self, path: KeyPath, on_key: bool) -> tuple[int | None, int | None]:
@@ -153,8 +153,8 @@ def node_of(path: KeyPath) -> str:
     """
     if path[:1] not in (("targets",), ("queries",)) or len(path) < 2:
         return "graph"
-    inside = path[0] == "targets" and len(path) > 3 and path[2] == "nodes"
-    return shown_name(path[3] if inside else path[1])
+    is_node = path[0] == "targets" and len(path) > 3 and path[2] == "nodes"
+    return shown_name(path[3] if is_node else path[1])
 
 
 def nearest(word: str, names: Iterable[str]) -> str:
@@ -172,9 +172,11 @@ def nearest(word: str, names: Iterable[str]) -> str:
     if len(word) > 2 and len(begun) == 1:
         return begun[0]
     # Half of the letters are enough only if the first one is among them: `deactivate` is not `estimate`.
-    alike = [name for name in some if name[:1] == word[:1]]
+    same_initial = [name for name in some if name[:1] == word[:1]]
     word = word[:MAX_SHOWN]
-    return "".join(get_close_matches(word, some, n=1, cutoff=0.7) or get_close_matches(word, alike, n=1))
+    return "".join(
+        get_close_matches(word, some, n=1, cutoff=0.7) or get_close_matches(word, same_initial, n=1)
+    )
 
 
 def listed(names: Iterable[str]) -> str:

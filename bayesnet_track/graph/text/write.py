@@ -62,12 +62,12 @@ def as_plain(value: Any) -> Any:
         return value.kind if settings == value.bare(value.kind) else {value.kind: settings}
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
-        changed = (name for name in fields if fields[name].is_required() or not _is_default(value, name))
-        return {name: as_plain(getattr(value, name)) for name in changed}
+        names = (name for name in fields if fields[name].is_required() or not _is_default(value, name))
+        return {name: as_plain(getattr(value, name)) for name in names}
     if isinstance(value, Mapping):
-        return {key: as_plain(inside) for key, inside in value.items()}
+        return {key: as_plain(element) for key, element in value.items()}
     if isinstance(value, (list, tuple)):
-        return [as_plain(inside) for inside in value]
+        return [as_plain(element) for element in value]
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return int(value)
     return value
@@ -92,9 +92,11 @@ def _block(mapping: Mapping[str, Any], indent: str, depth: int) -> Iterator[str]
 def flow_text(value: Any) -> str:
     """Plain data in one line of YAML."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_scalar(key)}: {flow_text(inside)}" for key, inside in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{_scalar(key)}: {flow_text(element)}" for key, element in value.items()) + "}"
+        )
     if isinstance(value, list):
-        return "[" + ", ".join(flow_text(inside) for inside in value) + "]"
+        return "[" + ", ".join(flow_text(element) for element in value) + "]"
     return _scalar(value)
 
 
@@ -157,11 +159,11 @@ def differences(first: str, second: str) -> tuple[Difference, ...]:
 def _between(first: Any, second: Any, path: str) -> Iterator[Difference]:
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         for key in dict.fromkeys([*first, *second]):
-            below = f"{path}.{key}" if path else str(key)
+            key_path = f"{path}.{key}" if path else str(key)
             if key in first and key in second:
-                yield from _between(first[key], second[key], below)
+                yield from _between(first[key], second[key], key_path)
             else:
-                yield Difference(below, _text(first, key), _text(second, key))
+                yield Difference(key_path, _text(first, key), _text(second, key))
     elif first != second:
         yield Difference(path, flow_text(first), flow_text(second))
 
@@ -205,35 +207,35 @@ def _models(base: type[Model]) -> Iterator[type[Model]]:
 def _choice(schema: Schema, model: type[Model]) -> Schema:
     """Exactly one key, or the bare word of a choice whose settings may be left out."""
     words = [word for word in model.model_fields if _accepts(model, word)]
-    one = {**schema, "minProperties": 1, "maxProperties": 1}
-    description = one.pop("description", "")
-    either = [{"enum": words}, one] if words else [one]
+    single = {**schema, "minProperties": 1, "maxProperties": 1}
+    description = single.pop("description", "")
+    either = [{"enum": words}, single] if words else [single]
     return {"description": description, "anyOf": either}
 
 
 def _plugin(
     kind: str,
-    what: str,
-    known: Mapping[str, CueDeclaration] | Mapping[str, DetectorDeclaration],
+    title: str,
+    plugins: Mapping[str, CueDeclaration] | Mapping[str, DetectorDeclaration],
     definitions: Schema,
 ) -> Schema:
     """One plug-in of those installed, with its own parameters; defines each one's parameters."""
     words, keys = [], {}
-    for name, plugin in known.items():
+    for name, plugin in plugins.items():
         own_name = f"{kind}_{name}"
         parameters = plugin.parameters.model_json_schema(ref_template=f"#/definitions/{own_name}_{{model}}")
         for inner, part in parameters.pop("$defs", {}).items():
             definitions[f"{own_name}_{inner}"] = _draft7(part, keep_null=True)
-        own = _draft7(parameters, keep_null=True)
-        definitions[own_name] = {**own, "description": plugin.summary}
+        definition = _draft7(parameters, keep_null=True)
+        definitions[own_name] = {**definition, "description": plugin.summary}
         keys[name] = {"$ref": f"#/definitions/{own_name}"}
         if _accepts(plugin.parameters, {}):
             words.append(name)
-    described = [{"const": word, "description": known[word].summary} for word in words]
-    one = {"type": "object", "properties": keys, "additionalProperties": False}
-    one |= {"minProperties": 1, "maxProperties": 1}
-    description = f"{what}: its name, or its name with parameters."
-    return {"description": description, "anyOf": [*described, one]}
+    described = [{"const": word, "description": plugins[word].summary} for word in words]
+    single = {"type": "object", "properties": keys, "additionalProperties": False}
+    single |= {"minProperties": 1, "maxProperties": 1}
+    description = f"{title}: its name, or its name with parameters."
+    return {"description": description, "anyOf": [*described, single]}
 
 
 def _accepts(model: type[BaseModel], value: Any) -> bool:
@@ -277,11 +279,11 @@ def _draft7(schema: Any, keep_null: bool = False) -> Any:
 
 def _plain_default(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _plain_default(inside) for key, inside in value.items() if inside is not None}
+        return {key: _plain_default(element) for key, element in value.items() if element is not None}
     return value
 
 
 def _without_null(part: Schema) -> Schema:
     branches = [branch for branch in part["anyOf"] if branch != {"type": "null"}]
-    rest = {key: value for key, value in part.items() if key != "anyOf"}
-    return {**branches[0], **rest} if len(branches) == 1 else {**rest, "anyOf": branches}
+    annotations = {key: value for key, value in part.items() if key != "anyOf"}
+    return {**branches[0], **annotations} if len(branches) == 1 else {**annotations, "anyOf": branches}
